@@ -1,0 +1,45 @@
+# Everything a person needs, from a fresh clone, without root. PYTHON= chooses the interpreter.
+VENV   := .venv
+PYTHON ?=
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.optsim-ready
+
+.PHONY: demo test setup bench validate lint types architecture requirements clean help
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
+
+setup: $(STAMP) ## create .venv with the pinned dependencies and optsim itself
+
+$(STAMP): requirements.txt pyproject.toml tools/setup.sh
+	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
+	@touch $@
+
+demo: setup ## run the demo experiment; opens nothing, prints where the report is
+	$(BIN)/optsim run demo
+
+test: setup ## is the code right? (minutes)
+	$(BIN)/python -m pytest tests
+
+bench: setup ## run time against peers, measured now
+	$(BIN)/optsim bench
+
+validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)
+	$(BIN)/optsim validate --write
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/basedpyright
+
+architecture: setup
+	$(BIN)/python -m pytest -q tests/test_architecture.py
+
+requirements: ## remake requirements.txt from pyproject.toml (needs uv)
+	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 --generate-hashes \
+	  --no-emit-index-url --no-annotate --custom-compile-command "make requirements" -o requirements.txt
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache

@@ -1,0 +1,56 @@
+"""Every error a user can cause, and which one to raise when.
+
+=====================  ==================================================================
+raise                  when
+=====================  ==================================================================
+ConfigError            a key, name, unit or range in an experiment or on the command line
+GeometryError          the parts are each valid but don't fit together
+ValueCheckError        an array crossing a room breaks its contract (rank, dtype, NaN, sign)
+BenchError             bench files are missing, or cannot identify what is asked of them
+BackendError           no usable renderer backend
+StorageError           disk space, an unreadable file, an output folder of another run
+=====================  ==================================================================
+
+A message says what is wrong, what was got, what was expected and the cure, and names the key.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class OptsimError(Exception):
+    """Base of all errors caused by input; the command line turns it into exit code 2."""
+
+
+class ConfigError(OptsimError):
+    """A configuration key, name, unit or range is wrong."""
+
+
+class GeometryError(OptsimError):
+    """Parts that are each valid don't fit together."""
+
+
+class ValueCheckError(OptsimError, ValueError):
+    """An array breaks the contract of the value it should become."""
+
+
+class BenchError(OptsimError):
+    """Bench files are missing or cannot identify a parameter."""
+
+
+class BackendError(OptsimError):
+    """No renderer backend is usable."""
+
+
+class StorageError(OptsimError):
+    """Disk space is short, a file is unreadable, or a folder belongs to another run."""
+
+
+def unknown_name(what: str, got: str, valid: Iterable[str]) -> ConfigError:
+    """Error for a name that is not in a list, with the nearest valid one as the cure."""
+    names = sorted(valid)
+    near = difflib.get_close_matches(got, names, n=1, cutoff=0.4)
+    cure = f"did you mean {near[0]!r}?" if near else "choose one of the names listed."
+    return ConfigError(f"unknown {what} {got!r}; expected one of: {', '.join(names)}; {cure}")

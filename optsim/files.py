@@ -1,0 +1,179 @@
+"""The only way out to disk: guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers.
+
+The OpenEXR binding writes wrong pixels, without an error, for arrays that are not C-contiguous
+(openexr#1929), and returns short channel groups padded with foreign memory; so every image goes
+through :func:`write_exr`, which owns order, dtype and channel count. All writers write to a temporary
+name in the same folder and rename, so an interrupted run never leaves half a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.errors import StorageError, ValueCheckError
+
+_HALF_MAX = 65504.0
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``; rename it into place if the block succeeds."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part" + path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text atomically, UTF-8."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, record: object) -> None:
+    """Write JSON atomically; NaN and infinity are errors, never output."""
+    try:
+        text = json.dumps(record, indent=1, allow_nan=False, sort_keys=False)
+    except ValueError as error:
+        raise ValueCheckError(f"{path.name}: {error}; encode a missing number as null") from None
+    write_text(path, text + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON, with an error that names the file."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise StorageError(f"no such file: {path}") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise StorageError(f"{path} is not valid JSON: {error}") from None
+
+
+def write_exr(
+    path: Path,
+    channels: Mapping[str, NDArray[np.generic]],
+    *,
+    attributes: Mapping[str, object],
+    half: bool = False,
+) -> None:
+    """Write single-channel images of one size as an OpenEXR file (ZIP).
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    channels : Mapping
+        Name -> array of shape (y, x), float32 or uint32; any memory order.
+    attributes : Mapping
+        What the numbers mean (unit, axes, ...); stored as one JSON text, since EXR header numbers
+        lose precision.
+    half : bool
+        Store floats as 16 bit; refused where a value would overflow.
+
+    Raises
+    ------
+    ValueCheckError
+        For a wrong rank, size or dtype, a non-finite value, or a half overflow.
+    """
+    import OpenEXR
+
+    if not channels:
+        raise ValueCheckError(f"{path.name}: no channels to write")
+    shape = next(iter(channels.values())).shape
+    out: dict[str, NDArray[np.generic]] = {}
+    for name, image in channels.items():
+        if image.ndim != 2 or image.shape != shape or image.size == 0:
+            raise ValueCheckError(f"{path.name}: channel {name} has shape {image.shape}, expected {shape}")
+        if image.dtype not in (np.float32, np.uint32):
+            raise ValueCheckError(f"{path.name}: channel {name} is {image.dtype}, expected float32 or uint32")
+        if image.dtype == np.float32:
+            if not np.isfinite(image).all():
+                raise ValueCheckError(f"{path.name}: channel {name} holds a value that is not finite")
+            if half and float(np.abs(image).max()) > _HALF_MAX:
+                raise ValueCheckError(f"{path.name}: channel {name} exceeds {_HALF_MAX}; write it as float32")
+        out[name] = np.ascontiguousarray(image, dtype=np.float16 if half and image.dtype.kind == "f" else None)
+    header: dict[str, Any] = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "optsim": json.dumps(dict(attributes), allow_nan=False),
+    }
+    with atomic(path) as temporary, OpenEXR.File(header, cast("Any", out)) as stream:
+        stream.write(str(temporary))
+
+
+def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Read what :func:`write_exr` wrote, or any single-part scanline EXR.
+
+    Returns
+    -------
+    channels : dict
+        Name -> array of shape (y, x), float32.
+    attributes : dict
+        The JSON attributes, empty if the file is not ours.
+
+    Raises
+    ------
+    StorageError
+        When the file is missing or unreadable.
+    """
+    import OpenEXR
+
+    if not path.is_file():
+        raise StorageError(f"no such file: {path}")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as stream:
+            images = {
+                name: np.array(channel.pixels, np.float32, order="C")
+                for name, channel in stream.channels().items()
+            }
+            text = cast("dict[str, Any]", stream.header()).get("optsim", "{}")
+    except (RuntimeError, ValueError) as error:
+        raise StorageError(f"{path} cannot be read as OpenEXR: {error}") from None
+    return images, json.loads(text)
+
+
+def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
+    """Write a (y, x) uint16 image losslessly as 16-bit greyscale PNG."""
+    from PIL import Image
+
+    if image.ndim != 2 or image.dtype != np.uint16:
+        raise ValueCheckError(f"{path.name}: got {image.dtype} of shape {image.shape}, expected (y, x) uint16")
+    with atomic(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(image)).save(temporary, format="PNG", compress_level=1)
+
+
+def write_png8(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write an 8-bit picture for people: (y, x) grey or (y, x, 3) sRGB."""
+    from PIL import Image
+
+    with atomic(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(image)).save(temporary, format="PNG")
+
+
+def read_png16(path: Path) -> NDArray[np.uint16]:
+    """Read a 16-bit greyscale PNG as (y, x) uint16."""
+    from PIL import Image
+
+    if not path.is_file():
+        raise StorageError(f"no such file: {path}")
+    with Image.open(path) as picture:
+        if not picture.mode.startswith("I"):
+            raise StorageError(f"{path}: got mode {picture.mode}, expected 16-bit greyscale")
+        return np.asarray(picture).astype(np.uint16)

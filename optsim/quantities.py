@@ -1,0 +1,365 @@
+"""The values that cross rooms: each array knows its unit, axes and dtype, and is checked once.
+
+Axes are [row, column], pixel centres at +0.5. Their names, everywhere:
+
+========  =====================================================================================
+``t``     truth instants; an instant lasts ``slot_s / instants_per_slot``
+``slot``  LCoS slots (36 a coded frame)
+``v, u``  panel pixels
+``y, x``  fine samples on the modulator plane (3 a panel pixel), or CCD pixels where it says so
+========  =====================================================================================
+
+Light is float32; a negative value is an error except in a :class:`Video`, whose Monte-Carlo
+estimates are unbiased and may dip below zero: there negative values stay in every sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from optsim.errors import ValueCheckError
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
+Words = NDArray[np.uint16]
+Ints = NDArray[np.int64]
+
+
+def checked(
+    name: str,
+    array: NDArray[np.generic],
+    *,
+    axes: tuple[str, ...],
+    dtype: DTypeLike,
+    unit: str,
+    nonnegative: bool = True,
+) -> NDArray[np.generic]:
+    """Check rank, dtype, finiteness and sign of an array; return a read-only view of it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity, for the message.
+    array : ndarray
+        The array; it is not copied.
+    axes : tuple of str
+        Names of the axes expected.
+    dtype : DTypeLike
+        The exact dtype expected.
+    unit : str
+        Unit, for the message.
+    nonnegative : bool
+        Whether negative values are an error.
+
+    Raises
+    ------
+    ValueCheckError
+        With the place of the first offending element.
+    """
+    label = f"{name} [{unit}]"
+    if array.ndim != len(axes):
+        raise ValueCheckError(
+            f"{label}: got an array of shape {array.shape}, expected axes ({', '.join(axes)})"
+        )
+    if array.dtype != np.dtype(dtype):
+        raise ValueCheckError(
+            f"{label}: got dtype {array.dtype}, expected {np.dtype(dtype)}; "
+            f"cure: .astype(np.{np.dtype(dtype)}) where the loss of precision is meant"
+        )
+    if array.size == 0:
+        raise ValueCheckError(f"{label}: got an empty array of shape {array.shape}")
+    if array.dtype.kind == "f":
+        # A sum is finite only if every element is: one cheap pass for the good case.
+        if not np.isfinite(np.sum(array, dtype=np.float64)):
+            bad = np.argwhere(~np.isfinite(array))
+            raise ValueCheckError(
+                f"{label}: {len(bad)} values are not finite, the first at {tuple(map(int, bad[0]))}"
+            )
+        if nonnegative and float(array.min()) < 0:
+            place = np.unravel_index(int(array.argmin()), array.shape)
+            raise ValueCheckError(
+                f"{label}: negative light, {float(array.min()):.4g} at {tuple(map(int, place))}"
+            )
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Excess over a segment's interpolated base in a rectangle: what moves there.
+
+    Parameters
+    ----------
+    row, col : int
+        First fine row and column of the rectangle.
+    excess : ndarray of shape (t, y, x), float32
+        Mean over each instant of (signal - interpolated base), in the unit of the video; may be negative.
+    """
+
+    row: int
+    col: int
+    excess: Floats
+
+    def __post_init__(self) -> None:
+        checked(
+            "block",
+            self.excess,
+            axes=("t", "y", "x"),
+            dtype=np.float32,
+            unit="of its video",
+            nonnegative=False,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A stretch of a video between two key instants: a linear base plus moving blocks.
+
+    During instant i (counted from 0 inside the segment, of n) the signal is
+    ``(1 - a) start + a stop + sum of blocks`` with ``a = (i + 0.5) / n``.
+
+    Parameters
+    ----------
+    start, stop : ndarray of shape (y, x), float32
+        Signal at the two ends where nothing moves, in the unit of the video.
+    blocks : tuple of Block
+        Excess of the moving places; blocks may overlap, then their excesses add.
+    n_instants : int
+        Instants in the segment.
+    """
+
+    start: Floats
+    stop: Floats
+    blocks: tuple[Block, ...]
+    n_instants: int
+
+    def __post_init__(self) -> None:
+        for name, image in (("segment start", self.start), ("segment stop", self.stop)):
+            checked(
+                name, image, axes=("y", "x"), dtype=np.float32, unit="of its video", nonnegative=False
+            )
+        rows, cols = self.start.shape
+        for block in self.blocks:
+            n, height, width = block.excess.shape
+            inside = (
+                block.row >= 0
+                and block.col >= 0
+                and block.row + height <= rows
+                and block.col + width <= cols
+            )
+            if n != self.n_instants or not inside:
+                raise ValueCheckError(
+                    f"block of shape {block.excess.shape} at ({block.row}, {block.col}) does not fit a "
+                    f"segment of {self.n_instants} instants and {rows} x {cols} samples"
+                )
+
+    def instant(self, index: int) -> Floats:
+        """Signal during one instant: array of shape (y, x), float32."""
+        a = np.float32((index + 0.5) / self.n_instants)
+        frame = (1 - a) * self.start + a * self.stop
+        for block in self.blocks:
+            _, height, width = block.excess.shape
+            frame[block.row : block.row + height, block.col : block.col + width] += block.excess[index]
+        return frame
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A lazy light video on the fine grid: nothing is computed until a segment is asked for.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Fine samples.
+    samples_per_pitch : int
+        Fine samples per panel pixel, along each axis.
+    slot_s : float
+        Duration of a slot, s.
+    instants_per_slot : int
+        Truth instants per slot.
+    slots_per_segment : int
+        Slots between two key instants; divides the slots of a coded frame.
+    n_slots : int
+        Slots in the whole video.
+    load : callable
+        Segment index -> Segment. Called once for each use: cheap, or cached by its maker.
+    """
+
+    UNIT: ClassVar[str] = "of the light"
+    rows: int
+    cols: int
+    samples_per_pitch: int
+    slot_s: float
+    instants_per_slot: int
+    slots_per_segment: int
+    n_slots: int
+    load: Callable[[int], Segment] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if self.n_slots % self.slots_per_segment:
+            raise ValueCheckError(
+                f"a video of {self.n_slots} slots cannot have segments of {self.slots_per_segment}"
+            )
+        if self.rows % self.samples_per_pitch or self.cols % self.samples_per_pitch:
+            raise ValueCheckError(
+                f"{self.rows} x {self.cols} fine samples are not whole panel pixels of "
+                f"{self.samples_per_pitch} x {self.samples_per_pitch}"
+            )
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return self.n_slots // self.slots_per_segment
+
+    @property
+    def panel_shape(self) -> tuple[int, int]:
+        """Panel pixels (v, u) that the fine grid covers."""
+        return self.rows // self.samples_per_pitch, self.cols // self.samples_per_pitch
+
+    def segments(self, first_slot: int, last_slot: int) -> Iterator[tuple[int, Segment]]:
+        """Segments that make up slots first_slot .. last_slot - 1, each with its first slot."""
+        n = self.slots_per_segment
+        if first_slot % n or last_slot % n or not 0 <= first_slot <= last_slot <= self.n_slots:
+            raise ValueCheckError(
+                f"slots {first_slot}..{last_slot} are not whole segments of {n} slots "
+                f"in a video of {self.n_slots}"
+            )
+        for index in range(first_slot // n, last_slot // n):
+            yield index * n, self.load(index)
+
+
+@dataclass(frozen=True, eq=False)
+class RadianceVideo(Video):
+    """Scene radiance toward the objective in the band, W m^-2 sr^-1 (mono: all of it at 550 nm).
+
+    Parameters
+    ----------
+    white_w_m2_sr : float
+        The scene's declared white: the peak of every PSNR (PHYSICS: never the maximum found).
+    outside : ndarray of shape (y, x), bool
+        Where the bright outside is seen directly when nothing moves.
+    half_difference : RadianceVideo or None
+        (half A - half B) / 2 of two independent renders, on the same grid: its variance is the variance of
+        the noise of this video. None for footage without Monte-Carlo noise.
+    """
+
+    UNIT: ClassVar[str] = "W m^-2 sr^-1"
+    white_w_m2_sr: float = 1.0
+    outside: Bools | None = field(default=None, repr=False)
+    half_difference: RadianceVideo | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class IrradianceVideo(Video):
+    """Irradiance on the modulator plane, before the first splitter pass, unpolarised-equivalent, W m^-2.
+
+    Parameters
+    ----------
+    shading : ndarray of shape (v, u), float32
+        The objective's relative flat-field shading at the panel pixels, 1 on axis.
+    """
+
+    UNIT: ClassVar[str] = "W m^-2"
+    shading: Floats = field(default_factory=lambda: np.ones((1, 1), np.float32), repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureCode:
+    """What one coded frame shows on the panel.
+
+    Parameters
+    ----------
+    levels : ndarray of shape (slot, v, u), uint8
+        Drive level, 0 (dark) to 255 (bright).
+    moving : ndarray of shape (v, u), bool
+        Pixels that carry a temporal code, for the sparse decoder; the others are coded as static.
+    """
+
+    levels: Bytes
+    moving: Bools
+
+    def __post_init__(self) -> None:
+        checked("levels", self.levels, axes=("slot", "v", "u"), dtype=np.uint8, unit="drive level")
+        checked("moving", self.moving, axes=("v", "u"), dtype=np.bool_, unit="mask")
+        if self.moving.shape != self.levels.shape[1:]:
+            raise ValueCheckError(
+                f"moving mask {self.moving.shape} and levels {self.levels.shape} are of different panels"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class PanelState:
+    """Retardance of every panel pixel at the end of a frame: the panel's only memory.
+
+    Parameters
+    ----------
+    retardance_rad : ndarray of shape (v, u), float32
+        Round-trip retardance, 0 (dark) to pi (bright).
+    """
+
+    retardance_rad: Floats
+
+    def __post_init__(self) -> None:
+        checked("retardance", self.retardance_rad, axes=("v", "u"), dtype=np.float32, unit="rad")
+
+
+@dataclass(frozen=True, eq=False)
+class CodedFrame:
+    """A digital frame of the CCD together with the code shown during it.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index, from 0.
+    dn : ndarray of shape (y, x), uint16
+        Raw digital numbers on the CCD.
+    code : ExposureCode
+        What the panel was told to show.
+    """
+
+    index: int
+    dn: Words
+    code: ExposureCode
+
+    def __post_init__(self) -> None:
+        checked("dn", self.dn, axes=("y", "x"), dtype=np.uint16, unit="DN")
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What a decoder says the scene was during one coded frame.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    irradiance_w_m2 : ndarray of shape (slot, v, u), float32
+        Mean irradiance on the modulator in each slot, objective shading divided out.
+    valid : ndarray of shape (v, u), bool
+        False where the decoder has nothing to go on; not scored, but counted.
+    interpolated : ndarray of shape (v, u), bool
+        Filled from neighbours rather than measured.
+    moving : ndarray of shape (v, u), bool
+        Pixels taken from the sparse decoder.
+    """
+
+    index: int
+    irradiance_w_m2: Floats
+    valid: Bools
+    interpolated: Bools
+    moving: Bools
+
+    def __post_init__(self) -> None:
+        checked(
+            "reconstruction", self.irradiance_w_m2, axes=("slot", "v", "u"), dtype=np.float32, unit="W m^-2"
+        )
+        for name in ("valid", "interpolated", "moving"):
+            checked(name, getattr(self, name), axes=("v", "u"), dtype=np.bool_, unit="mask")
