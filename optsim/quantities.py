@@ -92,6 +92,50 @@ def checked(
     return view
 
 
+@dataclass(frozen=True)
+class Timing:
+    """When truth instants, slots and coded frames happen.
+
+    Parameters
+    ----------
+    slot_s : float
+        Duration of an LCoS slot, s.
+    slots_per_frame : int
+        Slots in a coded frame's period.
+    n_frames : int
+        Coded frames.
+    """
+
+    slot_s: float
+    slots_per_frame: int
+    n_frames: int
+
+    @property
+    def n_slots(self) -> int:
+        """Slots in the whole experiment."""
+        return self.slots_per_frame * self.n_frames
+
+
+@dataclass(frozen=True)
+class View:
+    """What part of the scene the fine grid sees: a pinhole in front of square samples.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Fine samples.
+    samples_per_pitch : int
+        Fine samples per panel pixel, along each axis.
+    tan_half_width : float
+        Tangent of half the horizontal field of view: half the image width over the focal length.
+    """
+
+    rows: int
+    cols: int
+    samples_per_pitch: int
+    tan_half_width: float
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """Excess over a segment's interpolated base in a rectangle: what moves there.
