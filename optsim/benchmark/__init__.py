@@ -1,0 +1,49 @@
+"""Benchmarks: each record measures optsim against a peer in the same run; a ratio above 1 is better.
+
+One file a family; :data:`ALL` lists the records. A missing peer is null and the conditions name the
+extra that brings it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, cast
+
+from optsim.errors import unknown_name
+from optsim.progress import Progress, silent
+
+Record = dict[str, Any]
+
+# Record name -> module in this folder that measures it; modules load only when asked for.
+ALL: dict[str, str] = {
+    "omp.k2000": "omp",
+    "omp.k5000": "omp",
+    "omp.k10000": "omp",
+}
+
+
+def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Record]:
+    """Measure the named records (all when none is named), one after the other.
+
+    Returns
+    -------
+    list of dict
+        ``{name, value, unit, peer, peer_value, ratio, conditions}``.
+
+    Raises
+    ------
+    ConfigError
+        For a name that is no record.
+    """
+    chosen = list(names) or list(ALL)
+    for name in chosen:
+        if name not in ALL:
+            raise unknown_name("benchmark", name, ALL)
+    out: list[Record] = []
+    for done, name in enumerate(chosen):
+        progress(f"bench {name}", done, len(chosen))
+        module = import_module(f"optsim.benchmark.{ALL[name]}")
+        out.append(cast("Callable[[str], Record]", module.measure)(name))
+    progress("bench", len(chosen), len(chosen))
+    return out

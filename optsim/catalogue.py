@@ -1,0 +1,42 @@
+"""What is shipped, one line each: scenes, presets, schemes, decoders, metrics."""
+
+from __future__ import annotations
+
+
+def catalogue(what: str) -> list[tuple[str, str]]:
+    """Names and first lines of a kind of shipped thing.
+
+    Parameters
+    ----------
+    what : str
+        One of scenes, presets, schemes, decoders, metrics.
+    """
+    if what == "presets":
+        from optsim.experiment import experiment_path, preset_names
+
+        from optsim.config import read_toml
+
+        return [(n, str(read_toml(experiment_path(n)).get("description", ""))) for n in preset_names()]
+    if what == "scenes":
+        from optsim import scene
+
+        return [(name, scene.load_scene(name).description) for name in scene.list_scenes()]
+    if what == "metrics":
+        from optsim import metrics
+
+        return [(metric.name, _first_line(type(metric))) for metric in metrics.ALL]
+    if what == "schemes":
+        from optsim import coding
+
+        return [(_kind(part), _first_line(part)) for part in coding.ALL]
+    from optsim import reconstruct
+
+    return [(_kind(part), _first_line(part)) for part in reconstruct.ALL]
+
+
+def _kind(part: type) -> str:
+    return str(part.model_fields["kind"].default)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _first_line(thing: type) -> str:
+    return (thing.__doc__ or "").strip().splitlines()[0]

@@ -1,0 +1,304 @@
+"""The command line: thin; every command imports what it needs when it runs.
+
+Exit codes: 0 success, 1 a check failed, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from optsim import __version__
+from optsim.errors import OptsimError, StorageError, unknown_name
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Validate an adaptive pixel-wise coded-exposure camera before its hardware exists.",
+    epilog="Start with: optsim doctor, then optsim run demo",
+)
+config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
+cache_app = typer.Typer(no_args_is_help=True, help="Show or clear the cache of rendered truth.")
+app.add_typer(config_app, name="config")
+app.add_typer(cache_app, name="cache")
+
+ExperimentName = Annotated[str, typer.Argument(metavar="EXPERIMENT", help="A preset's name or a TOML file.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key; repeatable.")
+]
+Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
+Backend = Annotated[
+    str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
+Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"optsim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice: debug.")] = 0,
+) -> None:
+    """Validate an adaptive pixel-wise coded-exposure camera before its hardware exists."""
+    level = {0: logging.WARNING, 1: logging.INFO}.get(verbose, logging.DEBUG)
+    logging.basicConfig(level=level, format="%(name)s: %(message)s", stream=sys.stderr)
+
+
+def _print(record: object) -> None:
+    typer.echo(json.dumps(record, indent=1, allow_nan=False))
+
+
+@app.command()
+def run(
+    experiment: ExperimentName,
+    assignments: Set = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default reports/runs/NAME-TIME.")] = None,
+    seed: Seed = None,
+    backend: Backend = None,
+    as_json: Json = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, render nothing.")] = False,
+    export_truth: Annotated[bool, typer.Option(help="Copy the truth into the run folder.")] = False,
+) -> None:
+    """Render, expose, decode and score an experiment; write a run folder with report.html."""
+    from optsim import job
+    from optsim.console import people, progress_bars
+    from optsim.experiment import load_experiment
+
+    loaded = load_experiment(experiment, assignments or [], seed=seed)
+    folder = job.run_folder(loaded, out)
+    needs = job.check(loaded, folder, backend)
+    if dry_run:
+        if as_json:
+            _print({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
+        else:
+            people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
+        return
+    command = " ".join(["optsim", *sys.argv[1:]])
+    with progress_bars() as progress:
+        results = job.execute(
+            loaded, folder, command=command, backend=backend, export_truth=export_truth, progress=progress
+        )
+    if as_json:
+        _print(results)
+    else:
+        people.print(job.summary(results))
+        people.print(f"Report: {folder / 'report.html'}")
+
+
+@app.command()
+def render(
+    experiment: ExperimentName,
+    assignments: Set = None,
+    out: Annotated[Path | None, typer.Option(help="Also write slot means as OpenEXR into this folder.")] = None,
+    backend: Backend = None,
+) -> None:
+    """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
+    from optsim import job
+    from optsim.console import people, progress_bars
+    from optsim.experiment import load_experiment
+    from optsim.truth import render_truth
+
+    loaded = load_experiment(experiment, assignments or [])
+    job.check(loaded, out, backend)
+    with progress_bars() as progress:
+        radiance = render_truth(loaded, backend=backend, progress=progress)
+        if out is not None:
+            job.export_radiance(radiance, out, loaded, progress)
+    people.print("The truth is in the cache." if out is None else f"The truth is in {out}.")
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say what was chosen on this machine and why, and the cure for each problem."""
+    from dataclasses import asdict
+
+    from optsim import doctor as physician
+    from optsim.console import people, table
+
+    findings = physician.diagnose()
+    if as_json:
+        _print([asdict(f) for f in findings])
+    else:
+        for f in findings:
+            people.print(f"[{'green' if f.ok else 'red'}]{'ok ' if f.ok else 'BAD'}[/] {f.what}: {f.found}")
+            if f.cure and not f.ok:
+                people.print(f"    cure: {f.cure}")
+        people.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
+    if not all(f.ok for f in findings):
+        raise typer.Exit(1)
+
+
+@app.command()
+def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json = False) -> None:
+    """Geometry fit, photon ledger and physical latency, without rendering."""
+    from optsim.console import people
+    from optsim.experiment import experiment_path
+    from optsim.explain import explanation, show
+
+    experiment_path(experiment)
+    record = explanation(experiment, assignments or [])
+    if as_json:
+        _print(record)
+    else:
+        for item in show(record):
+            people.print(item)
+    if not record["geometry"]["fits"]:
+        raise typer.Exit(2)
+
+
+@app.command()
+def train(
+    out: Annotated[Path | None, typer.Option(help="Dictionary to write; default the shipped one.")] = None,
+    atoms: Annotated[int, typer.Option(min=8, max=20000, help="Number of atoms.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of scenes, patches and start.")] = 1,
+    backend: Backend = None,
+) -> None:
+    """Learn the sparse decoder's dictionary from renders of scenes/training_mix."""
+    from optsim.console import people, progress_bars
+    from optsim.train import train_shipped
+
+    with progress_bars() as progress:
+        path = train_shipped(out, n_atoms=atoms, seed=seed, backend=backend, progress=progress)
+    people.print(f"Wrote {path}")
+
+
+@app.command()
+def bench(names: Names = None, as_json: Json = False) -> None:
+    """Measure run time against peers in the same run; ratio above 1 is better than the peer."""
+    from optsim import benchmark
+    from optsim.console import people, progress_bars, table
+
+    with progress_bars(quiet=as_json) as progress:
+        found = benchmark.measure_all(names or [], progress)
+    if as_json:
+        _print(found)
+    else:
+        keys = ("name", "value", "unit", "peer", "peer_value", "ratio")
+        people.print(table("benchmarks", keys, [[r[k] for k in keys] for r in found]))
+
+
+@app.command()
+def validate(
+    names: Names = None,
+    as_json: Json = False,
+    write: Annotated[bool, typer.Option(help="Keep the records in optsim/evidence.json.")] = False,
+) -> None:
+    """Measure the model against oracles that aren't our code; needs the repository."""
+    from dataclasses import asdict
+
+    from optsim import evidence
+    from optsim.console import people, progress_bars, table
+
+    with progress_bars(quiet=as_json) as progress:
+        found = evidence.measure_all(names or [], write=write, progress=progress)
+    if as_json:
+        _print([asdict(e) for e in found])
+    else:
+        rows = [(e.effect, e.measured, e.tolerance, e.perturbed, e.passed, e.oracle) for e in found]
+        people.print(table("", ("effect", "measured", "tolerance", "broken", "passed", "oracle"), rows))
+    if not all(e.passed for e in found):
+        raise typer.Exit(1)
+
+
+LISTS = ("scenes", "presets", "schemes", "decoders", "metrics")
+
+
+@app.command("list")
+def list_names(
+    what: Annotated[str, typer.Argument(metavar=f"[{'|'.join(LISTS)}]")] = "presets", as_json: Json = False
+) -> None:
+    """List what is shipped, with one line each."""
+    from optsim.catalogue import catalogue
+
+    if what not in LISTS:
+        raise unknown_name("list", what, LISTS)
+    rows = catalogue(what)
+    if as_json:
+        _print([{"name": name, "about": about} for name, about in rows])
+    else:
+        width = max(len(name) for name, _ in rows)
+        for name, about in rows:
+            typer.echo(f"{name:<{width}}  {about}")
+
+
+@app.command()
+def init(
+    preset: Annotated[str, typer.Argument(metavar="NAME", help="Preset to copy.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
+) -> None:
+    """Copy a preset to edit."""
+    from optsim.experiment import experiment_path
+    from optsim.files import write_text
+
+    target = out or Path(f"{preset}.toml")
+    if target.exists():
+        raise StorageError(f"{target} exists already; choose another name with --out, or move it away")
+    write_text(target, experiment_path(preset).read_text(encoding="utf-8"))
+    typer.echo(f"Wrote {target}. Run it with: optsim run ./{target}" if not target.is_absolute() else target)
+
+
+@config_app.command("show")
+def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
+    """Print an experiment with every default resolved, as JSON."""
+    from optsim.experiment import load_experiment
+
+    _print(load_experiment(experiment, assignments or []).model_dump(mode="json"))
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of an experiment."""
+    from optsim.experiment import Experiment
+
+    _print(Experiment.model_json_schema())
+
+
+@cache_app.command("show")
+def cache_show(as_json: Json = False) -> None:
+    """Print where the cache is and what it holds."""
+    from optsim.cache import Cache
+
+    record: dict[str, Any] = Cache().show()
+    if as_json:
+        _print(record)
+    else:
+        for key, value in record.items():
+            typer.echo(f"{key}: {value}")
+
+
+@cache_app.command("clear")
+def cache_clear() -> None:
+    """Remove everything from the cache."""
+    from optsim.cache import Cache
+
+    freed = Cache().clear()
+    typer.echo(f"Freed {freed / 1e6:.1f} MB.")
+
+
+def main() -> None:
+    """Run the command line; errors a user can cause end with exit code 2 and one message."""
+    try:
+        app()
+    except OptsimError as error:
+        typer.echo(f"optsim: {error}", err=True)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        typer.echo(
+            "\noptsim: interrupted. Finished poses are in the cache; the same command goes on from there.",
+            err=True,
+        )
+        raise SystemExit(130) from None

@@ -1,0 +1,199 @@
+"""Evidence: what has been validated against an oracle that isn't our code, and what hasn't.
+
+``validation/<effect>/check.py`` states CLAIM, ORACLE, SOURCE, TOLERANCE and FILES, measures a deviation,
+and measures it again on a stage broken on purpose. ``optsim validate --write`` keeps the records in
+``evidence.json`` beside this file, each with a hash of the files it vouches for; an effect without a
+passing record, or whose files have changed since, is *unvalidated*, and every report says so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import cast
+
+from optsim.errors import StorageError, unknown_name
+from optsim.files import read_json, write_json
+from optsim.progress import Progress, silent
+
+_PACKAGE = Path(__file__).parent
+_RECORDS = _PACKAGE / "evidence.json"
+
+# Every effect that a run models. One without a folder in validation/ is unvalidated, and printed as such.
+EFFECTS: dict[str, str] = {
+    "render_form_factor": "direct light from an area lamp",
+    "render_furnace": "energy of multiple bounces",
+    "render_halves": "difference rendering and its stated noise",
+    "cos4": "radiance to irradiance, natural vignetting",
+    "energy_balance": "energy through splitter, panel and relay",
+    "photon_transfer": "sensor noise, gain and full well",
+    "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
+    "hdr_wedge": "HDR merge over four decades",
+    "pu21": "PU21 encoding of the scores",
+    "panel_response": "first-order liquid-crystal response with history",
+    "lens_psf": "diffraction and aberration blur of each lens group",
+    "splitter_contrast": "system contrast of splitter, polarisers and panel",
+    "veiling_glare": "uniform veiling glare of each lens group",
+    "relay_overlap": "panel to CCD mapping at any ratio",
+}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One effect's record.
+
+    Parameters
+    ----------
+    effect, claim, oracle, source : str
+        What is claimed, against what it was measured, and where the oracle comes from.
+    measured : float
+        Deviation from the oracle; passes when its magnitude is at most the tolerance.
+    perturbed : float
+        The same measure with a stage broken on purpose; must exceed the tolerance.
+    tolerance : float
+        Bound on the deviation.
+    passed : bool
+        Both conditions hold.
+    files_hash : str
+        Hash of the files vouched for.
+    files : list of str
+        Globs of the files vouched for.
+    """
+
+    effect: str
+    claim: str
+    oracle: str
+    source: str
+    measured: float
+    perturbed: float
+    tolerance: float
+    passed: bool
+    files_hash: str
+    files: list[str]
+
+
+def hash_files(globs: Sequence[str]) -> str:
+    """Hash names and contents of the files that repository-relative globs match."""
+    digest = hashlib.sha256()
+    for glob in sorted(globs):
+        paths = sorted(p for p in _PACKAGE.parent.glob(glob) if p.is_file())
+        if not paths:
+            digest.update(b"missing")
+        for path in paths:
+            digest.update(path.relative_to(_PACKAGE.parent).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def records() -> dict[str, Evidence]:
+    """Shipped records, by effect."""
+    if not _RECORDS.is_file():
+        return {}
+    table = cast("list[dict[str, object]]", read_json(_RECORDS))
+    return {e.effect: e for e in (Evidence(**row) for row in table)}  # pyright: ignore[reportArgumentType]
+
+
+def status() -> list[dict[str, object]]:
+    """State of every effect now: validated, or unvalidated and why."""
+    kept = records()
+    rows: list[dict[str, object]] = []
+    for effect, what in EFFECTS.items():
+        record = kept.get(effect)
+        if record is None:
+            why = "no validation yet"
+        elif not record.passed:
+            why = "the last validation failed"
+        elif hash_files(record.files) != record.files_hash:
+            why = "changed since it was validated"
+        else:
+            why = ""
+        rows.append(
+            {
+                "effect": effect,
+                "what": what,
+                "validated": not why,
+                "why": why,
+                "claim": record.claim if record else None,
+                "oracle": record.oracle if record else None,
+                "source": record.source if record else None,
+                "measured": record.measured if record else None,
+                "tolerance": record.tolerance if record else None,
+            }
+        )
+    return rows
+
+
+def check_names() -> list[str]:
+    """Effects that have a check in the repository's validation folder."""
+    return sorted(p.parent.name for p in _validation().glob("*/check.py"))
+
+
+def measure(effect: str) -> Evidence:
+    """Run one effect's check, and run it again on the stage it breaks on purpose.
+
+    Raises
+    ------
+    ConfigError
+        For an effect that has no check.
+    """
+    if effect not in check_names():
+        raise unknown_name("validation", effect, check_names())
+    check = _load(_validation() / effect / "check.py")
+    measured, perturbed = float(check.measure()), float(check.perturbed())
+    tolerance = float(check.TOLERANCE)
+    globs = [*check.FILES, f"validation/{effect}/*.py"]
+    # The wheel does not carry validation/: what it vouches for must be checkable where it is installed.
+    vouched = [g for g in globs if g.startswith("optsim/")]
+    return Evidence(
+        effect=effect,
+        claim=check.CLAIM,
+        oracle=check.ORACLE,
+        source=check.SOURCE,
+        measured=measured,
+        perturbed=perturbed,
+        tolerance=tolerance,
+        passed=abs(measured) <= tolerance < abs(perturbed),
+        files_hash=hash_files(vouched),
+        files=vouched,
+    )
+
+
+def measure_all(names: Sequence[str], *, write: bool, progress: Progress = silent) -> list[Evidence]:
+    """Run checks (all of them when no name is given), and keep the records if asked to."""
+    chosen = list(names) or check_names()
+    for name in chosen:
+        if name not in check_names():
+            raise unknown_name("validation", name, check_names())
+    kept = records()
+    found: list[Evidence] = []
+    for done, name in enumerate(chosen):
+        progress(f"validate {name}", done, len(chosen))
+        found.append(measure(name))
+        kept[name] = found[-1]
+    progress("validate", len(chosen), len(chosen))
+    if write:
+        write_json(_RECORDS, [asdict(kept[name]) for name in sorted(kept)])
+    return found
+
+
+def _validation() -> Path:
+    folder = _PACKAGE.parent / "validation"
+    if not folder.is_dir():
+        raise StorageError(
+            "validation needs the repository: its checks are not part of the installed package. "
+            "Cure: clone the repository and run 'make validate' there."
+        )
+    return folder
+
+
+def _load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"validation_{path.parent.name}", path)
+    if spec is None or spec.loader is None:
+        raise StorageError(f"{path} cannot be imported")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

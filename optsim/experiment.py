@@ -1,0 +1,177 @@
+"""An experiment: scene, camera, and the methods that compete on it; read from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal, cast
+
+from pydantic import Field, model_validator
+
+from optsim import hardware
+from optsim.camera import CodedCamera
+from optsim.coding import Scheme
+from optsim.config import Part, Table, build, override, read_toml
+from optsim.errors import unknown_name
+from optsim.quantities import Timing
+from optsim.reconstruct import Decoder
+from optsim.render import RenderSettings
+
+
+class SceneChoice(Part):
+    """Which scene, and which of its variations."""
+
+    name: str
+    variation: str = "main"
+
+
+class LightRule(Part):
+    """How much light the camera gets, fixed before anything is measured and the same for all methods.
+
+    The neutral density is set so that a percentile of the interior, under the all-on code, reaches a
+    share of the measured saturation (a rule of this project for fair comparison; no outside source).
+    """
+
+    percentile: float = Field(default=90.0, gt=0, le=100)
+    saturation_share: float = Field(default=0.8, gt=0, le=1)
+
+
+class Method(Part):
+    """One contestant: a coding scheme and the decoder of its frames."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    scheme: Scheme
+    decoder: Decoder
+
+
+class Experiment(Part):
+    """Everything that decides a result; the same experiment gives the same numbers.
+
+    Parameters
+    ----------
+    calibration
+        What decoders know of the camera: ``bench`` (estimated from the virtual laboratory's images),
+        ``true`` (the simulator's own parameters) or ``ideal`` (the paper's equations).
+    save_reconstructions
+        Names of the methods whose reconstructed video is written; empty for none.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")
+    description: str = ""
+    seed: int = Field(default=1, ge=0, lt=2**32)
+    n_frames: int = Field(default=10, ge=1, le=10_000)
+    scene: SceneChoice
+    render: RenderSettings = RenderSettings()
+    camera: CodedCamera
+    methods: tuple[Method, ...] = Field(min_length=1)
+    calibration: Literal["bench", "true", "ideal"] = "bench"
+    light: LightRule = LightRule()
+    save_reconstructions: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Experiment:
+        names = [method.name for method in self.methods]
+        if len(set(names)) < len(names):
+            raise ValueError(f"methods: names must differ, got {names}")
+        for name in self.save_reconstructions:
+            if name not in names:
+                raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
+        return self
+
+    @property
+    def timing(self) -> Timing:
+        """Slots and frames of the whole experiment."""
+        return self.camera.timing(self.n_frames)
+
+    def fingerprint(self) -> str:
+        """Hash of the resolved experiment: which run folder belongs to which experiment."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def preset_names() -> list[str]:
+    """Names of the experiments shipped with the package."""
+    return sorted(Path(str(p)).stem for p in files("optsim.presets").iterdir() if p.name.endswith(".toml"))
+
+
+def experiment_path(name_or_path: str) -> Path:
+    """Path of a preset (a bare name) or of a file (anything with a '/' or '.toml').
+
+    Raises
+    ------
+    ConfigError
+        For a bare name that is no preset.
+    """
+    if "/" in name_or_path or name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    if name_or_path not in preset_names():
+        raise unknown_name("experiment", name_or_path, preset_names())
+    return Path(str(files("optsim.presets") / f"{name_or_path}.toml"))
+
+
+def load_experiment(
+    name_or_path: str,
+    assignments: Sequence[str] = (),
+    *,
+    seed: int | None = None,
+    check_geometry: bool = True,
+) -> Experiment:
+    """Load an experiment, apply ``key=value`` overrides, and check that its geometry fits.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A preset's name or the path of a TOML file.
+    assignments : sequence of str
+        Overrides such as ``camera.objective.f_number=5.6``.
+    seed : int, optional
+        Replaces the experiment's seed.
+    check_geometry : bool
+        False to look at an experiment that cannot be run.
+
+    Returns
+    -------
+    Experiment
+        Fully resolved: every default is in it.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown or ill-valued key.
+    GeometryError
+        When the panel's image does not fit the CCD.
+    """
+    path = experiment_path(name_or_path)
+    table = override(read_toml(path), list(assignments))
+    if seed is not None:
+        table["seed"] = seed
+    table["camera"] = _on_hardware(table.get("camera", {}))
+    experiment = build(Experiment, table, where=path.name)
+    if check_geometry:
+        experiment.camera.geometry().check()
+    return experiment
+
+
+def _on_hardware(table: object) -> object:
+    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names."""
+    if not isinstance(table, dict) or "hardware" not in table:
+        return cast("object", table)
+    keys = dict(cast("Table", table))
+    name = str(keys.pop("hardware"))
+    if name not in hardware.ALL:
+        raise unknown_name("camera.hardware", name, hardware.ALL)
+    return _merged(hardware.ALL[name]().model_dump(), keys)
+
+
+def _merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:
+    result = dict(under)
+    for key, value in over.items():
+        below = result.get(key)
+        if isinstance(value, dict) and isinstance(below, dict):
+            result[key] = _merged(cast("Table", below), cast("Table", value))
+        else:
+            result[key] = value
+    return result

@@ -1,0 +1,233 @@
+"""The closed loop: codes are chosen from frames that have arrived, frames are taken, then decoded.
+
+All methods see the same truth, light and camera; each has its own stream of photons.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+
+from optsim.calibrate import Calibration, calibrate_from
+from optsim.camera import CodedCamera
+from optsim.errors import ConfigError
+from optsim.experiment import Experiment, Method
+from optsim.laboratory import measure_bench
+from optsim.progress import Progress, silent
+from optsim.quantities import CodedFrame, Floats, IrradianceVideo, RadianceVideo, Reconstruction
+
+Frames = dict[str, tuple[CodedFrame, ...]]
+
+
+def stream(seed: int, *purpose: str | int) -> Generator:
+    """Independent random stream for a purpose: the same whatever else is drawn, and by whom.
+
+    Parameters
+    ----------
+    seed : int
+        The experiment's one seed.
+    purpose : str or int
+        For example ``"shot", "adaptive", 3``; words are hashed (CRC-32), integers taken as they are.
+    """
+    words = [zlib.crc32(p.encode()) if isinstance(p, str) else p for p in purpose]
+    return np.random.default_rng(SeedSequence([seed, *words]))
+
+
+@dataclass(frozen=True, eq=False)
+class LightLevel:
+    """What the light rule decided.
+
+    Parameters
+    ----------
+    nd_transmission : float
+        Transmission of the neutral density, at most 1.
+    wanted_transmission : float
+        What the rule asked for; above 1 the scene is too dark for the rule and the camera runs open.
+    percentile_dn : float
+        The interior's percentile under the all-on code with this density, DN above black.
+    saturation_dn : float
+        Median measured saturation threshold, DN above black.
+    """
+
+    nd_transmission: float
+    wanted_transmission: float
+    percentile_dn: float
+    saturation_dn: float
+
+
+def set_light(
+    experiment: Experiment, radiance: RadianceVideo, calibration: Calibration
+) -> tuple[CodedCamera, LightLevel]:
+    """Choose the neutral density by the experiment's rule, from the truth without movers at time 0.
+
+    Returns
+    -------
+    camera : CodedCamera
+        The experiment's camera behind the chosen density.
+    light : LightLevel
+        What was decided and from which numbers.
+    """
+    open_camera = experiment.camera.with_nd(1.0)
+    truth = open_camera.form_image(radiance)
+    step = truth.samples_per_pitch
+    image = truth.load(0).start.reshape(truth.rows // step, step, truth.cols // step, step)
+    irradiance = image.mean(axis=(1, 3), dtype=np.float64)
+    inside = calibration.valid.copy()
+    if radiance.outside is not None:
+        inside &= ~radiance.outside.reshape(image.shape).any(axis=(1, 3))
+    if not inside.any():
+        raise ConfigError("light: the scene has no interior to expose for; choose a scene with one")
+    # responsivity holds the shading that irradiance on the modulator already has: divide one out
+    all_on_dn = calibration.responsivity_dn / truth.shading * irradiance * calibration.coded_slots
+    percentile = float(np.percentile(all_on_dn[inside], experiment.light.percentile))
+    saturation = float(np.median((calibration.saturation_dn - calibration.black_dn)[calibration.valid]))
+    wanted = experiment.light.saturation_share * saturation / percentile
+    nd = min(1.0, wanted)
+    return experiment.camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
+
+
+def calibrate(experiment: Experiment) -> Calibration:
+    """Make what decoders will know of the camera: from the bench, or the true or ideal operator."""
+    camera = experiment.camera.with_nd(1.0)
+    if experiment.calibration == "true":
+        return camera.true_calibration()
+    if experiment.calibration == "ideal":
+        return camera.ideal_calibration()
+    return calibrate_from(measure_bench(camera, stream(experiment.seed, "laboratory")))
+
+
+def capture(
+    experiment: Experiment,
+    camera: CodedCamera,
+    truth: IrradianceVideo,
+    calibration: Calibration,
+    progress: Progress = silent,
+) -> Frames:
+    """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Methods, number of frames and seed.
+    camera : CodedCamera
+        The true camera, behind its neutral density.
+    truth : IrradianceVideo
+        Light on the modulator.
+    calibration : Calibration
+        All that the schemes know.
+
+    Returns
+    -------
+    dict
+        Method name -> its coded frames.
+    """
+    frames: dict[str, list[CodedFrame]] = {m.name: [] for m in experiment.methods}
+    states = {
+        m.name: m.scheme.init(calibration, stream(experiment.seed, "code", m.name))
+        for m in experiment.methods
+    }
+    panels = {m.name: camera.panel_at_rest() for m in experiment.methods}
+    for index in range(experiment.n_frames):
+        for method in experiment.methods:
+            name = method.name
+            arrived = frames[name][: max(0, index - camera.latency_frames + 1)]
+            code, states[name] = method.scheme.next(index, arrived, states[name])
+            photons = stream(experiment.seed, "shot", name, index)
+            frame, panels[name] = camera.expose(truth, index, code, panels[name], photons)
+            frames[name].append(frame)
+        progress("capture", index + 1, experiment.n_frames)
+    return {name: tuple(taken) for name, taken in frames.items()}
+
+
+def decode(
+    methods: Sequence[Method], frames: Frames, calibration: Calibration
+) -> Iterator[tuple[str, Reconstruction]]:
+    """Decode all methods frame by frame, in the order of the frames; causal, and never sees the truth."""
+    running = {m.name: m.decoder.decode(frames[m.name], calibration) for m in methods}
+    for _ in range(len(next(iter(frames.values())))):
+        for name, decoder in running.items():
+            yield name, next(decoder)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A whole run in memory: for small experiments and notebooks; ``optsim run`` streams to disk instead.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As run.
+    camera : CodedCamera
+        With the neutral density that the light rule chose.
+    light : LightLevel
+        What the light rule decided.
+    calibration : Calibration
+        What decoders knew.
+    truth : IrradianceVideo
+        Light on the modulator; lazy.
+    radiance : RadianceVideo
+        The scene; lazy.
+    frames : dict
+        Method name -> coded frames.
+    reconstructions : dict
+        Method name -> reconstructions, one a coded frame.
+    """
+
+    experiment: Experiment
+    camera: CodedCamera
+    light: LightLevel
+    calibration: Calibration
+    truth: IrradianceVideo
+    radiance: RadianceVideo
+    frames: Frames
+    reconstructions: dict[str, tuple[Reconstruction, ...]]
+
+    def reference(self, index: int) -> Floats:
+        """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
+        return self.camera.reference(self.truth, index)
+
+    def _repr_html_(self) -> str:
+        from optsim.scoring import score_table_html
+
+        return score_table_html(self)
+
+
+def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> Result:
+    """Run an experiment in memory: calibrate, set the light, capture, decode.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What to run.
+    radiance : RadianceVideo
+        The truth, from :func:`optsim.render_truth` or :func:`optsim.scene.footage.footage`.
+    progress : Progress
+        Told of each finished frame.
+
+    Returns
+    -------
+    Result
+        Frames, reconstructions and what they were made with.
+    """
+    calibration = calibrate(experiment)
+    camera, light = set_light(experiment, radiance, calibration)
+    truth = camera.form_image(radiance)
+    frames = capture(experiment, camera, truth, calibration, progress)
+    videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
+    for name, reconstruction in decode(experiment.methods, frames, calibration):
+        videos[name].append(reconstruction)
+        progress("decode", sum(map(len, videos.values())), experiment.n_frames * len(videos))
+    return Result(
+        experiment,
+        camera,
+        light,
+        calibration,
+        truth,
+        radiance,
+        frames,
+        {name: tuple(video) for name, video in videos.items()},
+    )

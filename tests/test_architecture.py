@@ -1,0 +1,142 @@
+"""The walls of the building, held by reading the imports of every file."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "optsim"
+
+BASE = {"errors", "config", "quantities", "files", "progress", "cache"}
+
+# Room or module -> what it may import besides BASE. A room that is not listed here is a failure.
+ALLOWED: dict[str, set[str]] = {
+    **{name: set() for name in BASE},
+    "forward": set(),
+    "scene": set(),
+    "render": {"scene"},
+    "optics": {"forward"},
+    "sensor": {"forward"},
+    "camera": {"forward", "optics", "sensor", "calibrate"},
+    "hardware": {"optics", "sensor", "camera", "forward"},
+    "calibrate": {"forward"},
+    "laboratory": {"forward", "camera", "calibrate"},
+    "coding": {"forward", "calibrate"},
+    "reconstruct": {"forward", "calibrate"},
+    "metrics": {"forward"},
+    "report": set(),
+    "evidence": set(),
+    "doctor": {"render", "scene"},
+}
+# The top of the building: may import any room, and only each other.
+TOP = {"experiment", "truth", "loop", "job", "scoring", "explain", "train", "cli", "benchmark", "stopwatch", "console", "catalogue"}
+
+# Rooms of variants: files in them don't import each other, except these shared ones.
+SIBLINGS: dict[str, set[str]] = {
+    "coding": {"motion_adaptive"},
+    "reconstruct": set(),
+    "optics": set(),
+    "metrics": set(),
+}
+# The truth wall: what must never see a true parameter, a scene or a renderer.
+BEHIND_THE_WALL = {"coding", "reconstruct", "calibrate"}
+TRUTH = {"camera", "laboratory", "optics", "sensor", "hardware", "scene", "render", "loop", "truth"}
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names imported by a file, relative ones resolved, ``from optsim import x`` as optsim.x."""
+    package = ["optsim", *path.relative_to(PACKAGE).parts[:-1]]
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*start, *([node.module] if node.module else [])])
+            names |= {f"{module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def rooms_of(names: set[str]) -> set[str]:
+    known = {p.stem if p.is_file() else p.name for p in PACKAGE.iterdir()}
+    return {n.split(".")[1] for n in names if n.startswith("optsim.") and n.split(".")[1] in known}
+
+
+FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+
+
+def room(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_follow_the_table(path: Path) -> None:
+    here = room(path)
+    if here in TOP:
+        return
+    assert here in ALLOWED, f"{here} has no row in the import table"
+    extra = rooms_of(imports(path)) - ALLOWED[here] - BASE - {here}
+    assert not extra, f"{path.name} may not import {sorted(extra)}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_render_knows_mitsuba(path: Path) -> None:
+    if room(path) != "render":
+        assert not {n.split(".")[0] for n in imports(path)} & {"mitsuba", "drjit"}
+
+
+def test_truth_wall_is_in_the_table() -> None:
+    for behind in BEHIND_THE_WALL:
+        assert not ALLOWED[behind] & TRUTH
+
+
+def test_the_resolver_sees_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A check that cannot fail is no check: relative, aliased and package-level imports are all caught."""
+    monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
+    for name in ("camera.py", "reconstruct"):
+        (tmp_path / name).mkdir() if "." not in name else (tmp_path / name).touch()
+    for text in ("from ..camera import X", "from optsim import camera", "import optsim.camera as c", "from .. import camera"):
+        sneaky = tmp_path / "reconstruct" / "sneaky.py"
+        sneaky.write_text(text)
+        assert rooms_of(imports(sneaky)) == {"camera"}, text
+
+
+def test_no_circles_between_rooms() -> None:
+    edges = {r: {x for x in targets if x in ALLOWED} for r, targets in ALLOWED.items()}
+    done: set[str] = set()
+    while len(done) < len(edges):
+        free = {r for r, targets in edges.items() if r not in done and targets <= done}
+        assert free, f"a circle among {sorted(set(edges) - done)}"
+        done |= free
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_stay_small(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def test_every_room_runs_without_the_renderer() -> None:
+    modules = [
+        ".".join(["optsim", *p.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
+        for p in FILES
+        if room(p) not in {"render"}
+    ]
+    program = (
+        "import sys, importlib\n"
+        "sys.modules['mitsuba'] = None; sys.modules['drjit'] = None\n"
+        f"for name in {modules!r}: importlib.import_module(name)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def test_help_is_quick_to_import() -> None:
+    """The command line imports no heavy library until a command needs it."""
+    program = (
+        "import sys, optsim.cli\n"
+        "heavy = {'numba', 'mitsuba', 'colour', 'skimage', 'scipy', 'OpenEXR', 'trimesh', 'jinja2'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    out = subprocess.run([sys.executable, "-c", program], check=True, timeout=60, capture_output=True, text=True)
+    assert out.stdout.strip() == "[]"
