@@ -11,8 +11,8 @@ help: ## list the targets
 
 setup: $(STAMP) ## create .venv with the pinned dependencies and optsim itself
 
-$(STAMP): requirements.txt pyproject.toml tools/setup.sh
-	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
+$(STAMP): requirements.txt pyproject.toml .ci/setup.sh
+	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh .ci/setup.sh
 	@touch $@
 
 demo: setup ## run the demo experiment; opens nothing, prints where the report is
