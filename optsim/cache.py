@@ -48,7 +48,9 @@ def _default_cap_bytes() -> int:
     except ValueError:
         cap_gb = -1.0
     if not 0 < cap_gb < 1e9:
-        raise ConfigError(f"OPTSIM_CACHE_MAX_GB: got {text!r}, expected a number of gigabytes, for example 20")
+        raise ConfigError(
+            f"OPTSIM_CACHE_MAX_GB: got {text!r}, expected a number of gigabytes, for example 20"
+        )
     return int(cap_gb * 1e9)
 
 
@@ -129,7 +131,9 @@ class Cache:
                 "again, and raise OPTSIM_CACHE_MAX_GB if several runs share this cache"
             ) from None
         except (ValueError, EOFError, OSError) as error:
-            raise StorageError(f"cache entry {entry} is damaged ({error}); cure: delete this folder") from error
+            raise StorageError(
+                f"cache entry {entry} is damaged ({error}); cure: delete this folder"
+            ) from error
 
     def show(self) -> CacheContents:
         """Count what is there."""

@@ -12,9 +12,8 @@ def catalogue(what: str) -> list[tuple[str, str]]:
         One of scenes, presets, schemes, decoders, metrics.
     """
     if what == "presets":
-        from optsim.experiment import experiment_path, preset_names
-
         from optsim.config import read_toml
+        from optsim.experiment import experiment_path, preset_names
 
         return [(n, str(read_toml(experiment_path(n)).get("description", ""))) for n in preset_names()]
     if what == "scenes":

@@ -103,7 +103,9 @@ def run(
 def render(
     experiment: ExperimentName,
     assignments: Set = None,
-    out: Annotated[Path | None, typer.Option(help="Also write slot means as OpenEXR into this folder.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write slot means as OpenEXR into this folder.")
+    ] = None,
     backend: Backend = None,
 ) -> None:
     """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
@@ -291,14 +293,22 @@ def cache_clear() -> None:
 
 def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
+    command = typer.main.get_command(app)
     try:
-        app()
+        # Not standalone: typer would turn an interruption into a bare "Aborted!".
+        status = command.main(standalone_mode=False)
     except OptsimError as error:
         typer.echo(f"optsim: {error}", err=True)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
+        status = 2
+    except (KeyboardInterrupt, typer.Abort):
         typer.echo(
             "\noptsim: interrupted. Finished poses are in the cache; the same command goes on from there.",
             err=True,
         )
-        raise SystemExit(130) from None
+        status = 130
+    except Exception as error:
+        if not hasattr(error, "exit_code") or not hasattr(error, "show"):
+            raise
+        error.show()  # pyright: ignore[reportAttributeAccessIssue]  (a usage error of the vendored click)
+        status = 2
+    raise SystemExit(status or 0)

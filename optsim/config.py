@@ -177,7 +177,9 @@ def override(table: Table, assignments: list[str]) -> Table:
     for assignment in assignments:
         path, equals, text = assignment.partition("=")
         if not equals or not path.strip():
-            raise ConfigError(f"--set {assignment!r}: expected key=value, for example camera.latency_frames=3")
+            raise ConfigError(
+                f"--set {assignment!r}: expected key=value, for example camera.latency_frames=3"
+            )
         try:
             value: object = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:

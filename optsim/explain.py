@@ -9,7 +9,7 @@ from typing import Any, cast
 from optsim.console import table
 
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
-_MID_GREY = 0.18
+MID_GREY = 0.18
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     camera = experiment.camera
     scene = load_scene(experiment.scene.name, experiment.scene.variation)
     latency = camera.smallest_latency_frames()
-    levels = {"mid-grey": _MID_GREY * scene.white_w_m2_sr, "white": scene.white_w_m2_sr}
+    levels = {"mid-grey": MID_GREY * scene.white_w_m2_sr, "white": scene.white_w_m2_sr}
     return {
         "experiment": experiment.name,
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},

@@ -108,7 +108,9 @@ def write_exr(
                 raise ValueCheckError(f"{path.name}: channel {name} holds a value that is not finite")
             if half and float(np.abs(image).max()) > _HALF_MAX:
                 raise ValueCheckError(f"{path.name}: channel {name} exceeds {_HALF_MAX}; write it as float32")
-        out[name] = np.ascontiguousarray(image, dtype=np.float16 if half and image.dtype.kind == "f" else None)
+        out[name] = np.ascontiguousarray(
+            image, dtype=np.float16 if half and image.dtype.kind == "f" else None
+        )
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
@@ -154,7 +156,9 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
     from PIL import Image
 
     if image.ndim != 2 or image.dtype != np.uint16:
-        raise ValueCheckError(f"{path.name}: got {image.dtype} of shape {image.shape}, expected (y, x) uint16")
+        raise ValueCheckError(
+            f"{path.name}: got {image.dtype} of shape {image.shape}, expected (y, x) uint16"
+        )
     with atomic(path) as temporary:
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, format="PNG", compress_level=1)
 

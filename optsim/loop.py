@@ -5,6 +5,7 @@ All methods see the same truth, light and camera; each has its own stream of pho
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -145,12 +146,24 @@ def capture(
 
 def decode(
     methods: Sequence[Method], frames: Frames, calibration: Calibration
-) -> Iterator[tuple[str, Reconstruction]]:
-    """Decode all methods frame by frame, in the order of the frames; causal, and never sees the truth."""
+) -> Iterator[tuple[str, Reconstruction, float]]:
+    """Decode all methods frame by frame, in the order of the frames; causal, and never sees the truth.
+
+    Yields
+    ------
+    name : str
+        The method.
+    reconstruction : Reconstruction
+        Of its next frame.
+    seconds : float
+        Wall time that it took.
+    """
     running = {m.name: m.decoder.decode(frames[m.name], calibration) for m in methods}
     for _ in range(len(next(iter(frames.values())))):
         for name, decoder in running.items():
-            yield name, next(decoder)
+            start = time.perf_counter()
+            reconstruction = next(decoder)
+            yield name, reconstruction, time.perf_counter() - start
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +231,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, calibration, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
-    for name, reconstruction in decode(experiment.methods, frames, calibration):
+    for name, reconstruction, _ in decode(experiment.methods, frames, calibration):
         videos[name].append(reconstruction)
         progress("decode", sum(map(len, videos.values())), experiment.n_frames * len(videos))
     return Result(

@@ -187,17 +187,12 @@ class Segment:
 
     def __post_init__(self) -> None:
         for name, image in (("segment start", self.start), ("segment stop", self.stop)):
-            checked(
-                name, image, axes=("y", "x"), dtype=np.float32, unit="of its video", nonnegative=False
-            )
+            checked(name, image, axes=("y", "x"), dtype=np.float32, unit="of its video", nonnegative=False)
         rows, cols = self.start.shape
         for block in self.blocks:
             n, height, width = block.excess.shape
             inside = (
-                block.row >= 0
-                and block.col >= 0
-                and block.row + height <= rows
-                and block.col + width <= cols
+                block.row >= 0 and block.col >= 0 and block.row + height <= rows and block.col + width <= cols
             )
             if n != self.n_instants or not inside:
                 raise ValueCheckError(

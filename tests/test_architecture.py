@@ -31,7 +31,20 @@ ALLOWED: dict[str, set[str]] = {
     "doctor": {"render", "scene"},
 }
 # The top of the building: may import any room, and only each other.
-TOP = {"experiment", "truth", "loop", "job", "scoring", "explain", "train", "cli", "benchmark", "stopwatch", "console", "catalogue"}
+TOP = {
+    "experiment",
+    "truth",
+    "loop",
+    "job",
+    "scoring",
+    "explain",
+    "train",
+    "cli",
+    "benchmark",
+    "stopwatch",
+    "console",
+    "catalogue",
+}
 
 # Rooms of variants: files in them don't import each other, except these shared ones.
 SIBLINGS: dict[str, set[str]] = {
@@ -97,7 +110,12 @@ def test_the_resolver_sees_every_form_of_import(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
     for name in ("camera.py", "reconstruct"):
         (tmp_path / name).mkdir() if "." not in name else (tmp_path / name).touch()
-    for text in ("from ..camera import X", "from optsim import camera", "import optsim.camera as c", "from .. import camera"):
+    for text in (
+        "from ..camera import X",
+        "from optsim import camera",
+        "import optsim.camera as c",
+        "from .. import camera",
+    ):
         sneaky = tmp_path / "reconstruct" / "sneaky.py"
         sneaky.write_text(text)
         assert rooms_of(imports(sneaky)) == {"camera"}, text
@@ -138,5 +156,7 @@ def test_help_is_quick_to_import() -> None:
         "heavy = {'numba', 'mitsuba', 'colour', 'skimage', 'scipy', 'OpenEXR', 'trimesh', 'jinja2'}\n"
         "print(sorted(heavy & set(sys.modules)))\n"
     )
-    out = subprocess.run([sys.executable, "-c", program], check=True, timeout=60, capture_output=True, text=True)
+    out = subprocess.run(
+        [sys.executable, "-c", program], check=True, timeout=60, capture_output=True, text=True
+    )
     assert out.stdout.strip() == "[]"

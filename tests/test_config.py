@@ -48,7 +48,9 @@ def test_wrong_quantities_name_key_and_cure(text: str) -> None:
 
 
 def test_unknown_key_names_the_nearest() -> None:
-    with pytest.raises(ConfigError, match=r"lens\.focal_lenght_m: unknown key; did you mean 'focal_length_m'"):
+    with pytest.raises(
+        ConfigError, match=r"lens\.focal_lenght_m: unknown key; did you mean 'focal_length_m'"
+    ):
         build(Camera, {"lens": {"focal_lenght_m": 0.01}}, where="test.toml")
 
 

@@ -89,9 +89,14 @@ def test_json_refuses_nan_and_leaves_the_old_file(tmp_path: Path) -> None:
 def test_a_failed_write_leaves_nothing_and_keeps_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "kept.txt"
     path.write_text("old")
-    with pytest.raises(RuntimeError, match="on purpose"), atomic(path) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError("on purpose")
+
+    def fail_half_way() -> None:
+        with atomic(path) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError("on purpose")
+
+    with pytest.raises(RuntimeError, match="on purpose"):
+        fail_half_way()
     assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
     assert path.read_text() == "old"
 

@@ -1,0 +1,317 @@
+"""A whole experiment on disk: check, render, calibrate, capture, decode, score, report; one new folder a run.
+
+Streams frame by frame, so that memory does not grow with the length of the experiment.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optsim import __version__, evidence
+from optsim.camera import NOT_MODELLED, CodedCamera
+from optsim.errors import StorageError
+from optsim.experiment import Experiment
+from optsim.explain import MID_GREY
+from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
+from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
+from optsim.pictures import Gallery
+from optsim.progress import Progress, silent
+from optsim.quantities import Floats, RadianceVideo, Reconstruction
+from optsim.report import write_report
+from optsim.report.schema import SCHEMA_VERSION
+from optsim.scoring import Scorer
+from optsim.stopwatch import Stopwatch
+from optsim.truth import render_truth
+
+Results = dict[str, Any]
+
+_PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
+
+
+def run_folder(experiment: Experiment, out: Path | None) -> Path:
+    """Folder of a run: the one asked for, or a new one named by the experiment and the time (UTC).
+
+    Raises
+    ------
+    StorageError
+        When the folder holds a run of another experiment, or something that is no run.
+    """
+    if out is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        return Path("reports") / "runs" / f"{experiment.name}-{stamp}"
+    if out.is_file():
+        raise StorageError(f"--out {out} is a file; expected a folder")
+    if out.is_dir() and any(out.iterdir()):
+        marker = out / "experiment.json"
+        if not marker.is_file():
+            raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
+        if read_json(marker).get("fingerprint") != experiment.fingerprint():
+            raise StorageError(
+                f"--out {out} holds a run of another experiment; choose another folder, "
+                "or run that experiment (its resolved form is in experiment.json)"
+            )
+    return out
+
+
+def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
+    """Find what would stop a run before any long work starts: backend, scene, disk space.
+
+    Returns
+    -------
+    dict
+        The backend chosen and the disk space needed and free, MB.
+
+    Raises
+    ------
+    BackendError, ConfigError, StorageError
+        With the cure.
+    """
+    from optsim import render, scene
+    from optsim.cache import Cache
+
+    scene.load_scene(experiment.scene.name, experiment.scene.variation)
+    view, timing = experiment.camera.view, experiment.timing
+    # Two halves of float32 keys, and about as much again for the movers' own pixels.
+    keys = timing.n_slots // experiment.render.slots_per_segment + 2
+    truth_mb = 4 * view.rows * view.cols * 4 * keys / 1e6
+    panel = experiment.camera.panel_rows * experiment.camera.panel_cols
+    run_mb = (len(experiment.save_reconstructions) + 1) * timing.n_slots * panel * 2 / 1e6 + 50
+    needs = {"truth in the cache": (truth_mb, Cache().folder)}
+    if folder is not None:
+        needs["run folder"] = (run_mb, folder)
+    for what, (need_mb, place) in needs.items():
+        existing = next(p for p in [place.absolute(), *place.absolute().parents] if p.exists())
+        free_mb = shutil.disk_usage(existing).free / 1e6
+        if need_mb > free_mb:
+            raise StorageError(
+                f"not enough disk for the {what} at {place}: needs about {need_mb:.0f} MB, free are "
+                f"{free_mb:.0f} MB. Cure: free some, 'optsim cache clear', or set OPTSIM_CACHE or --out"
+            )
+        if not os.access(existing, os.W_OK):
+            raise StorageError(f"{existing} is not writable ({what}); set OPTSIM_CACHE or --out")
+    report = render.choose_backend(backend)
+    return {
+        "backend": report.variant,
+        "disk_needed_mb": {what: round(mb) for what, (mb, _) in needs.items()},
+    }
+
+
+def execute(
+    experiment: Experiment,
+    folder: Path,
+    *,
+    command: str = "",
+    backend: str | None = None,
+    export_truth: bool = False,
+    progress: Progress = silent,
+) -> Results:
+    """Run an experiment into a folder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What to run.
+    folder : Path
+        From :func:`run_folder`.
+    command : str
+        The command line, for the report.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+    export_truth : bool
+        Copy the truth (slot means a panel pixel) into the folder.
+    progress : Progress
+        Told of each finished unit.
+
+    Returns
+    -------
+    dict
+        The content of results.json.
+    """
+    from optsim import render, scene
+
+    watch = Stopwatch()
+    resolved = experiment.model_dump(mode="json")
+    write_json(folder / "experiment.json", {"fingerprint": experiment.fingerprint(), "experiment": resolved})
+    chosen = render.choose_backend(backend)
+    with watch.stage("render"):
+        radiance = render_truth(experiment, backend=backend, progress=progress)
+    with watch.stage("calibrate"):
+        progress("laboratory", 0, 1)
+        calibration = calibrate(experiment)
+        progress("laboratory", 1, 1)
+    with watch.stage("capture"):
+        camera, light = set_light(experiment, radiance, calibration)
+        truth = camera.form_image(radiance)
+        frames = capture(experiment, camera, truth, calibration, progress)
+        _write_frames(folder, frames)
+    scorer = Scorer(experiment, camera, truth, radiance)
+    gallery = Gallery(experiment, camera, calibration)
+    decode_s = {method.name: 0.0 for method in experiment.methods}
+    with watch.stage("decode and score"):
+        total = experiment.n_frames * len(experiment.methods)
+        decoded = decode(experiment.methods, frames, calibration)
+        for done, (name, reconstruction, seconds) in enumerate(decoded):
+            index = reconstruction.index
+            decode_s[name] += seconds
+            scorer.add(name, reconstruction)
+            gallery.add(
+                name, reconstruction, frames[name][index], scorer.reference(index), scorer.moving(index)
+            )
+            if name in experiment.save_reconstructions:
+                _write_reconstruction(folder, name, reconstruction, camera.irradiance_per_radiance)
+            progress("decode", done + 1, total)
+    with watch.stage("noise ceiling"):
+        ceiling = scorer.noise_ceiling(progress)
+    if export_truth:
+        export_radiance(radiance, folder / "truth", experiment, progress)
+    with watch.stage("pictures"):
+        pictures = gallery.write(folder / "assets", progress)
+    loaded_scene = scene.load_scene(experiment.scene.name, experiment.scene.variation)
+    results: Results = {
+        "schema_version": SCHEMA_VERSION,
+        "title": experiment.name,
+        "experiment": resolved,
+        "command": command,
+        "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "backend": f"{chosen.variant}: {chosen.why}",
+        "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
+        "timings": watch.stages,
+        "light_rule": _light(experiment, light),
+        "photons": scorer.photons(frames),
+        "ledgers": _ledgers(camera, loaded_scene.white_w_m2_sr),
+        "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
+        "latency": _latency(experiment),
+        "scene": {
+            "name": experiment.scene.name,
+            "variation": experiment.scene.variation,
+            "description": loaded_scene.description,
+            "white_w_m2_sr": radiance.white_w_m2_sr,
+            "white_cd_m2": scorer.scale.white_cd_m2,
+            "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),
+            "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
+        },
+        "methods": {m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}" for m in experiment.methods},
+        **scorer.results(),
+        "masks": scorer.masks(frames),
+        "noise_ceiling": ceiling,
+        "evidence": evidence.status(),
+        "not_modelled": list(NOT_MODELLED),
+        "reconstruct_s": {name: round(seconds, 3) for name, seconds in decode_s.items()},
+        "pictures": pictures,
+    }
+    write_json(folder / "results.json", results)
+    write_report(folder, results)
+    return results
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that can change a number."""
+    return {
+        "optsim": __version__,
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        **{name: version(name) for name in _PACKAGES},
+    }
+
+
+def summary(results: Results) -> str:
+    """Steady-phase scores as a few lines for the terminal."""
+    steady = [r for r in results["scores"] if r["phase"] == "steady" and r["value"] is not None]
+    names = list(results["methods"])
+    lines = [f"{results['title']}: steady phase", f"{'':46}" + "".join(f"{name:>12}" for name in names)]
+    for metric, region in dict.fromkeys((r["metric"], r["region"]) for r in steady):
+        values = {r["method"]: r["value"] for r in steady if (r["metric"], r["region"]) == (metric, region)}
+        cells = "".join(f"{values[n]:12.2f}" if n in values else f"{'-':>12}" for n in names)
+        lines.append(f"{region:<8}{metric:<38.38}{cells}")
+    return "\n".join(lines)
+
+
+def export_radiance(
+    radiance: RadianceVideo, folder: Path, experiment: Experiment, progress: Progress = silent
+) -> None:
+    """Write the truth as one OpenEXR a coded frame: mean radiance a slot and panel pixel, float32."""
+    from optsim.forward.integrate import slot_means
+
+    slots = experiment.timing.slots_per_frame
+    for index in range(experiment.n_frames):
+        means = slot_means(radiance, index * slots, slots)
+        write_exr(
+            folder / f"{index:06d}.exr",
+            {f"slot{slot:02d}": means[slot] for slot in range(slots)},
+            attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": 550},
+        )
+        progress("export truth", index + 1, experiment.n_frames)
+
+
+def _write_frames(folder: Path, frames: Frames) -> None:
+    for name, taken in frames.items():
+        for frame in taken:
+            stem = f"{frame.index:06d}"
+            write_png16(folder / "frames" / name / f"{stem}.png", frame.dn)
+            write_png8(folder / "masks" / name / f"{stem}.png", frame.code.moving.astype(np.uint8) * 255)
+            levels: Floats = frame.code.levels.astype(np.float32)
+            write_exr(
+                folder / "codes" / name / f"{stem}.exr",
+                {f"slot{slot:02d}": levels[slot] for slot in range(len(levels))},
+                attributes={"unit": "drive level 0..255", "axes": "slot, v, u", "frame": frame.index},
+                half=True,
+            )
+
+
+def _write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
+    """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
+    radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
+    write_exr(
+        folder / "reconstructions" / name / f"{video.index:06d}.exr",
+        {f"slot{slot:02d}": radiance[slot] for slot in range(len(radiance))},
+        attributes={
+            "unit": "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance",
+            "irradiance_per_radiance": per_radiance,
+            "axes": "slot, v, u",
+            "frame": video.index,
+        },
+        half=True,
+    )
+
+
+def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[dict[str, Any]]:
+    """Photon ledgers of the scene's declared white and of a mid-grey (18 %) of it."""
+    return [
+        {"name": name, "radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
+        for name, level in (("white", white_w_m2_sr), ("mid-grey", MID_GREY * white_w_m2_sr))
+    ]
+
+
+def _light(experiment: Experiment, light: LightLevel) -> dict[str, Any]:
+    return {
+        "statement": (
+            f"the interior's {experiment.light.percentile:g}th percentile under the all-on code reaches "
+            f"{experiment.light.saturation_share:.0%} of measured saturation"
+        ),
+        "nd_transmission": light.nd_transmission,
+        "wanted_transmission": light.wanted_transmission,
+        "percentile_dn": light.percentile_dn,
+        "saturation_dn": light.saturation_dn,
+    }
+
+
+def _latency(experiment: Experiment) -> dict[str, Any]:
+    report = asdict(experiment.camera.smallest_latency_frames())
+    smallest = report.pop("frames")
+    chosen = experiment.camera.latency_frames
+    return {
+        "frames": chosen,
+        "smallest_physical": smallest,
+        "hypothetical": chosen < smallest,
+        "details": report,
+    }

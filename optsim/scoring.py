@@ -1,0 +1,199 @@
+"""Where truth and estimate are brought together for a run: references, oracle masks, tallies, facts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from optsim import metrics
+from optsim.camera import CodedCamera
+from optsim.experiment import Experiment
+from optsim.forward.integrate import cell_means, slot_means
+from optsim.loop import Frames, Result
+from optsim.metrics.scoring import ScoreRecord
+from optsim.progress import Progress, silent
+from optsim.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
+
+
+@dataclass(eq=False)
+class Scorer:
+    """Scores a run frame by frame; holds the references of the last two frames and small tallies only.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its latency and coded slots decide phases and what is scored.
+    camera : CodedCamera
+        The true camera, behind its neutral density.
+    truth : IrradianceVideo
+        Light on the modulator.
+    radiance : RadianceVideo
+        The scene: declared white, and the difference of its two halves.
+    """
+
+    experiment: Experiment
+    camera: CodedCamera
+    truth: IrradianceVideo
+    radiance: RadianceVideo
+    tallies: list[metrics.FrameTally] = field(default_factory=list[metrics.FrameTally], init=False)
+    _references: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
+    _moving: dict[int, Bools] = field(default_factory=dict[int, Bools], init=False)
+
+    def __post_init__(self) -> None:
+        self.scale = metrics.PhotometricScale(
+            white_w_m2_sr=self.radiance.white_w_m2_sr,
+            irradiance_per_radiance=self.camera.irradiance_per_radiance,
+        )
+        self.board = metrics.ScoreBoard(
+            metrics=metrics.ALL,
+            scale=self.scale,
+            latency_frames=self.camera.latency_frames,
+            coded_slots=self.camera.coded_slots,
+        )
+        self._ideal_pixel = self.camera.true_calibration()
+
+    def reference(self, index: int) -> Floats:
+        """Mean irradiance of each slot and pitch cell, array (slot, v, u), W m^-2, shading divided out."""
+        if index not in self._references:
+            self._references = {k: v for k, v in self._references.items() if k == index - 1}
+            self._references[index] = self.camera.reference(self.truth, index)
+        return self._references[index]
+
+    def moving(self, index: int) -> Bools:
+        """Oracle mask of a frame, array (v, u): the same for all methods."""
+        if index not in self._moving:
+            reference = self.reference(index)
+            previous = self.reference(index - 1) if index else None
+            self._moving[index] = metrics.oracle_moving(reference, previous, self._slot_sigma(reference))
+        return self._moving[index]
+
+    def _slot_sigma(self, reference: Floats) -> Floats:
+        """Predicted noise of one slot's irradiance at weight 1: shot and read noise, W m^-2, (v, u)."""
+        pixel = self._ideal_pixel
+        signal_dn = pixel.responsivity_dn * np.maximum(reference.mean(axis=0), 0)
+        sigma_dn = np.sqrt(pixel.dn_per_e * signal_dn + pixel.read_noise_dn**2)
+        return (sigma_dn / pixel.responsivity_dn).astype(np.float32)
+
+    def add(self, method: str, reconstruction: Reconstruction) -> None:
+        """Score one reconstruction."""
+        index = reconstruction.index
+        self.tallies.append(
+            self.board.tally(method, reconstruction, self.reference(index), self.moving(index))
+        )
+
+    def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
+        """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
+        if self.radiance.half_difference is None:
+            return []
+        half = self.camera.form_image(self.radiance.half_difference)
+        slots = self.experiment.timing.slots_per_frame
+        steady = [k for k in range(self.experiment.n_frames) if self.board.phase(k) == "steady"]
+        chosen = sorted({steady[0], steady[-1]}) if steady else [self.experiment.n_frames - 1]
+        tallies: list[metrics.FrameTally] = []
+        for done, index in enumerate(chosen):
+            noise = slot_means(half, index * slots, slots) / self.truth.shading
+            tallies.append(
+                self.board.tally_noise(
+                    index, self.reference(index), noise.astype(np.float32), self.moving(index)
+                )
+            )
+            progress("noise ceiling", done + 1, len(chosen))
+        return self.board.records(tallies)
+
+    def results(self) -> dict[str, Any]:
+        """Scores, coverage and series of everything added, as results.json holds them."""
+        scores = self.board.records(self.tallies)
+        return {
+            "scores": scores,
+            "coverage": self.board.coverage(self.tallies),
+            "frame_series": self.board.frame_series(self.tallies),
+            "slot_series": self.board.slot_series(self.tallies),
+            "hypothesis": metrics.judge_hypothesis(scores),
+        }
+
+    def masks(self, frames: Frames) -> list[dict[str, Any]]:
+        """Agreement of each adaptive method's mask with the oracle, frame by frame."""
+        rows: list[dict[str, Any]] = []
+        for method in self.experiment.methods:
+            if method.scheme.kind != "motion_adaptive":
+                continue
+            for frame in frames[method.name]:
+                found = metrics.mask_agreement(frame.code.moving, self._moving[frame.index])
+                rows.append(
+                    {
+                        "method": method.name,
+                        "frame": frame.index,
+                        "precision": found.precision,
+                        "recall": found.recall,
+                        "iou": found.iou,
+                    }
+                )
+        return rows
+
+    def photons(self, frames: Frames) -> list[dict[str, Any]]:
+        """Photoelectrons that each method used, at the picked pixels, over all frames."""
+        pixel = self._ideal_pixel
+        rows: list[dict[str, Any]] = []
+        for name, taken in frames.items():
+            raw = np.stack([f.dn[pixel.pick_row, pixel.pick_col][pixel.valid] for f in taken])
+            electrons = (raw - pixel.black_dn[pixel.valid]) / pixel.dn_per_e
+            rows.append(
+                {
+                    "method": name,
+                    "mean_e": float(electrons.mean(dtype=np.float64)),
+                    "dark_e": float(np.percentile(electrons, 5)),
+                    "saturated_share": float((raw >= pixel.saturation_dn[pixel.valid]).mean()),
+                }
+            )
+        return rows
+
+    def window_ratio(self, *, glare: bool) -> float | None:
+        """95th percentile of the window over the 5th of the interior, on the panel, at time 0."""
+        if self.radiance.outside is None or not self.radiance.outside.any():
+            return None
+        camera = self.camera if glare else self.camera.without_glare()
+        step = self.truth.samples_per_pitch
+        image: Doubles = cell_means(camera.form_image(self.radiance).load(0).start, step)
+        seen = cell_means(self.radiance.outside.astype(np.float32), step)
+        window, interior = image[seen == 1], image[seen == 0]
+        dark = float(np.percentile(interior, 5))
+        return float(np.percentile(window, 95)) / dark if window.size and dark > 0 else None
+
+
+def score(result: Result) -> list[ScoreRecord]:
+    """Score a run held in memory.
+
+    Parameters
+    ----------
+    result : Result
+        From :func:`optsim.run`.
+
+    Returns
+    -------
+    list of dict
+        One record a method, metric, region and phase; the metric's parameters are in its name.
+    """
+    scorer = Scorer(result.experiment, result.camera, result.truth, result.radiance)
+    for index in range(result.experiment.n_frames):
+        for name, video in result.reconstructions.items():
+            scorer.add(name, video[index])
+    return scorer.board.records(scorer.tallies)
+
+
+def score_table_html(result: Result) -> str:
+    """Steady-phase scores as an HTML table: how a result shows itself in a notebook."""
+    records = [r for r in score(result) if r["phase"] == "steady" and r["value"] is not None]
+    names = list(result.reconstructions)
+    rows: Sequence[tuple[str, str]] = list(dict.fromkeys((r["metric"], r["region"]) for r in records))
+    head = "".join(f"<th>{escape(n)}</th>" for n in names)
+    body = ""
+    for metric, region in rows:
+        values = {r["method"]: r["value"] for r in records if (r["metric"], r["region"]) == (metric, region)}
+        cells = "".join(f"<td>{values[n]:.2f}</td>" if n in values else "<td>–</td>" for n in names)
+        body += f"<tr><td>{escape(metric)}</td><td>{region}</td>{cells}</tr>"
+    title = escape(f"{result.experiment.name}: steady-phase scores")
+    return f"<table><caption>{title}</caption><tr><th>metric</th><th>region</th>{head}</tr>{body}</table>"

@@ -1,0 +1,136 @@
+"""The command line: good input, wrong input, exit codes, and nothing rendered before input is checked."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from optsim.cli import main
+
+
+def optsim(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str
+) -> tuple[int, str, str]:
+    """Run the command line in this process: exit code, stdout, stderr."""
+    monkeypatch.setattr(sys, "argv", ["optsim", *words])
+    code = 0
+    try:
+        main()
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else 0
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture
+def cli(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    return lambda *words: optsim(capsys, monkeypatch, *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", "dmeo", "--dry-run"), "did you mean 'demo'"),
+        (("run", "nowhere/none.toml", "--dry-run"), "no such file"),
+        (("run", "demo", "--dry-run", "--set", "camera.latency_frame=3"), "did you mean 'latency_frames'"),
+        (("run", "demo", "--dry-run", "--set", "camera.objective.focal_length_m='12 s'"), "unit 's'"),
+        (("run", "demo", "--dry-run", "--set", "n_frames=0"), "n_frames"),
+        (("run", "demo", "--dry-run", "--set", "scene.name=window_roon"), "window_room"),
+        (("run", "demo", "--dry-run", "--set", "scene.variation=corssing"), "crossing"),
+        (("run", "paper_prototype", "--dry-run", "--set", "camera.relay.magnification=0.681"), "fit"),
+        (("run", "demo", "--dry-run", "--backend", "llvm_ad_bogus"), "llvm_ad_bogus"),
+        (("run", "demo", "--dry-run", "--set", "camera.hardware=dmeo"), "did you mean 'demo'"),
+        (("list", "scenez"), "scenes"),
+        (("bench", "omp.k2"), "omp.k2000"),
+        (("init", "demo2"), "demo"),
+    ],
+)
+def test_bad_input_exits_2_with_the_cure(cli, words, message) -> None:
+    code, _, err = cli(*words)
+    assert code == 2
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_bad_usage_exits_2(cli) -> None:
+    assert cli("run")[0] == 2
+    assert cli("run", "demo", "--bogus")[0] == 2
+    assert cli("bogus")[0] == 2
+
+
+def test_dry_run_renders_nothing(cli, tmp_path: Path) -> None:
+    code, out, _ = cli("run", "demo", "--dry-run", "--json")
+    assert code == 0
+    assert json.loads(out)["experiment"]["name"] == "demo"
+    assert not (tmp_path / "reports").exists()
+
+
+def test_explain_prints_geometry_ledger_and_latency(cli) -> None:
+    code, out, _ = cli("explain", "paper_prototype", "--json")
+    record = json.loads(out)
+    assert code == 0
+    assert record["geometry"]["fits"]
+    assert record["latency"]["chosen_frames"] == 3
+    assert {"mid-grey", "white"} == set(record["ledger"])
+
+
+def test_explain_shows_what_does_not_fit(cli) -> None:
+    code, out, err = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
+    assert code == 2
+    assert "does not fit" in out + err
+
+
+def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "precious.txt").write_text("mine")
+    code, _, err = cli("run", "demo", "--dry-run", "--out", str(other))
+    assert code == 2
+    assert "holds no run" in err
+    (other / "experiment.json").write_text('{"fingerprint": "0"}')
+    code, _, err = cli("run", "demo", "--dry-run", "--out", str(other))
+    assert code == 2
+    assert "another experiment" in err
+    assert (other / "precious.txt").read_text() == "mine"
+
+
+def test_init_copies_a_preset_that_loads_and_never_overwrites(cli, tmp_path: Path) -> None:
+    assert cli("init", "demo")[0] == 0
+    assert cli("run", "./demo.toml", "--dry-run")[0] == 0
+    assert cli("init", "demo")[0] == 2
+
+
+def test_lists_and_schema(cli) -> None:
+    for what in ("scenes", "presets", "schemes", "decoders", "metrics"):
+        code, out, _ = cli("list", what, "--json")
+        assert code == 0
+        assert all(row["about"] for row in json.loads(out)), what
+    code, out, _ = cli("config", "schema")
+    assert code == 0
+    assert "methods" in json.loads(out)["properties"]
+    code, out, _ = cli("config", "show", "demo", "--set", "seed=7")
+    assert json.loads(out)["seed"] == 7
+    assert cli("cache", "show", "--json")[0] == 0
+
+
+def test_version_and_interruption() -> None:
+    program = [sys.executable, "-m", "optsim", "--version"]
+    out = subprocess.run(program, capture_output=True, text=True, check=True).stdout
+    assert out.startswith("optsim 0.")
+
+
+def test_interruption_is_a_clean_message(cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    from optsim import job
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "execute", interrupted)
+    code, _, err = cli("run", "demo")
+    assert code == 130
+    assert "cache" in err
+    assert "Traceback" not in err

@@ -1,0 +1,116 @@
+"""The closed loop on footage instead of a render: latency, streams, and the light rule."""
+
+import numpy as np
+import pytest
+
+from optsim.experiment import load_experiment
+from optsim.loop import Result, run, stream
+from optsim.scene.footage import footage
+from optsim.scoring import score
+
+ROWS, COLS, FRAMES = 24, 32, 6
+
+
+def scene(seed: int = 0) -> np.ndarray:
+    """A static texture with a bright patch moving across it, slot by slot, on 3 samples a panel pixel."""
+    rng = np.random.default_rng(seed)
+    texture = np.kron(rng.uniform(0.02, 0.15, (ROWS // 2, COLS // 2)), np.ones((6, 6))).astype(np.float32)
+    frames = np.repeat(texture[None], FRAMES * 36, 0)
+    for slot in range(FRAMES * 36):
+        col = 6 + (slot * 2) % (3 * COLS - 24)
+        frames[slot, 24:42, col : col + 12] = 0.3
+    return frames
+
+
+@pytest.fixture(scope="module")
+def small():
+    return load_experiment(
+        "demo",
+        [
+            f"n_frames={FRAMES}",
+            f"camera.panel_rows={ROWS}",
+            f"camera.panel_cols={COLS}",
+            f"camera.sensor.rows={3 * ROWS + 8}",
+            f"camera.sensor.cols={3 * COLS + 8}",
+            "calibration=true",
+            "save_reconstructions=[]",
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def radiance(small):
+    return footage(scene(), slot_s=small.timing.slot_s, samples_per_pitch=3, white_w_m2_sr=0.4)
+
+
+@pytest.fixture(scope="module")
+def result(small, radiance) -> Result:
+    return run(small, radiance)
+
+
+def test_every_method_gives_every_frame(result: Result) -> None:
+    for name in ("adaptive", "normal", "hdr_mosaic", "random"):
+        assert [f.index for f in result.frames[name]] == list(range(FRAMES))
+        assert [r.index for r in result.reconstructions[name]] == list(range(FRAMES))
+
+
+def test_the_same_experiment_gives_the_same_frames(small, radiance, result: Result) -> None:
+    again = run(small, radiance)
+    for name, frames in result.frames.items():
+        for one, other in zip(frames, again.frames[name], strict=True):
+            np.testing.assert_array_equal(one.dn, other.dn)
+
+
+def test_methods_have_their_own_photons() -> None:
+    draws = [stream(1, "shot", name, 0).random(4) for name in ("adaptive", "random")]
+    assert not np.array_equal(*draws)
+    np.testing.assert_array_equal(draws[0], stream(1, "shot", "adaptive", 0).random(4))
+
+
+def test_latency_hides_frames(small, radiance) -> None:
+    """With latency L, the code of frame f is chosen from frames up to f - L: none for f < L."""
+    for latency in (1, 3):
+        experiment = small.model_copy(
+            update={"camera": small.camera.model_copy(update={"latency_frames": latency})}
+        )
+        moving = [f.code.moving.all() for f in run(experiment, radiance).frames["adaptive"]]
+        # Two frames must have arrived before anything can be called static.
+        assert moving[: latency + 1] == [True] * (latency + 1)
+        assert not moving[latency + 1]
+
+
+def test_the_adaptive_code_follows_the_motion(result: Result) -> None:
+    from optsim.metrics.oracle import oracle_moving
+
+    last = FRAMES - 1
+    mask = result.frames["adaptive"][last].code.moving
+    oracle = oracle_moving(result.reference(last), result.reference(last - 1), np.float32(0))
+    assert (mask & oracle).sum() / oracle.sum() > 0.9
+    assert mask.mean() < 0.8
+
+
+def test_light_rule_reaches_its_share_or_says_so(result: Result) -> None:
+    light = result.light
+    assert light.nd_transmission <= 1
+    share = light.percentile_dn / light.saturation_dn
+    wanted = result.experiment.light.saturation_share * min(1, 1 / light.wanted_transmission)
+    assert share == pytest.approx(wanted, rel=1e-6)
+
+
+def test_scores_rank_what_must_be_ranked(result: Result) -> None:
+    """Where things move, a long exposure loses to a temporal code; all values are finite."""
+    records = score(result)
+    assert all(r["value"] is None or np.isfinite(r["value"]) for r in records)
+    psnr = {
+        r["method"]: r["value"]
+        for r in records
+        if r["metric"].startswith("PSNR") and r["region"] == "moving" and r["phase"] == "steady"
+    }
+    assert psnr["random"] > psnr["normal"] + 1
+    assert psnr["adaptive"] > psnr["normal"] + 1
+
+
+def test_a_result_shows_itself(result: Result) -> None:
+    html = result._repr_html_()
+    assert "adaptive" in html
+    assert "nan" not in html.lower()
