@@ -54,26 +54,6 @@ def _default_cap_bytes() -> int:
     return int(cap_gb * 1e9)
 
 
-@dataclass(frozen=True)
-class CacheContents:
-    """What a cache holds.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it is.
-    n_entries : int
-        Whole entries.
-    n_bytes, cap_bytes : int
-        Size on disk and its cap.
-    """
-
-    folder: Path
-    n_entries: int
-    n_bytes: int
-    cap_bytes: int
-
-
 @dataclass(frozen=True, eq=False)
 class Cache:
     """A cache folder with a size cap.
@@ -135,18 +115,25 @@ class Cache:
                 f"cache entry {entry} is damaged ({error}); cure: delete this folder"
             ) from error
 
-    def show(self) -> CacheContents:
-        """Count what is there."""
-        entries = self._entries()
-        return CacheContents(self.folder, len(entries), sum(_size(path) for path in entries), self.cap_bytes)
+    def show(self) -> dict[str, Any]:
+        """Where the cache is, its whole entries, and its size and cap in bytes."""
+        return {
+            "folder": str(self.folder),
+            "entries": len(self._entries()),
+            "bytes": self._total(),
+            "cap_bytes": self.cap_bytes,
+        }
 
-    def clear(self) -> CacheContents:
-        """Remove every entry and every leftover of an interrupted write; return what was there."""
-        before = self.show()
+    def clear(self) -> int:
+        """Remove every entry and every leftover of an interrupted write; return the bytes freed."""
+        freed = self._total()
         shutil.rmtree(self.folder / "entries", ignore_errors=True)
         self._used.clear()
         self._size.clear()
-        return before
+        return freed
+
+    def _total(self) -> int:
+        return sum(_size(path) for path in self._entries())
 
     def _entry(self, key: str) -> Path:
         return self.folder / "entries" / key[:2] / key
@@ -182,12 +169,12 @@ class Cache:
 
     def _evict(self, n_new: int) -> None:
         if not self._size:
-            self._size.append(self.show().n_bytes)
+            self._size.append(self._total())
         else:
             self._size[0] += n_new
         if self._size[0] <= self.cap_bytes:
             return
-        total = self.show().n_bytes
+        total = self._total()
         for entry in sorted(self._entries(), key=_last_use):
             if total <= self.cap_bytes:
                 break

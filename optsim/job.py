@@ -23,7 +23,7 @@ from optsim.experiment import Experiment
 from optsim.explain import MID_GREY
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
 from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
-from optsim.pictures import Gallery
+from optsim.gallery import Gallery
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report
@@ -154,7 +154,7 @@ def execute(
         frames = capture(experiment, camera, truth, calibration, progress)
         _write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
-    gallery = Gallery(experiment, camera, calibration)
+    gallery = Gallery(experiment, scorer, float(np.median(calibration.saturation_dn)))
     decode_s = {method.name: 0.0 for method in experiment.methods}
     with watch.stage("decode and score"):
         total = experiment.n_frames * len(experiment.methods)
@@ -174,7 +174,7 @@ def execute(
     if export_truth:
         export_radiance(radiance, folder / "truth", experiment, progress)
     with watch.stage("pictures"):
-        pictures = gallery.write(folder / "assets", progress)
+        pictures = gallery.write(folder)
     loaded_scene = scene.load_scene(experiment.scene.name, experiment.scene.variation)
     results: Results = {
         "schema_version": SCHEMA_VERSION,
