@@ -142,7 +142,7 @@ def _field_names(part: type[BaseModel]) -> set[str]:
             names |= set(item.model_fields)
             todo += [info.annotation for info in item.model_fields.values()]
         else:
-            todo += list(getattr(item, "__args__", ()))
+            todo += list(cast("tuple[object, ...]", getattr(item, "__args__", ())))  # pyright: ignore[reportUnknownArgumentType]
     return names
 
 

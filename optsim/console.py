@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -17,7 +17,7 @@ people = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 @contextlib.contextmanager
-def progress_bars(quiet: bool = False) -> Iterator[Progress]:
+def progress_bars(quiet: bool = False) -> Generator[Progress, None, None]:
     """Yield a progress callable that draws one bar a stage with elapsed and remaining time."""
     columns = (
         TextColumn("{task.description:<22}"),

@@ -1,3 +1,4 @@
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """The only way out to disk: guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers.
 
 The OpenEXR binding writes wrong pixels, without an error, for arrays that are not C-contiguous
@@ -12,7 +13,7 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,7 +26,7 @@ _HALF_MAX = 65504.0
 
 
 @contextlib.contextmanager
-def atomic(path: Path) -> Iterator[Path]:
+def atomic(path: Path) -> Generator[Path, None, None]:
     """Yield a temporary path beside ``path``; rename it into place if the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part" + path.suffix, dir=path.parent)
@@ -101,7 +102,7 @@ def write_exr(
     for name, image in channels.items():
         if image.ndim != 2 or image.shape != shape or image.size == 0:
             raise ValueCheckError(f"{path.name}: channel {name} has shape {image.shape}, expected {shape}")
-        if image.dtype not in (np.float32, np.uint32):
+        if image.dtype.name not in ("float32", "uint32"):
             raise ValueCheckError(f"{path.name}: channel {name} is {image.dtype}, expected float32 or uint32")
         if image.dtype == np.float32:
             if not np.isfinite(image).all():

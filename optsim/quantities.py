@@ -203,7 +203,7 @@ class Segment:
     def instant(self, index: int) -> Floats:
         """Signal during one instant: array of shape (y, x), float32."""
         a = np.float32((index + 0.5) / self.n_instants)
-        frame = (1 - a) * self.start + a * self.stop
+        frame: Floats = np.add((1 - a) * self.start, a * self.stop, dtype=np.float32)
         for block in self.blocks:
             _, height, width = block.excess.shape
             frame[block.row : block.row + height, block.col : block.col + width] += block.excess[index]
@@ -362,11 +362,14 @@ class CodedFrame:
         Raw digital numbers on the CCD.
     code : ExposureCode
         What the panel was told to show.
+    negative_light : int
+        CCD pixels whose expected light was negative (Monte-Carlo noise of the truth) and was taken as dark.
     """
 
     index: int
     dn: Words
     code: ExposureCode
+    negative_light: int = 0
 
     def __post_init__(self) -> None:
         checked("dn", self.dn, axes=("y", "x"), dtype=np.uint16, unit="DN")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class Stopwatch:
     stages: list[dict[str, object]] = field(default_factory=list[dict[str, object]])
 
     @contextlib.contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> Generator[None, None, None]:
         """Measure the block as one stage."""
         fresh = _reset_peak()
         wall, cpu = time.perf_counter(), time.process_time()

@@ -19,7 +19,9 @@ ALLOWED: dict[str, set[str]] = {
     "render": {"scene"},
     "optics": {"forward"},
     "sensor": {"forward"},
-    "camera": {"forward", "optics", "sensor", "calibrate"},
+    "geometry": {"forward"},
+    "ledger": {"forward", "optics", "sensor"},
+    "camera": {"forward", "optics", "sensor", "calibrate", "geometry", "ledger"},
     "hardware": {"optics", "sensor", "camera", "forward"},
     "calibrate": {"forward"},
     "laboratory": {"forward", "camera", "calibrate"},
@@ -55,7 +57,7 @@ SIBLINGS: dict[str, set[str]] = {
 }
 # The truth wall: what must never see a true parameter, a scene or a renderer.
 BEHIND_THE_WALL = {"coding", "reconstruct", "calibrate"}
-TRUTH = {"camera", "laboratory", "optics", "sensor", "hardware", "scene", "render", "loop", "truth"}
+TRUTH = {"camera", "ledger", "geometry", "laboratory", "optics", "sensor", "hardware", "scene", "render", "loop", "truth"}
 
 
 def imports(path: Path) -> set[str]:

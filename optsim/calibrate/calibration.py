@@ -1,0 +1,209 @@
+# pyright: reportUntypedFunctionDecorator=false
+"""What the bench knows of a camera: the only picture of it that schemes and decoders ever see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numba import njit
+
+from optsim.errors import ValueCheckError
+from optsim.forward.panel import PanelResponse, slot_weights
+from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One coded frame on the panel grid, as an estimate with its error.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (v, u), float32
+        Estimate of ``crosstalk (*) sum_slot weight E``, W m^-2 slots; slightly negative where dark.
+    variance : ndarray of shape (v, u), float32
+        Variance of ``signal`` by shot and read noise, its unit squared.
+    saturated : ndarray of shape (v, u), bool
+        Raw DN at or above the measured threshold: ``signal`` is a lower bound.
+    valid : ndarray of shape (v, u), bool
+        False where there is no measurement; ``signal`` and ``variance`` are finite but mean nothing there.
+    """
+
+    UNIT: ClassVar[str] = "W m^-2 slots"
+    signal: Floats
+    variance: Floats
+    saturated: Bools
+    valid: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera as the bench knows it, on the panel grid.
+
+    ``measured = crosstalk (*) (sum over slots of weight x irradiance)``: the weights are those of each
+    panel pixel alone, the kernel says how much of its neighbours' light the picked CCD pixel sees.
+    Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
+
+    Parameters
+    ----------
+    source : {"bench", "true", "ideal"}
+        Measured, copied from the camera, or the paper's equations.
+    slot_s : float
+        Duration of a slot, s.
+    slots_per_frame, coded_slots : int
+        Slots in a frame's period, and those at its start in which the shutter is open.
+    response : PanelResponse
+        Temporal response, contrast and grey curve of the panel.
+    pick_row, pick_col : ndarray of shape (v, u), int64
+        CCD pixel at the centre of each panel pixel; inside the CCD even where not valid.
+    valid : ndarray of shape (v, u), bool
+        False: off the CCD, a dead CCD pixel, a stuck panel pixel.
+    responsivity_dn : ndarray of shape (v, u), float32
+        DN per (W m^-2 on axis) per slot at weight 1. It holds the product of every shading (objective,
+        splitter, panel, relay, CCD pixel), which is all that a flat can identify. Positive everywhere;
+        without meaning where not valid.
+    black_dn, saturation_dn : ndarray of shape (v, u), float32
+        Black level, and the least raw DN that counts as saturated, of each picked CCD pixel.
+    read_noise_dn : float
+        Temporal noise in the dark, quantisation included, DN.
+    dn_per_e : float
+        System gain, DN per electron.
+    crosstalk : ndarray of shape (k, k), float32
+        Image of a single bright panel pixel in the picked pixels around it; k is odd, the sum is 1.
+    gain_uncertainty, leak_uncertainty : float
+        Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
+    map_residual_px : float
+        Rms distance between the fitted map and the measured dots, panel pixels.
+    """
+
+    source: Literal["bench", "true", "ideal"]
+    slot_s: float
+    slots_per_frame: int
+    coded_slots: int
+    response: PanelResponse
+    pick_row: Ints
+    pick_col: Ints
+    valid: Bools
+    responsivity_dn: Floats
+    black_dn: Floats
+    saturation_dn: Floats
+    read_noise_dn: float
+    dn_per_e: float
+    crosstalk: Floats
+    gain_uncertainty: float
+    leak_uncertainty: float
+    map_residual_px: float
+
+    def __post_init__(self) -> None:
+        for name, dtype, unit in (
+            ("pick_row", np.int64, "CCD pixel"),
+            ("pick_col", np.int64, "CCD pixel"),
+            ("valid", np.bool_, "mask"),
+            ("responsivity_dn", np.float32, "DN / (W m^-2 slot)"),
+            ("black_dn", np.float32, "DN"),
+            ("saturation_dn", np.float32, "DN"),
+        ):
+            checked(f"calibration.{name}", getattr(self, name), axes=("v", "u"), dtype=dtype, unit=unit)
+            if getattr(self, name).shape != self.valid.shape:
+                raise ValueCheckError(
+                    f"calibration.{name} has shape {getattr(self, name).shape}, valid has {self.valid.shape}"
+                )
+        if float(self.responsivity_dn.min()) <= 0:
+            raise ValueCheckError("calibration.responsivity_dn: got a value <= 0, expected > 0 everywhere")
+        kernel = self.crosstalk
+        checked(
+            "calibration.crosstalk", kernel, axes=("v", "u"), dtype=np.float32, unit="1", nonnegative=False
+        )
+        if (
+            kernel.shape[0] != kernel.shape[1]
+            or kernel.shape[0] % 2 == 0
+            or abs(float(kernel.sum()) - 1) > 1e-4
+        ):
+            raise ValueCheckError(
+                f"calibration.crosstalk: got shape {kernel.shape} and sum {float(kernel.sum()):.6g}, "
+                "expected (k, k) with odd k and sum 1"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Panel pixels (v, u)."""
+        rows, cols = self.valid.shape
+        return rows, cols
+
+    def panel_at_rest(self) -> PanelState:
+        """State of a panel that has been dark for long."""
+        return PanelState(np.zeros(self.shape, np.float32))
+
+    def weights(self, code: ExposureCode, panel: PanelState) -> tuple[Floats, PanelState]:
+        """Weight of each slot at each panel pixel by itself.
+
+        Parameters
+        ----------
+        code : ExposureCode
+            All slots of a frame's period.
+        panel : PanelState
+            The panel when the frame starts.
+
+        Returns
+        -------
+        weights : ndarray of shape (slot, v, u), float32
+            1 for a pixel fully on for ever; 0 in slots with the shutter closed.
+        panel : PanelState
+            The panel when the next frame starts.
+
+        Raises
+        ------
+        ValueCheckError
+            When the code is of another panel or number of slots.
+        """
+        expected = (self.slots_per_frame, *self.shape)
+        if code.levels.shape != expected:
+            raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
+        weights, end_rad = slot_weights(code.levels, panel.retardance_rad, self.response, self.slot_s)
+        weights[self.coded_slots :] = 0
+        return weights, PanelState(end_rad)
+
+    def effective_weights(self, code: ExposureCode, panel: PanelState) -> tuple[Floats, PanelState]:
+        """Weights with the neighbours' share added: the diagonal approximation of the whole operator.
+
+        Exact where the irradiance is the same over the reach of the crosstalk. Arguments and
+        results as in :meth:`weights`.
+        """
+        weights, panel = self.weights(code, panel)
+        return self.spread(weights), panel
+
+    def spread(self, stack: Floats) -> Floats:
+        """Convolve images of shape (n, v, u), float32, with the crosstalk kernel."""
+        reach = self.crosstalk.shape[0] // 2
+        if reach == 0:
+            return stack
+        out = np.zeros_like(stack)
+        for image, target in zip(stack, out, strict=True):
+            _convolve(np.pad(image, reach, mode="edge"), self.crosstalk, target)
+        return out
+
+    def observe(self, frame: CodedFrame) -> Observation:
+        """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted."""
+        raw = frame.dn[self.pick_row, self.pick_col].astype(np.float32)
+        saturated = raw >= self.saturation_dn
+        raw -= self.black_dn
+        variance = np.maximum(raw, np.float32(0))
+        variance *= np.float32(self.dn_per_e)
+        variance += np.float32(self.read_noise_dn**2)
+        raw /= self.responsivity_dn
+        variance /= self.responsivity_dn
+        variance /= self.responsivity_dn
+        return Observation(raw, variance, saturated, self.valid)
+
+
+@njit(nogil=True, cache=True)
+def _convolve(padded: Floats, kernel: Floats, out: Floats) -> None:
+    size = kernel.shape[0]
+    rows, cols = out.shape
+    for v in range(rows):
+        for i in range(size):
+            for j in range(size):
+                tap = kernel[size - 1 - i, size - 1 - j]
+                for u in range(cols):
+                    out[v, u] += tap * padded[v + i, u + j]

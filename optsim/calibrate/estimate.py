@@ -1,0 +1,85 @@
+"""From the images of a bench to a Calibration: the order of the steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from optsim.calibrate.bench import Bench
+from optsim.calibrate.calibration import Calibration
+from optsim.calibrate.pixel_map import map_pixels
+from optsim.calibrate.sensor_noise import photon_transfer, saturation_threshold
+from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading
+from optsim.calibrate.step_response import response_times
+from optsim.errors import BenchError
+
+_MARGIN = 1  # CCD pixels at the border that are not used: their light may be cut
+
+
+def calibrate_from(bench: Bench) -> Calibration:
+    """Estimate everything a scheme or decoder needs, from images and stated settings alone.
+
+    Parameters
+    ----------
+    bench : Bench
+        Measured on a real bench, or by the virtual laboratory.
+
+    Returns
+    -------
+    Calibration
+        With ``source = "bench"``.
+
+    Raises
+    ------
+    BenchError
+        When the images cannot identify a parameter; it says which, and what to take.
+    """
+    black_dn = bench.darks.mean(axis=0, dtype=np.float32)
+    pixel_map = map_pixels(bench, black_dn)
+    row, col = pixel_map.picks()
+    height, width = black_dn.shape
+    inside = (row >= _MARGIN) & (row < height - _MARGIN) & (col >= _MARGIN) & (col < width - _MARGIN)
+    if not inside.any():
+        raise BenchError("bench dots: no panel pixel falls on the CCD; check their panel coordinates")
+    row, col = np.clip(row, 0, height - 1), np.clip(col, 0, width - 1)
+    lit = (
+        slice(int(row[inside].min()), int(row[inside].max()) + 1),
+        slice(int(col[inside].min()), int(col[inside].max()) + 1),
+    )
+    noise = photon_transfer(bench, black_dn, lit)
+    black_at = black_dn[row, col]
+    picker = Picker(
+        row,
+        col,
+        black_dn=black_at,
+        black_variance=noise.read_noise_dn**2 / len(bench.darks),
+        saturation_dn=saturation_threshold(bench.saturated.dn[:, row, col], black_at, inside, noise),
+        coded_slots=bench.coded_slots,
+        noise=noise,
+    )
+    flat = shading(bench, picker, inside)
+    valid = flat.valid
+    # Pixels without meaning get the typical value, so that nobody divides by zero or meets a NaN.
+    responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
+    saturation_dn = np.where(valid, picker.saturation_dn, np.median(picker.saturation_dn[valid]))
+    response = response_times(
+        bench.steps, picker, valid, bench.slot_s, flat.leak, drive_exponent(bench.greys, picker, flat)
+    )
+    return Calibration(
+        source="bench",
+        slot_s=bench.slot_s,
+        slots_per_frame=bench.slots_per_frame,
+        coded_slots=bench.coded_slots,
+        response=response,
+        pick_row=row,
+        pick_col=col,
+        valid=valid,
+        responsivity_dn=responsivity_dn.astype(np.float32),
+        black_dn=black_at,
+        saturation_dn=saturation_dn.astype(np.float32),
+        read_noise_dn=noise.read_noise_dn,
+        dn_per_e=noise.dn_per_e,
+        crosstalk=crosstalk(bench.dots, picker, flat),
+        gain_uncertainty=flat.gain_uncertainty,
+        leak_uncertainty=flat.leak_uncertainty,
+        map_residual_px=pixel_map.residual_px,
+    )

@@ -1,0 +1,166 @@
+"""What flats and dots say of every panel pixel: responsivity, leak, grey curve and crosstalk.
+
+A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response; so one
+map holds it. The leak is one number, the ratio of the light with the panel all off and all on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.calibrate.bench import Bench, Flat, Patches
+from optsim.calibrate.sensor_noise import SensorNoise
+from optsim.errors import BenchError
+from optsim.quantities import Bools, Doubles, Floats, Ints
+
+_REACH = 1  # of the crosstalk kernel, panel pixels: at 1/3 pixel blur the next ring holds below 1e-3
+# No source, sensible defaults: a pixel is dead below this share of the median responsivity, and stuck on
+# above this share of its own light when told to be off.
+_DEAD, _STUCK = 0.25, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Picker:
+    """Reads light rates at the picked CCD pixels.
+
+    Parameters
+    ----------
+    row, col : ndarray of shape (v, u), int64
+        Picked CCD pixels.
+    black_dn : ndarray of shape (v, u), float32
+        Black level there.
+    black_variance : float
+        Variance of that black level, DN^2.
+    saturation_dn : ndarray of shape (v, u), float32
+        Least raw DN that counts as saturated there.
+    coded_slots : int
+        Slots with the shutter open.
+    noise : SensorNoise
+        Gain and read noise.
+    """
+
+    row: Ints
+    col: Ints
+    black_dn: Floats
+    black_variance: float
+    saturation_dn: Floats
+    coded_slots: int
+    noise: SensorNoise
+
+    def rate(self, shots: Sequence[Flat | Patches]) -> tuple[Doubles, Doubles]:
+        """DN per (W m^-2 slot) over all frames of some shots, and its variance: two arrays (v, u)."""
+        signal, light, n_frames = np.zeros(self.row.shape), 0.0, 0
+        for shot in shots:
+            signal += shot.dn[:, self.row, self.col].sum(axis=0, dtype=np.float64)
+            light += len(shot.dn) * shot.irradiance_w_m2 * self.coded_slots
+            n_frames += len(shot.dn)
+        signal -= n_frames * self.black_dn.astype(np.float64)
+        variance = self.noise.dn_per_e * np.maximum(signal, 0) + n_frames * self.noise.read_noise_dn**2
+        variance += n_frames**2 * self.black_variance
+        return signal / light, variance / light**2
+
+    def clipped(self, shots: Sequence[Flat]) -> Bools:
+        """Whether a pixel saturates in some frame: array (v, u)."""
+        return np.any(
+            [(s.dn[:, self.row, self.col] >= self.saturation_dn).any(axis=0) for s in shots], axis=0
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Shading:
+    """What flats say of the panel pixels.
+
+    Parameters
+    ----------
+    responsivity_dn : ndarray of shape (v, u), float64
+        DN per (W m^-2 slot), all on.
+    off_dn : ndarray of shape (v, u), float64
+        The same, all off.
+    valid : ndarray of shape (v, u), bool
+        Alive and obeying.
+    gain_uncertainty : float
+        Relative standard error of a pixel's responsivity, rms.
+    leak, leak_uncertainty : float
+        Off over on; its relative uncertainty, which holds the spread over the field that one number cannot.
+    """
+
+    responsivity_dn: Doubles
+    off_dn: Doubles
+    valid: Bools
+    gain_uncertainty: float
+    leak: float
+    leak_uncertainty: float
+
+
+def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
+    """Estimate responsivity and leak from the flats with the panel on and off.
+
+    Raises
+    ------
+    BenchError
+        When no pixel is lit.
+    """
+    on, on_variance = picker.rate(bench.flats)
+    off, off_variance = picker.rate((bench.off,))
+    typical = float(np.median(on[inside])) if inside.any() else 0.0
+    valid = inside & (on > _DEAD * typical) & (off < _STUCK * on) & ~picker.clipped((*bench.flats, bench.off))
+    if typical <= 0 or not valid.any():
+        raise BenchError(
+            f"bench flats, off: no pixel is lit (median {typical:.3g} DN per W m^-2 and slot), darker when "
+            "off, and never saturated; check the levels shown, and take the flats below half of full well"
+        )
+    gain_uncertainty = float(np.sqrt(np.mean(on_variance[valid] / on[valid] ** 2)))
+    leak = max(float(off[valid].sum() / on[valid].sum()), 0.0)
+    ratio = off[valid] / on[valid]
+    noise = off_variance[valid] / on[valid] ** 2 + (ratio * gain_uncertainty) ** 2
+    spread = max(float(np.mean((ratio - leak) ** 2 - noise)), 0.0)
+    error = float(np.sqrt(spread + np.mean(noise) / ratio.size))
+    return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error))
+
+
+def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading) -> Floats:
+    """Image of one bright panel pixel in the picks around it: array of shape (k, k), float32, of sum 1.
+
+    Averaged over the dots, so over the phases between the two pixel grids; the few per mille beyond the
+    kernel are shared out in proportion.
+
+    Raises
+    ------
+    BenchError
+        When no dot lies among valid pixels.
+    """
+    span = np.arange(-_REACH, _REACH + 1)
+    near, full = np.zeros((len(span), len(span))), 0.0
+    rows, cols = flat.valid.shape
+    for pattern in dots:
+        rate, _ = picker.rate((pattern,))
+        v, u = (axis.ravel() for axis in np.meshgrid(pattern.rows, pattern.cols, indexing="ij"))
+        inside = (v >= _REACH) & (v < rows - _REACH) & (u >= _REACH) & (u < cols - _REACH)
+        v, u = (axis[inside, None, None] + shift for axis, shift in ((v, span[:, None]), (u, span)))
+        good = flat.valid[v, u].all(axis=(1, 2))
+        near += (rate - flat.off_dn)[v[good], u[good]].sum(axis=0)
+        full = full + (flat.responsivity_dn - flat.off_dn)[v[good], u[good]].sum(axis=0)
+    if not np.all(full > 0):
+        raise BenchError("bench dots: none lies among valid panel pixels; take a denser or shifted lattice")
+    kernel = near / full
+    return (kernel / kernel.sum()).astype(np.float32)
+
+
+def drive_exponent(greys: Sequence[Flat], picker: Picker, flat: Shading) -> float | None:
+    """Exponent of retardance against level, from flats at levels between 0 and 255; None without any."""
+    exponents: list[float] = []
+    on = float(flat.responsivity_dn[flat.valid].sum())
+    for grey in greys:
+        rate, _ = picker.rate((grey,))
+        open_share = (float(rate[flat.valid].sum()) / on - flat.leak) / (1 - flat.leak)
+        if not (0 < grey.level < 255 and 0 < open_share < 1):
+            raise BenchError(
+                f"bench greys: level {grey.level} lets {open_share:.3g} of the light through, expected a "
+                "level and a share strictly between off and on"
+            )
+        share_of_pi = 2 / np.pi * np.arcsin(np.sqrt(open_share))
+        exponents.append(float(np.log(share_of_pi) / np.log(grey.level / 255)))
+    return float(np.mean(exponents)) if exponents else None

@@ -1,0 +1,417 @@
+"""The coded-exposure camera: a frozen chain of parts that turns radiance and codes into coded frames.
+
+Also the home of the two calibrations that no bench measured: the true one, copied from the parts, and the
+ideal one, which holds the paper's equations.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.random import Generator
+from pydantic import Field
+
+from optsim.calibrate import Calibration
+from optsim.config import Part
+from optsim.errors import ConfigError, ValueCheckError
+from optsim.forward.crosstalk import crosstalk_kernel
+from optsim.forward.integrate import integrate_exposure, slot_means
+from optsim.forward.panel import PanelResponse, slot_weights
+from optsim.forward.radiometry import photons_per_joule
+from optsim.forward.relay import RelayGeometry, RelayOperator
+from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
+from optsim.ledger import LedgerRow, photon_ledger
+from optsim.optics import Modulator, Objective, Relay, Splitter, form_image, leak, throughput
+from optsim.quantities import (
+    Bools,
+    Bytes,
+    CodedFrame,
+    Doubles,
+    ExposureCode,
+    Floats,
+    Ints,
+    IrradianceVideo,
+    PanelState,
+    RadianceVideo,
+    Timing,
+    Video,
+    View,
+)
+from optsim.sensor import Ccd
+
+NOT_MODELLED: tuple[str, ...] = (
+    "field-dependent blur, defocus and depth of field",
+    "distortion, keystone and lateral colour",
+    "ghosts; glare is uniform",
+    "polarised scenes; angle and skew rays in the splitter; stress birefringence",
+    "fringing fields between panel pixels and light from the gaps",
+    "twist of the liquid crystal, row scan of the panel, polarity ripple, colour-sequential drive",
+    "smear, blooming, lag and hot pixels of the CCD",
+    "timing errors between panel and shutter",
+    "drift of anything after calibration",
+)
+
+SAMPLES_PER_PITCH = 3
+
+
+class CodedCamera(Part):
+    """Objective, splitter, panel, relay and CCD, with their true parameters.
+
+    Parameters
+    ----------
+    objective, splitter, modulator, relay, sensor
+        The parts.
+    panel_rows, panel_cols : int
+        Panel pixels used, from the middle of the panel.
+    slots_per_frame : int
+        Slots in the period of coded frames.
+    latency_frames : int
+        Code f may use frames up to f - latency_frames.
+    overlap : bool
+        Whether the CCD is read out during the next exposure; otherwise the last slots of each period, as
+        many as the readout takes, are uncoded: panel black and shutter closed.
+    serial_number : int
+        Seed of the fixed patterns of this very camera.
+    """
+
+    objective: Objective
+    splitter: Splitter
+    modulator: Modulator
+    relay: Relay
+    sensor: Ccd
+    panel_rows: int = Field(ge=1)
+    panel_cols: int = Field(ge=1)
+    slots_per_frame: int = Field(default=36, ge=1)
+    latency_frames: int = Field(default=3, ge=1)
+    overlap: bool = True
+    serial_number: int = Field(default=1, ge=0)
+
+    # -- what it is ---------------------------------------------------------------------------------------
+
+    @property
+    def view(self) -> View:
+        """Fine grid on which scenes are rendered for this camera."""
+        half_width_m = self.panel_cols * self.modulator.pitch_m / 2
+        return View(
+            rows=self.panel_rows * SAMPLES_PER_PITCH,
+            cols=self.panel_cols * SAMPLES_PER_PITCH,
+            samples_per_pitch=SAMPLES_PER_PITCH,
+            tan_half_width=half_width_m * self.objective.tan_per_metre(),
+        )
+
+    @property
+    def slot_s(self) -> float:
+        """Duration of a slot, s."""
+        return 1 / self.modulator.field_rate_hz
+
+    @property
+    def coded_slots(self) -> int:
+        """Slots of a period in which the shutter is open: whole slots that the readout leaves free."""
+        if self.overlap:
+            return self.slots_per_frame
+        # A readout of 39.1 ms is 7.04 fields, so 8 are lost.
+        return self.slots_per_frame - int(np.ceil(self.sensor.readout_s / self.slot_s - 1e-9))
+
+    @property
+    def contrast(self) -> float:
+        """Transmission of splitter, polarisers and panel fully on over fully off: an output."""
+        return 1 / leak(self.splitter, self.modulator)
+
+    @property
+    def panel_response(self) -> PanelResponse:
+        """True response of the panel between its polarisers."""
+        return PanelResponse(
+            tau_on_s=self.modulator.tau_on_s,
+            tau_off_s=self.modulator.tau_off_s,
+            leak=leak(self.splitter, self.modulator),
+            drive_exponent=self.modulator.drive_exponent,
+        )
+
+    @property
+    def irradiance_per_radiance(self) -> float:
+        """Modulator irradiance on axis per radiance, W m^-2 per W m^-2 sr^-1, glare left out."""
+        return self.objective.irradiance_per_radiance
+
+    @property
+    def ratio(self) -> float:
+        """CCD pixels to a panel pixel."""
+        return self.modulator.pitch_m * self.relay.magnification / self.sensor.pitch_m
+
+    def timing(self, n_frames: int) -> Timing:
+        """Slots and frames of an experiment."""
+        return Timing(self.slot_s, self.slots_per_frame, n_frames)
+
+    def with_nd(self, transmission: float) -> CodedCamera:
+        """Return the same camera behind another neutral density.
+
+        Raises
+        ------
+        ConfigError
+            For a transmission outside 0..1.
+        """
+        if not 0 < transmission <= 1:
+            raise ConfigError(
+                f"camera.objective.nd_transmission: got {transmission:g}, expected more than 0 and at most 1"
+            )
+        objective = self.objective.model_copy(update={"nd_transmission": transmission})
+        return self.model_copy(update={"objective": objective})
+
+    def without_glare(self) -> CodedCamera:
+        """Return the same camera without veiling glare in objective and relay."""
+        objective = self.objective.model_copy(update={"glare_share": 0.0})
+        relay = self.relay.model_copy(update={"glare_share": 0.0})
+        return self.model_copy(update={"objective": objective, "relay": relay})
+
+    # -- what it does -------------------------------------------------------------------------------------
+
+    def form_image(self, radiance: RadianceVideo) -> IrradianceVideo:
+        """Irradiance on the modulator; lazy, and keeps the segments of the last coded frame.
+
+        Raises
+        ------
+        ValueCheckError
+            When the video is of another panel or slot.
+        """
+        self._check(radiance)
+        kept = max(2, self.slots_per_frame // radiance.slots_per_segment)
+        return form_image(self.objective, radiance, self.modulator.pitch_m, kept)
+
+    def panel_at_rest(self) -> PanelState:
+        """State of a panel that has been dark for long."""
+        return PanelState(np.zeros((self.panel_rows, self.panel_cols), np.float32))
+
+    def expose(
+        self,
+        truth: IrradianceVideo,
+        index: int,
+        code: ExposureCode,
+        panel: PanelState,
+        rng: Generator,
+    ) -> tuple[CodedFrame, PanelState]:
+        """Take one coded frame.
+
+        Parameters
+        ----------
+        truth : IrradianceVideo
+            Light on the modulator.
+        index : int
+            Coded frame; it uses slots ``index * slots_per_frame`` and on.
+        code : ExposureCode
+            What to show, all slots of the period.
+        panel : PanelState
+            The panel when the frame begins.
+        rng : Generator
+            Of this frame's shot and read noise.
+
+        Returns
+        -------
+        frame : CodedFrame
+            What the CCD says, with its code.
+        panel : PanelState
+            The panel when the next frame begins.
+
+        Raises
+        ------
+        ValueCheckError
+            When code or truth are of another panel, slot or number of slots.
+        """
+        expected, after = self.expected_electrons(truth, index, code, panel)
+        dn, negative_light = self.sensor.digitise(expected, self.serial_number, rng)
+        return CodedFrame(index, dn, code, negative_light), after
+
+    def expected_electrons(
+        self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState
+    ) -> tuple[Doubles, PanelState]:
+        """Electrons that a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
+        self._check(truth)
+        expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
+        if code.levels.shape != expected:
+            raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
+        n_sub = truth.instants_per_slot
+        stuck, stuck_levels = self._stuck
+        levels = code.levels.copy()
+        levels[self.coded_slots :] = 0
+        levels[:, stuck] = stuck_levels[stuck]
+        weights, after = slot_weights(levels, panel.retardance_rad, self.panel_response, self.slot_s, n_sub)
+        weights[self.coded_slots * n_sub :] = 0
+        weights *= self._panel_gain
+        energy = integrate_exposure(truth, index * self.slots_per_frame, weights)
+        image = self.relay_operator(truth.samples_per_pitch).apply(energy)
+        return self._photon_electrons(image) + self._dark_e, PanelState(after)
+
+    def reference(self, truth: IrradianceVideo, index: int) -> Floats:
+        """What a perfect decoder returns for a frame: slot means over pitch cells, objective shading undone.
+
+        Returns
+        -------
+        ndarray of shape (slot, v, u), float32
+            W m^-2.
+        """
+        means = slot_means(truth, index * self.slots_per_frame, self.slots_per_frame)
+        return means / truth.shading
+
+    def relay_operator(self, samples_per_pitch: int = SAMPLES_PER_PITCH) -> RelayOperator:
+        """True operator from the fine grid behind the panel to radiant exposure on the CCD."""
+        panel_f_number = self.objective.working_f_number
+        transmission = self.relay.transmission * self.relay.accepted_share(panel_f_number)
+        return self.relay.operator(
+            self._relay_geometry(samples_per_pitch),
+            panel_f_number,
+            self.modulator.pitch_m / samples_per_pitch,
+            transmission,
+        )
+
+    # -- what one knows before building it ----------------------------------------------------------------
+
+    def ledger(self, radiance_w_m2_sr: float) -> tuple[LedgerRow, ...]:
+        """Photon ledger of a uniform radiance on axis, all-on."""
+        return photon_ledger(
+            radiance_w_m2_sr,
+            objective=self.objective,
+            splitter=self.splitter,
+            modulator=self.modulator,
+            relay=self.relay,
+            sensor=self.sensor,
+            coded_slots=self.coded_slots,
+        )
+
+    def geometry(self) -> GeometryReport:
+        """Whether and how the panel's image fits the CCD; raises nothing."""
+        return geometry_report(
+            panel=(self.panel_rows, self.panel_cols),
+            modulator=(self.modulator.rows, self.modulator.cols),
+            ccd=(self.sensor.rows, self.sensor.cols),
+            ratio=self.ratio,
+            shift_px=(self.relay.shift_y_px, self.relay.shift_x_px),
+            rotation_rad=self.relay.rotation_rad,
+            relay_accepts=self.relay.accepted_share(self.objective.working_f_number),
+        )
+
+    def smallest_latency_frames(self, computation_s: float = 0.05) -> LatencyReport:
+        """Smallest physical latency; the time for computing masks and codes is an assumption."""
+        return latency_report(
+            readout_s=self.sensor.readout_s,
+            ccd_pixels=self.sensor.rows * self.sensor.cols,
+            computation_s=computation_s,
+            period_s=self.slots_per_frame * self.slot_s,
+            slack_s=(self.slots_per_frame - self.coded_slots) * self.slot_s,
+        )
+
+    # -- calibrations that no bench measured --------------------------------------------------------------
+
+    def true_calibration(self) -> Calibration:
+        """Calibration copied from the parts; what it cannot hold is non-linearity and the relay's veil."""
+        row, col, on_ccd = self._relay_geometry(SAMPLES_PER_PITCH).picks(SAMPLES_PER_PITCH)
+        view, sensor = self.view, self.sensor
+        shading = self.objective.shading(view.rows, view.cols, self.modulator.pitch_m / SAMPLES_PER_PITCH)
+        gain = self._panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
+        operator = self.relay_operator()
+        flat_e = self._photon_electrons(operator.apply(shading * gain * self.slot_s))
+        offset_e = sensor.dark_signal_e(self.serial_number) + self._dark_e
+        return self._calibration(
+            "true",
+            response=self.panel_response,
+            picks=(row, col, on_ccd & ~self._stuck[0]),
+            responsivity_e=np.maximum(flat_e[row, col], 1e-30),
+            offset_e=offset_e[row, col],
+            full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
+            crosstalk=crosstalk_kernel(operator, SAMPLES_PER_PITCH, row, col),
+        )
+
+    def ideal_calibration(self) -> Calibration:
+        """The paper's equations: instantaneous panel, no leak, no crosstalk, nominal map and response."""
+        aligned = self.relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0})
+        nominal = self.model_copy(update={"relay": aligned})
+        electrons = {row.stage: row.value for row in self.ledger(1.0)}["electrons a slot"]
+        shape = (self.panel_rows, self.panel_cols)
+        return self._calibration(
+            "ideal",
+            response=PanelResponse(
+                tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=self.modulator.drive_exponent
+            ),
+            picks=nominal._relay_geometry(SAMPLES_PER_PITCH).picks(SAMPLES_PER_PITCH),
+            responsivity_e=np.full(shape, electrons / self.irradiance_per_radiance),
+            offset_e=np.zeros(shape),
+            full_well_e=self.sensor.full_well_e,
+            crosstalk=np.ones((1, 1)),
+        )
+
+    def _calibration(
+        self,
+        source: Literal["true", "ideal"],
+        *,
+        response: PanelResponse,
+        picks: tuple[Ints, Ints, Bools],
+        responsivity_e: Doubles,
+        offset_e: Doubles,
+        full_well_e: float,
+        crosstalk: Doubles,
+    ) -> Calibration:
+        sensor = self.sensor
+        read_noise_dn = float(np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5))
+        black_dn = sensor.black_dn + offset_e / sensor.gain_e
+        # Four sigma below the clip: a saturated pixel is missed once in 30 000.
+        clip_dn = np.minimum(black_dn + full_well_e / sensor.gain_e, sensor.max_dn)
+        return Calibration(
+            source=source,
+            slot_s=self.slot_s,
+            slots_per_frame=self.slots_per_frame,
+            coded_slots=self.coded_slots,
+            response=response,
+            pick_row=picks[0],
+            pick_col=picks[1],
+            valid=picks[2],
+            responsivity_dn=(responsivity_e / sensor.gain_e).astype(np.float32),
+            black_dn=black_dn.astype(np.float32),
+            saturation_dn=(clip_dn - 4 * read_noise_dn).astype(np.float32),
+            read_noise_dn=read_noise_dn,
+            dn_per_e=1 / sensor.gain_e,
+            crosstalk=crosstalk.astype(np.float32),
+            gain_uncertainty=0.0,
+            leak_uncertainty=0.0,
+            map_residual_px=0.0,
+        )
+
+    # -- small shared pieces ------------------------------------------------------------------------------
+
+    def _check(self, video: Video) -> None:
+        panel = (self.panel_rows, self.panel_cols)
+        if video.panel_shape != panel or abs(video.slot_s / self.slot_s - 1) > 1e-6:
+            raise ValueCheckError(
+                f"video of panel {video.panel_shape} and slots of {video.slot_s * 1e3:.4g} ms: this camera has "
+                f"{panel} panel pixels (camera.panel_rows, camera.panel_cols) and slots of "
+                f"{self.slot_s * 1e3:.4g} ms (camera.modulator.field_rate_hz)"
+            )
+
+    @property
+    def _panel_gain(self) -> Floats:
+        """Transmission of splitter and panel fully on, (v, u)."""
+        pattern = self.modulator.gain(self.panel_rows, self.panel_cols, self.serial_number)
+        return pattern * np.float32(throughput(self.splitter, self.modulator, np.pi))
+
+    @property
+    def _stuck(self) -> tuple[Bools, Bytes]:
+        return self.modulator.stuck(self.panel_rows, self.panel_cols, self.serial_number)
+
+    @property
+    def _dark_e(self) -> float:
+        return self.sensor.dark_current_e_s * self.coded_slots * self.slot_s
+
+    def _photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
+        """Electrons that a radiant exposure of the CCD frees on average, (y, x)."""
+        per_j_m2 = self.sensor.pixel_area_m2 * photons_per_joule() * self.sensor.quantum_efficiency
+        return energy_j_m2 * (per_j_m2 * self.sensor.pixel_response(self.serial_number))
+
+    def _relay_geometry(self, samples_per_pitch: int) -> RelayGeometry:
+        return RelayGeometry(
+            rows=self.panel_rows * samples_per_pitch,
+            cols=self.panel_cols * samples_per_pitch,
+            ccd_rows=self.sensor.rows,
+            ccd_cols=self.sensor.cols,
+            cell_px=self.ratio / samples_per_pitch,
+            magnification=self.relay.magnification,
+            shift_y_px=self.relay.shift_y_px,
+            shift_x_px=self.relay.shift_x_px,
+            rotation_rad=self.relay.rotation_rad,
+        )

@@ -1,0 +1,41 @@
+"""A plain camera: every pixel open at the same time."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from optsim.coding.tiles import TiledScheme, bump
+from optsim.errors import ConfigError
+from optsim.quantities import Bytes
+
+
+class NormalPhotography(TiledScheme):
+    """All pixels open, in all coded slots or in the first few.
+
+    Parameters
+    ----------
+    open_slots : int or None
+        Slots open from the start of the frame; None is all coded slots. The paper's comparison
+        (its figure 4) does not say which exposure it used.
+    """
+
+    TEMPORAL: ClassVar[bool] = False
+    kind: Literal["normal_photography"] = "normal_photography"
+    open_slots: int | None = Field(default=None, ge=1)
+
+    def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
+        """One pixel, the same in all frames.
+
+        Raises
+        ------
+        ConfigError
+            When more slots are to be open than are coded.
+        """
+        del rng
+        length = self.open_slots or coded_slots
+        if length > coded_slots:
+            raise ConfigError(f"open_slots: got {length}, expected at most the {coded_slots} coded slots")
+        return bump(slots, 0, length).reshape(1, slots, 1, 1)

@@ -1,0 +1,80 @@
+"""Codes that repeat: a small tile of drive levels, repeated over the panel and over the frames."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from optsim.calibrate.calibration import Calibration
+from optsim.config import Part
+from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode
+
+OPEN = 255
+
+
+@dataclass(frozen=True, eq=False)
+class TiledCode:
+    """The state of a scheme that never changes its mind: its tiles and the panel's size.
+
+    Parameters
+    ----------
+    tiles : ndarray of shape (frame, slot, y, x), uint8
+        Drive levels; coded frame f shows ``tiles[f mod len(tiles)]``, repeated from panel pixel (0, 0).
+    shape : tuple of int
+        Panel pixels (v, u).
+    """
+
+    tiles: Bytes
+    shape: tuple[int, int]
+
+    def levels(self, index: int) -> Bytes:
+        """Drive levels of a coded frame: array of shape (slot, v, u), uint8."""
+        tile = self.tiles[index % len(self.tiles)]
+        rows = np.arange(self.shape[0]) % tile.shape[1]
+        cols = np.arange(self.shape[1]) % tile.shape[2]
+        return tile[:, rows[:, None], cols]
+
+
+class TiledScheme(Part, ABC):
+    """A scheme whose code does not depend on the scene; a subclass gives its tiles.
+
+    ``TEMPORAL`` says whether its pixels are for the sparse decoder.
+    """
+
+    TEMPORAL: ClassVar[bool]
+
+    @abstractmethod
+    def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
+        """Levels of shape (frame, slot, y, x), dark in slots >= coded_slots."""
+
+    def init(self, calibration: Calibration, rng: np.random.Generator) -> TiledCode:
+        """Choose the tiles once; all randomness of the scheme is here.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Gives the panel's size and the number of slots.
+        rng : numpy.random.Generator
+            The scheme's own stream.
+        """
+        tiles = self.tiles(calibration.slots_per_frame, calibration.coded_slots, rng)
+        return TiledCode(tiles, calibration.shape)
+
+    def next(
+        self, index: int, arrived: Sequence[CodedFrame], state: TiledCode
+    ) -> tuple[ExposureCode, TiledCode]:
+        """Code of frame ``index``; what has arrived does not matter."""
+        del arrived
+        moving: Bools = np.full(state.shape, self.TEMPORAL)
+        return ExposureCode(state.levels(index), moving), state
+
+
+def bump(slots: int, first: int, length: int) -> Bytes:
+    """Levels of one pixel, open in slots first .. first + length - 1: array of shape (slot,)."""
+    levels = np.zeros(slots, np.uint8)
+    levels[first : first + length] = OPEN
+    return levels

@@ -1,0 +1,153 @@
+# pyright: reportMissingTypeStubs=false
+"""Field-constant point spread functions on the fine grid, and their application by FFT.
+
+A kernel is diffraction at a circular aperture convolved with a Gaussian for the aberrations and integrated
+over a cell: every cell sends its light from its centre. The transfer function is the product of the three
+closed forms (J. W. Goodman, *Introduction to Fourier Optics*, 3rd ed., Roberts 2005, section 6.3, for the
+diffraction-limited incoherent one), so no wing is cut off: what lies beyond the window, a stated share of
+the energy, is folded back into it, and the kernel sums to 1.
+
+Integrating over a cell of side h adds h^2/12 to the variance. It is taken out of the Gaussian, so second
+moments are exact wherever sigma >= h/sqrt(12); below that the blur is too large by the difference.
+
+Not modelled: variation over the field, coma and astigmatism, colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as _scipy_fft
+
+from optsim.quantities import Block, Doubles, Floats
+
+fft: Any = _scipy_fft  # comes without types
+
+
+def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
+    """Incoherent transfer function of a circular aperture without aberrations (Goodman, section 6.3)."""
+    rho = np.minimum(np.abs(frequency) / cutoff, 1.0)
+    return (2 / np.pi) * (np.arccos(rho) - rho * np.sqrt(1 - rho**2))
+
+
+def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, wing_share: float) -> int:
+    """Cells from the centre to the edge of a window that misses at most ``wing_share`` of an Airy pattern.
+
+    Outside radius r an Airy pattern has about 2 lambda N / (pi^2 r) of its energy (Born and Wolf, 8.5.2).
+    """
+    radius_m = 2 * wavelength_m * f_number / (np.pi**2 * wing_share)
+    return max(2, int(np.ceil(radius_m / cell_m)))
+
+
+def psf_kernel(
+    f_number: float, sigma_m: float, cell_m: float, wavelength_m: float, wing_share: float
+) -> Doubles:
+    """Kernel of diffraction and aberrations on a grid of square cells.
+
+    Parameters
+    ----------
+    f_number : float
+        Working f-number of the cone that lands on the grid.
+    sigma_m : float
+        Standard deviation of the aberrations' Gaussian along each axis, m.
+    cell_m : float
+        Side of a cell in the plane where f-number and sigma hold, m.
+    wavelength_m : float
+        Wavelength, m.
+    wing_share : float
+        Share of the energy that may be folded back from outside the window.
+
+    Returns
+    -------
+    ndarray of shape (2 h + 1, 2 h + 1), float64
+        Not negative, symmetric, sums to 1.
+    """
+    half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share)
+    size = 2 * half + 1
+    cutoff = cell_m / (wavelength_m * f_number)  # cycles a cell, like all frequencies here
+    variance = max((sigma_m / cell_m) ** 2 - 1 / 12, 0.0)
+    base = np.fft.fftfreq(size)
+    reach = int(np.ceil(cutoff + 0.5))
+    transfer = np.zeros((size, size))
+    for fold_y in range(-reach, reach + 1):
+        fy = (base + fold_y)[:, None]
+        for fold_x in range(-reach, reach + 1):
+            fx = base + fold_x
+            square = fx**2 + fy**2
+            blur = np.exp(-2 * np.pi**2 * variance * square) * np.sinc(fx) * np.sinc(fy)
+            transfer += diffraction_mtf(np.sqrt(square), cutoff) * blur
+    kernel: Doubles = np.maximum(np.fft.fftshift(np.fft.ifft2(transfer).real), 0)
+    return kernel / kernel.sum()
+
+
+@dataclass(frozen=True, eq=False)
+class Blur:
+    """Convolution with a symmetric kernel on a grid of one size, dark outside: its own adjoint.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the grid.
+    padded : tuple of int
+        Size of the transforms: the grid plus the kernel's reach, so that nothing wraps around.
+    transfer : ndarray, float64
+        Real transfer function on the half plane of ``rfft2``.
+    """
+
+    shape: tuple[int, int]
+    padded: tuple[int, int]
+    transfer: Doubles
+
+    def apply(self, image: NDArray[np.floating]) -> Doubles:
+        """Convolve an image of shape (..., y, x), or a stack of them; float64."""
+        rows, cols = self.shape
+        spectrum = fft.rfft2(image.astype(np.float64), s=self.padded)
+        spectrum *= self.transfer
+        return np.asarray(fft.irfft2(spectrum, s=self.padded)[..., :rows, :cols])
+
+
+def make_blur(kernel: Doubles, shape: tuple[int, int]) -> Blur:
+    """Prepare a kernel (odd sides, symmetric) for images of one shape."""
+    half = kernel.shape[0] // 2
+    padded = (fft.next_fast_len(shape[0] + half, real=True), fft.next_fast_len(shape[1] + half, real=True))
+    padded = (max(padded[0], kernel.shape[0]), max(padded[1], kernel.shape[1]))
+    wrapped = np.zeros(padded)
+    wrapped[: 2 * half + 1, : 2 * half + 1] = kernel
+    wrapped = np.roll(wrapped, (-half, -half), axis=(0, 1))
+    return Blur(shape, padded, np.ascontiguousarray(fft.rfft2(wrapped).real))
+
+
+def extend(image: Floats, reach: int) -> Floats:
+    """Continue an image beyond its border with its border's values: the scene does not end there."""
+    return np.pad(image, reach, mode="edge")
+
+
+def blur_block(block: Block, kernel: Doubles, shape: tuple[int, int]) -> Block:
+    """Convolve a moving block; it grows by the kernel's half width, within the image.
+
+    Parameters
+    ----------
+    block : Block
+        Excess in a rectangle.
+    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
+        Symmetric kernel.
+    shape : tuple of int
+        Rows and columns of the whole image; where the block touches its border, the excess continues
+        beyond it, as :func:`extend` continues the base.
+    """
+    half = kernel.shape[0] // 2
+    _, height, width = block.excess.shape
+    starts, ends = (block.row, block.col), (block.row + height, block.col + width)
+    border = [(half * (a == 0), half * (b == n)) for a, b, n in zip(starts, ends, shape, strict=True)]
+    inner = [(half - a, half - b) for a, b in border]
+    wide = np.pad(block.excess, ((0, 0), *border), mode="edge")
+    wide = np.pad(wide, ((0, 0), *inner))
+    blurred = make_blur(kernel, (height + 2 * half, width + 2 * half)).apply(wide)
+    row, col = max(block.row - half, 0), max(block.col - half, 0)
+    top, left = row - (block.row - half), col - (block.col - half)
+    bottom = min(ends[0] + half, shape[0]) - (block.row - half)
+    right = min(ends[1] + half, shape[1]) - (block.col - half)
+    return Block(row, col, np.ascontiguousarray(blurred[:, top:bottom, left:right], dtype=np.float32))

@@ -1,0 +1,59 @@
+"""Whole cameras: the paper's prototype as far as it is known, and a small one for demonstrations."""
+
+from __future__ import annotations
+
+from optsim.camera import CodedCamera
+from optsim.hardware.lcr720 import lcr720
+from optsim.hardware.sensors import icx674
+from optsim.optics import Objective, Relay, Splitter
+
+
+def prototype_relay() -> Relay:
+    """Relay of the prototype: the paper says three lenses and a splitter, and gives no numbers."""
+    return Relay(
+        # The paper's "three times" does not fit 500 rows on 1440: 2.88 = 1440 / 500 does, without margin.
+        magnification=2.88 * 4.54 / 20,
+        # No source; just fast enough for the cone of an f/4 objective (f/6 on the panel).
+        f_number=3.9,
+        # No source; four passes through coated lenses.
+        transmission=0.92,
+        # No source; between 2 um in the centre and 5 um in the corner of usual achromats.
+        aberration_m=3e-6,
+        # No source; sensible default for coated achromats and a cube.
+        glare_share=0.005,
+    )
+
+
+def prototype() -> CodedCamera:
+    """Camera of Nagahara et al.: 600 x 500 panel pixels, 36 slots at 180 Hz, 5 frames a second."""
+    return CodedCamera(
+        # Tokina, f = 12.5 mm (the paper); its f-number is not given, f/4 is a sensible default. 1.5 is a
+        # design choice (no source) that gives a field of 35.5 x 30 degrees.
+        objective=Objective(focal_length_m=12.5e-3, f_number=4.0, magnification=1.5),
+        splitter=Splitter(),
+        modulator=lcr720(),
+        relay=prototype_relay(),
+        sensor=icx674(),
+        panel_rows=500,
+        panel_cols=600,
+        slots_per_frame=36,
+        latency_frames=3,
+    )
+
+
+def demo() -> CodedCamera:
+    """Return a hypothetical small camera: 160 x 120 panel pixels at exactly 3 CCD pixels each.
+
+    The lens does not exist: its focal length is shortened with the panel, so that the horizontal field
+    is the prototype's 35.5 degrees. The CCD reads a region of interest that leaves 4 pixels around.
+    """
+    full = prototype()
+    return full.model_copy(
+        update={
+            "objective": Objective(focal_length_m=12.5e-3 * 160 / 600, f_number=4.0, magnification=1.5),
+            "relay": full.relay.model_copy(update={"magnification": 3 * 4.54 / 20}),
+            "sensor": full.sensor.model_copy(update={"rows": 120 * 3 + 8, "cols": 160 * 3 + 8}),
+            "panel_rows": 120,
+            "panel_cols": 160,
+        }
+    )

@@ -1,0 +1,62 @@
+"""Image sensors, with a source beside each number."""
+
+from __future__ import annotations
+
+from optsim.sensor import Ccd
+
+
+def icx674() -> Ccd:
+    """Point Grey GS3-U3-28S5M (Sony ICX674, interline), the coded camera of the prototype, 14 bit."""
+    return Ccd(
+        # Point Grey camera table of an exposure-time calculator (AudeLA): 1920 x 1440, 4.54 um.
+        rows=1440,
+        cols=1920,
+        pitch_m=4.54e-6,
+        # Same table: 0.67 at 525 nm; times 0.99 to 550 nm (no source for the shape of the curve).
+        quantum_efficiency=0.663,
+        # Published Mitsuba-based simulation of the ICX674. The table's 14 693 e- is the EMVA saturation
+        # capacity, the peak of the variance, a little below.
+        full_well_e=15770.0,
+        # Same table.
+        read_noise_e=9.39,
+        dark_current_e_s=1.27,
+        # No source for either; sensible defaults.
+        prnu=0.008,
+        dsnu_e=1.5,
+        # Same table: 0.24 e- per 16-bit number, so 0.96 at 14 bit.
+        gain_e=0.96,
+        bits=14,
+        # No source; the clamp can be set from 0 to 1023 (Grasshopper3 Technical Reference, "ADC").
+        black_dn=64.0,
+        # No source; at most 1 % up to 80 % of the well, 3 % at the well.
+        bend_at_full_well=0.03,
+        # Read-out table of beam-line software for this camera model.
+        readout_s=39.1e-3,
+    )
+
+
+def imx174() -> Ccd:
+    """Point Grey GS3-U3-23S6 (Sony IMX174, global-shutter CMOS), the paper's ground-truth camera, mono, 12 bit."""
+    return Ccd(
+        # Data of the same pixel in matrix-vision's mvBlueFOX3 manual (IMX249): 1920 x 1200, 5.86 um.
+        rows=1200,
+        cols=1920,
+        pitch_m=5.86e-6,
+        # Point Grey's figure at 525 nm, not seen in print; 550 nm taken as equal.
+        quantum_efficiency=0.76,
+        # From the same manual's SNR of 45.1 dB and dynamic range of 73 dB.
+        full_well_e=32400.0,
+        read_noise_e=7.2,
+        # No source from here to dsnu_e; sensible defaults.
+        dark_current_e_s=1.0,
+        prnu=0.008,
+        dsnu_e=1.5,
+        # Full well over the range of 12 bit.
+        gain_e=8.0,
+        bits=12,
+        # No source for either; sensible defaults.
+        black_dn=16.0,
+        bend_at_full_well=0.01,
+        # Read-out table of beam-line software for this camera model, Mono16.
+        readout_s=12.2e-3,
+    )

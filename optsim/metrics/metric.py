@@ -1,0 +1,88 @@
+"""What every metric is: a sum of errors that can be streamed, and a number made of it at the end."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar, cast
+
+import numpy as np
+
+from optsim.config import Part
+from optsim.errors import ValueCheckError
+from optsim.quantities import Bools, Doubles, Floats, checked
+
+
+class Metric(Part):
+    """A mean of squared differences in some encoding of luminance; its name holds all its parameters.
+
+    Errors are summed frame by frame, so that nothing ever holds a whole video, and sums of disjoint
+    regions add up to the sum of their union.
+    """
+
+    unit: ClassVar[str]
+    higher_is_better: ClassVar[bool]
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name with every parameter that decides the number."""
+
+    @abstractmethod
+    def encode(self, luminance_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
+        """Encode luminance, cd/m^2, on the scale on which differences are squared."""
+
+    @abstractmethod
+    def finish(self, total: float, count: int) -> float | None:
+        """Turn a sum over ``count`` samples into the metric; None where it would not be a finite number."""
+
+    def clamped(self, luminance_cd_m2: Doubles) -> int:
+        """Count samples outside the range in which this metric can tell luminances apart."""
+        return 0
+
+    def sum_errors(
+        self, estimate_cd_m2: Floats, reference_cd_m2: Floats, where: Bools, white_cd_m2: float
+    ) -> tuple[float, int]:
+        """Sum squared errors over the samples of a mask.
+
+        Parameters
+        ----------
+        estimate_cd_m2, reference_cd_m2 : ndarray of shape (slot, v, u), float32
+            Luminance, cd/m^2. A reference may dip below zero (unbiased Monte Carlo).
+        where : ndarray of shape (slot, v, u) or (v, u), bool
+            Samples that count.
+        white_cd_m2 : float
+            Luminance of the scene's declared white.
+
+        Returns
+        -------
+        total : float
+            Sum in float64.
+        count : int
+            Samples in it.
+
+        Raises
+        ------
+        ValueCheckError
+            For a sample that is not finite, inside the mask or outside, with its place; for other shapes.
+        """
+        axes = ("slot", "v", "u")
+        estimate = checked(
+            "estimate", estimate_cd_m2, axes=axes, dtype=np.float32, unit="cd/m^2", nonnegative=False
+        )
+        reference = checked(
+            "reference", reference_cd_m2, axes=axes, dtype=np.float32, unit="cd/m^2", nonnegative=False
+        )
+        if estimate.shape != reference.shape or where.shape not in (estimate.shape, estimate.shape[1:]):
+            raise ValueCheckError(
+                f"{self.name}: estimate {estimate.shape}, reference {reference.shape} and mask {where.shape} "
+                "are not of one size"
+            )
+        total, count = 0.0, 0
+        for slot in range(estimate.shape[0]):
+            mask = where if where.ndim == 2 else where[slot]
+            theirs = cast("Floats", reference[slot])[mask].astype(np.float64)
+            ours = cast("Floats", estimate[slot])[mask].astype(np.float64)
+            difference = self.encode(ours, white_cd_m2) - self.encode(theirs, white_cd_m2)
+            total += float(np.dot(difference, difference))
+            count += difference.size
+        return total, count

@@ -1,0 +1,114 @@
+"""Which pixels really move, from the truth, and how well a scheme's mask agrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.quantities import Bools, Floats, checked
+
+SIGMAS = 2.0
+RELATIVE_CHANGE = 0.02
+
+
+def oracle_moving(
+    reference_w_m2: Floats, previous_w_m2: Floats | None, slot_sigma_w_m2: Floats | float
+) -> Bools:
+    """Pixels whose slot irradiance changes within a coded frame or since the previous one.
+
+    A change is a range (largest less smallest slot) above max(2 sigma of a slot's predicted noise,
+    2 % of the mid-range); moving shadows and bounce light count. The thresholds are this project's
+    definition, without outside source.
+
+    Parameters
+    ----------
+    reference_w_m2 : ndarray of shape (slot, v, u), float32
+        Truth during the frame, W/m^2.
+    previous_w_m2 : ndarray of shape (slot, v, u), float32, or None
+        Truth during the frame before; None for the first.
+    slot_sigma_w_m2 : ndarray of shape (v, u) or float
+        Predicted noise of a slot, W/m^2.
+
+    Returns
+    -------
+    ndarray of shape (v, u), bool
+        True where it moves.
+
+    Raises
+    ------
+    ValueCheckError
+        For values that are not finite, or frames of different panels.
+    """
+    frames = [reference_w_m2] if previous_w_m2 is None else [reference_w_m2, previous_w_m2]
+    for frame in frames:
+        checked(
+            "reference",
+            frame,
+            axes=("slot", "v", "u"),
+            dtype=np.float32,
+            unit="W m^-2",
+            nonnegative=False,
+        )
+    panel = reference_w_m2.shape[1:]
+    sigma = np.asarray(slot_sigma_w_m2, np.float32)
+    if frames[-1].shape[1:] != panel or sigma.shape not in ((), panel):
+        raise ValueCheckError(
+            f"oracle mask: frames {[f.shape for f in frames]} and noise {sigma.shape} are of different panels"
+        )
+    if not (np.isfinite(sigma).all() and (sigma >= 0).all()):
+        raise ValueCheckError("oracle mask: the noise of a slot must be finite and not negative")
+    low = np.minimum.reduce([cast("Floats", frame.min(axis=0)) for frame in frames])
+    high = np.maximum.reduce([cast("Floats", frame.max(axis=0)) for frame in frames])
+    threshold = np.maximum(SIGMAS * sigma, RELATIVE_CHANGE * np.abs(high + low) / 2)
+    return cast("Bools", high - low > threshold)
+
+
+@dataclass(frozen=True)
+class MaskAgreement:
+    """Counts of a mask against the oracle; shares are None where they have no meaning.
+
+    Parameters
+    ----------
+    hits, false_alarms, misses, correct_static : int
+        Pixels: both moving, only the mask, only the oracle, neither.
+    """
+
+    hits: int
+    false_alarms: int
+    misses: int
+    correct_static: int
+
+    @property
+    def precision(self) -> float | None:
+        """Share of the mask that moves."""
+        return _share(self.hits, self.hits + self.false_alarms)
+
+    @property
+    def recall(self) -> float | None:
+        """Share of what moves that is in the mask."""
+        return _share(self.hits, self.hits + self.misses)
+
+    @property
+    def iou(self) -> float | None:
+        """Intersection over union."""
+        return _share(self.hits, self.hits + self.false_alarms + self.misses)
+
+
+def mask_agreement(mask: Bools, oracle: Bools) -> MaskAgreement:
+    """Compare a motion mask with the oracle, both of shape (v, u)."""
+    if mask.shape != oracle.shape or mask.dtype != np.bool_ or oracle.dtype != np.bool_:
+        raise ValueCheckError(
+            f"masks: got {mask.dtype} {mask.shape} and {oracle.dtype} {oracle.shape}, "
+            "expected bool of one size"
+        )
+    hits = int(np.count_nonzero(mask & oracle))
+    in_mask, in_oracle = int(np.count_nonzero(mask)), int(np.count_nonzero(oracle))
+    false_alarms, misses = in_mask - hits, in_oracle - hits
+    return MaskAgreement(hits, false_alarms, misses, mask.size - hits - false_alarms - misses)
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

@@ -1,0 +1,298 @@
+"""Scores of a run: one small tally a coded frame, pooled afterwards by method, region and phase.
+
+Pooling is exact (``math.fsum``), so the order in which frames arrive cannot change a result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypedDict
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.metrics.metric import Metric
+from optsim.metrics.photometry import PhotometricScale
+from optsim.quantities import Bools, Doubles, Floats, Ints, Reconstruction
+
+Region = Literal["all", "moving", "static"]
+Phase = Literal["warm-up", "merging", "steady"]
+REGIONS: tuple[Region, ...] = ("all", "moving", "static")
+PHASES: tuple[Phase, ...] = ("warm-up", "merging", "steady")
+TRUTH_NOISE = "truth noise"
+"""Method name of the tallies that say what the truth's own noise can certify."""
+
+
+class ScoreRecord(TypedDict):
+    """One score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    phase: Phase
+    value: float | None
+    flag: str
+    n: int
+    higher_is_better: bool
+    clamped_share: float
+
+
+class CoverageRecord(TypedDict):
+    """Shares of the samples of a region: scored, and of those filled from neighbours."""
+
+    method: str
+    region: Region
+    phase: Phase
+    valid: float
+    interpolated: float
+
+
+class SeriesRecord(TypedDict):
+    """A score per coded frame or per slot: ``x`` is the index, ``values`` may hold None."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    x: list[int]
+    values: list[float | None]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTally:
+    """Sums of one method's errors in one coded frame; region 0 moves, region 1 is static.
+
+    Parameters
+    ----------
+    method : str
+        Whose reconstruction.
+    index : int
+        Coded-frame index.
+    sums : ndarray of shape (metric, region, slot), float64
+        Sums of squared errors.
+    counts, interpolated, samples : ndarray of shape (region, slot), int64
+        Samples scored, those of them filled from neighbours, and samples there are.
+    clamped : ndarray of shape (metric, region), int64
+        Scored samples whose reference lies outside the metric's range.
+    """
+
+    method: str
+    index: int
+    sums: Doubles
+    counts: Ints
+    interpolated: Ints
+    samples: Ints
+    clamped: Ints
+
+
+@dataclass(frozen=True)
+class ScoreBoard:
+    """What decides the scores of a run: metrics, photometric scale, and which frames are in which phase.
+
+    Parameters
+    ----------
+    metrics : sequence of Metric
+        Usually ``optsim.metrics.ALL``.
+    scale : PhotometricScale
+        The scene's stated scale.
+    latency_frames : int
+        Latency of the loop, for the phases.
+    coded_slots : int
+        Slots of a frame that are coded and therefore scored; the others count as not covered.
+    """
+
+    metrics: Sequence[Metric]
+    scale: PhotometricScale
+    latency_frames: int
+    coded_slots: int
+
+    def phase(self, index: int) -> Phase:
+        """Phase of a coded frame: until two frames have arrived, until four mosaic frames exist, steady."""
+        if index < self.latency_frames + 1:
+            return "warm-up"
+        return "merging" if index < self.latency_frames + 4 else "steady"
+
+    def tally(
+        self, method: str, reconstruction: Reconstruction, reference_w_m2: Floats, moving: Bools
+    ) -> FrameTally:
+        """Sum the errors of one reconstruction.
+
+        Parameters
+        ----------
+        method : str
+            Name to score it under.
+        reconstruction : Reconstruction
+            The estimate; its invalid pixels are not scored, but counted.
+        reference_w_m2 : ndarray of shape (slot, v, u), float32
+            Truth of the same coded frame, W/m^2.
+        moving : ndarray of shape (v, u), bool
+            The oracle's mask: the same for all methods.
+        """
+        r = reconstruction
+        return self._tally(
+            method, r.index, r.irradiance_w_m2, reference_w_m2, moving, r.valid, r.interpolated
+        )
+
+    def tally_noise(
+        self, index: int, reference_w_m2: Floats, half_difference_w_m2: Floats, moving: Bools
+    ) -> FrameTally:
+        """Sum the errors that the truth's own Monte-Carlo noise makes: no score above its can be certified.
+
+        Parameters
+        ----------
+        index : int
+            Coded-frame index.
+        reference_w_m2, half_difference_w_m2 : ndarray of shape (slot, v, u), float32
+            Slot means of the truth and of (half A - half B) / 2 of two independent renders, whose
+            variance is that of the noise of their mean. For the linear PSNR the result is
+            -10 log10(mean d^2 / white^2) exactly.
+        moving : ndarray of shape (v, u), bool
+            The oracle's mask.
+        """
+        noisy = (reference_w_m2 + half_difference_w_m2).astype(np.float32)
+        everywhere, nowhere = np.ones(moving.shape, np.bool_), np.zeros(moving.shape, np.bool_)
+        return self._tally(TRUTH_NOISE, index, noisy, reference_w_m2, moving, everywhere, nowhere)
+
+    def _tally(
+        self,
+        method: str,
+        index: int,
+        estimate_w_m2: Floats,
+        reference_w_m2: Floats,
+        moving: Bools,
+        valid: Bools,
+        interpolated: Bools,
+    ) -> FrameTally:
+        slots = reference_w_m2.shape[0]
+        if estimate_w_m2.shape != reference_w_m2.shape or moving.shape != reference_w_m2.shape[1:]:
+            raise ValueCheckError(
+                f"{method}, frame {index}: estimate {estimate_w_m2.shape}, reference "
+                f"{reference_w_m2.shape} and mask {moving.shape} are not of one size"
+            )
+        regions = (moving, ~moving)
+        sums = np.zeros((len(self.metrics), 2, slots))
+        clamped = np.zeros((len(self.metrics), 2), np.int64)
+        counts, interpolated_counts, samples = (np.zeros((2, slots), np.int64) for _ in range(3))
+        for r, region in enumerate(regions):
+            samples[r] = np.count_nonzero(region)
+            counts[r, : self.coded_slots] = np.count_nonzero(region & valid)
+            interpolated_counts[r, : self.coded_slots] = np.count_nonzero(region & valid & interpolated)
+        white = self.scale.white_cd_m2
+        for slot in range(min(slots, self.coded_slots)):
+            # One slot at a time: it stays in the processor's cache for all metrics and regions.
+            estimate = self.scale.luminance_cd_m2(estimate_w_m2[slot : slot + 1])
+            reference = self.scale.luminance_cd_m2(reference_w_m2[slot : slot + 1])
+            for r, region in enumerate(regions):
+                where = region & valid
+                scored = reference[0][where].astype(np.float64)
+                for m, metric in enumerate(self.metrics):
+                    sums[m, r, slot] = metric.sum_errors(estimate, reference, where, white)[0]
+                    clamped[m, r] += metric.clamped(scored)
+        return FrameTally(method, index, sums, counts, interpolated_counts, samples, clamped)
+
+    def records(self, tallies: Iterable[FrameTally]) -> list[ScoreRecord]:
+        """Scores by method, phase, metric and region, JSON-able; phases without frames are left out."""
+        found: list[ScoreRecord] = []
+        for (method, phase), group in self._by_method_and_phase(tallies).items():
+            for m, metric in enumerate(self.metrics):
+                for region in REGIONS:
+                    value, flag, n = self._pooled(group, m, region, None)
+                    clamped = sum(int(t.clamped[m, _rows(region)].sum()) for t in group)
+                    found.append(
+                        {
+                            "method": method,
+                            "metric": metric.name,
+                            "unit": metric.unit,
+                            "region": region,
+                            "phase": phase,
+                            "value": value,
+                            "flag": flag,
+                            "n": n,
+                            "higher_is_better": metric.higher_is_better,
+                            "clamped_share": clamped / n if n else 0.0,
+                        }
+                    )
+        return found
+
+    def coverage(self, tallies: Iterable[FrameTally]) -> list[CoverageRecord]:
+        """Share of each region that was scored, by method and phase."""
+        found: list[CoverageRecord] = []
+        for (method, phase), group in self._by_method_and_phase(tallies).items():
+            for region in REGIONS:
+                rows = _rows(region)
+                samples, counts, filled = (
+                    sum(int(getattr(t, name)[rows].sum()) for t in group)
+                    for name in ("samples", "counts", "interpolated")
+                )
+                found.append(
+                    {
+                        "method": method,
+                        "region": region,
+                        "phase": phase,
+                        "valid": counts / samples if samples else 0.0,
+                        "interpolated": filled / counts if counts else 0.0,
+                    }
+                )
+        return found
+
+    def frame_series(self, tallies: Iterable[FrameTally]) -> list[SeriesRecord]:
+        """Score of each coded frame, by method, metric and region."""
+        groups: dict[str, list[FrameTally]] = {}
+        for tally in sorted(tallies, key=lambda t: t.index):
+            groups.setdefault(tally.method, []).append(tally)
+        return [
+            {
+                "method": method,
+                "metric": metric.name,
+                "unit": metric.unit,
+                "region": region,
+                "x": [t.index for t in group],
+                "values": [self._pooled([t], m, region, None)[0] for t in group],
+            }
+            for method, group in groups.items()
+            for m, metric in enumerate(self.metrics)
+            for region in REGIONS
+        ]
+
+    def slot_series(self, tallies: Iterable[FrameTally], phase: Phase = "steady") -> list[SeriesRecord]:
+        """Score of each slot inside a coded frame, pooled over a phase: shows code-synchronous flicker."""
+        slots = range(self.coded_slots)
+        return [
+            {
+                "method": method,
+                "metric": metric.name,
+                "unit": metric.unit,
+                "region": region,
+                "x": list(slots),
+                "values": [self._pooled(group, m, region, slot)[0] for slot in slots],
+            }
+            for (method, found), group in self._by_method_and_phase(tallies).items()
+            if found == phase
+            for m, metric in enumerate(self.metrics)
+            for region in REGIONS
+        ]
+
+    def _by_method_and_phase(
+        self, tallies: Iterable[FrameTally]
+    ) -> dict[tuple[str, Phase], list[FrameTally]]:
+        groups: dict[tuple[str, Phase], list[FrameTally]] = {}
+        for tally in tallies:
+            groups.setdefault((tally.method, self.phase(tally.index)), []).append(tally)
+        return dict(sorted(groups.items(), key=lambda item: PHASES.index(item[0][1])))
+
+    def _pooled(
+        self, group: Sequence[FrameTally], m: int, region: Region, slot: int | None
+    ) -> tuple[float | None, str, int]:
+        rows, slots = _rows(region), slice(None) if slot is None else slice(slot, slot + 1)
+        total = math.fsum(float(x) for t in group for x in t.sums[m, rows, slots].flat)
+        count = sum(int(t.counts[rows, slots].sum()) for t in group)
+        flag = "empty" if not count else "identical" if total == 0 else ""
+        return self.metrics[m].finish(total, count), flag, count
+
+
+def _rows(region: Region) -> slice:
+    """Rows of a tally that make up a region: moving and static add up to all."""
+    return {"all": slice(0, 2), "moving": slice(0, 1), "static": slice(1, 2)}[region]

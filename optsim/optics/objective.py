@@ -1,0 +1,86 @@
+"""The objective: from scene radiance to irradiance on the modulator."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from pydantic import Field
+
+from optsim.config import Part
+from optsim.forward.psf import psf_kernel
+from optsim.forward.radiometry import MONO_WAVELENGTH_M, cos4, irradiance_factor
+from optsim.quantities import Doubles
+
+# Moving blocks get a smaller window, so that they stay small: this share of their energy is moved inwards.
+BLOCK_WING_SHARE = 5e-3
+
+
+class Objective(Part):
+    """A lens without distortion whose image is laid on the modulator at a magnification.
+
+    Parameters
+    ----------
+    focal_length_m : float
+        m.
+    f_number : float
+        Of the objective itself; the cone on the modulator is ``magnification`` times slower.
+    magnification : float
+        From the objective's image to the modulator.
+    transmission : float
+        Of the glass; 0.9 has no source, it is a sensible default.
+    nd_transmission : float
+        Of a neutral density in front: the knob of the light rule.
+    aberration_m : float
+        Standard deviation of the aberrations' Gaussian on the modulator; 3 um has no source.
+    glare_share : float
+        Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.5 % has no source.
+    natural_vignetting : bool
+        Whether irradiance falls with cos^4 of the field angle.
+    wing_share : float
+        Share of the PSF's energy that may be folded back from outside its window.
+    """
+
+    focal_length_m: float = Field(default=12.5e-3, gt=0)
+    f_number: float = Field(default=4.0, ge=0.7, le=64)
+    magnification: float = Field(default=1.5, gt=0)
+    transmission: float = Field(default=0.9, gt=0, le=1)
+    nd_transmission: float = Field(default=1.0, gt=0, le=1)
+    aberration_m: float = Field(default=3e-6, ge=0)
+    glare_share: float = Field(default=0.005, ge=0, lt=1)
+    natural_vignetting: bool = True
+    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
+
+    @property
+    def working_f_number(self) -> float:
+        """f-number of the cone on the modulator."""
+        return self.magnification * self.f_number
+
+    @property
+    def irradiance_per_radiance(self) -> float:
+        """Irradiance on the modulator, on axis and without glare, W m^-2 per W m^-2 sr^-1."""
+        return irradiance_factor(self.working_f_number, self.transmission * self.nd_transmission)
+
+    def tan_per_metre(self) -> float:
+        """Tangent of the field angle per metre on the modulator."""
+        return 1 / (self.magnification * self.focal_length_m)
+
+    def shading(self, rows: int, cols: int, cell_m: float) -> Doubles:
+        """Relative irradiance of a flat field at the samples of a grid, (y, x); 1 on axis."""
+        if not self.natural_vignetting:
+            return np.ones((rows, cols))
+        return cos4(rows, cols, cell_m * self.tan_per_metre())
+
+    def kernel(self, cell_m: float) -> Doubles:
+        """PSF on a grid of square cells, for what stands still."""
+        return _kernel(self.working_f_number, self.aberration_m, cell_m, self.wing_share)
+
+    def block_kernel(self, cell_m: float) -> Doubles:
+        """PSF with a smaller window, for moving blocks."""
+        share = max(self.wing_share, BLOCK_WING_SHARE)
+        return _kernel(self.working_f_number, self.aberration_m, cell_m, share)
+
+
+@lru_cache(maxsize=8)
+def _kernel(f_number: float, sigma_m: float, cell_m: float, wing_share: float) -> Doubles:
+    return psf_kernel(f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share)

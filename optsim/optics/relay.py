@@ -1,0 +1,91 @@
+"""The relay from the panel to the CCD: its numbers and the operator they give."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from pydantic import Field
+
+from optsim.config import Part
+from optsim.forward.psf import make_blur, psf_kernel
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
+from optsim.forward.relay import RelayGeometry, RelayOperator, overlap_operator
+
+
+class Relay(Part):
+    """Lenses that image the panel onto the CCD.
+
+    Parameters
+    ----------
+    magnification : float
+        From the panel to the CCD.
+    f_number : float
+        Of the fastest cone that it lets onto the CCD.
+    transmission : float
+        Of all passes through its lenses.
+    aberration_m : float
+        Standard deviation of the aberrations' Gaussian on the CCD.
+    glare_share : float
+        Share of the light that veiling glare (ISO 9358) spreads evenly over the CCD.
+    shift_y_px, shift_x_px : float
+        Shift of the panel's image from the centre of the CCD, CCD pixels.
+    rotation_rad : float
+        Rotation of the panel's image, rad.
+    wing_share : float
+        Share of the PSF's energy that may be folded back from outside its window.
+    """
+
+    magnification: float = Field(gt=0)
+    f_number: float = Field(gt=0.5)
+    transmission: float = Field(gt=0, le=1)
+    aberration_m: float = Field(ge=0)
+    glare_share: float = Field(ge=0, lt=1)
+    shift_y_px: float = 0.0
+    shift_x_px: float = 0.0
+    rotation_rad: float = Field(default=0.0, ge=-0.05, le=0.05)
+    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
+
+    def image_f_number(self, panel_f_number: float) -> float:
+        """f-number of the cone on the CCD: the panel's, demagnified, or the relay's own if that is slower."""
+        return max(self.f_number, panel_f_number * self.magnification)
+
+    def accepted_share(self, panel_f_number: float) -> float:
+        """Share of the panel's cone that passes the relay's stop, in a uniformly filled cone."""
+        return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
+
+    def operator(
+        self, geometry: RelayGeometry, panel_f_number: float, cell_m: float, transmission: float
+    ) -> RelayOperator:
+        """Operator from the fine panel grid to the CCD; kept for the next call with the same numbers.
+
+        Parameters
+        ----------
+        geometry : RelayGeometry
+            Where the fine grid lands.
+        panel_f_number : float
+            f-number of the cone that leaves the panel.
+        cell_m : float
+            Side of a fine cell on the panel, m.
+        transmission : float
+            Of everything that the operator stands for; at most 1.
+        """
+        f_number = self.image_f_number(panel_f_number)
+        cell_on_ccd_m = cell_m * self.magnification
+        return _operator(
+            geometry,
+            (f_number, self.aberration_m, cell_on_ccd_m, MONO_WAVELENGTH_M, self.wing_share),
+            self.glare_share,
+            transmission,
+        )
+
+
+@lru_cache(maxsize=4)
+def _operator(
+    geometry: RelayGeometry,
+    psf: tuple[float, float, float, float, float],
+    glare_share: float,
+    transmission: float,
+) -> RelayOperator:
+    blur = make_blur(psf_kernel(*psf), (geometry.rows, geometry.cols))
+    overlap = overlap_operator(geometry, transmission)
+    return RelayOperator(blur, overlap, glare_share, (geometry.ccd_rows, geometry.ccd_cols))

@@ -1,0 +1,95 @@
+"""The learned dictionary of space-time patches: its value and its file."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from optsim.errors import StorageError, ValueCheckError
+from optsim.files import atomic
+from optsim.quantities import Floats, checked
+
+
+@dataclass(frozen=True, eq=False)
+class Dictionary:
+    """Atoms of space-time patches.
+
+    Parameters
+    ----------
+    atoms : ndarray of shape (atom, v, u, slot), float32
+        Each of unit length.
+    provenance : Mapping
+        How it was made: settings, seed, what it was trained on.
+    """
+
+    atoms: Floats
+    provenance: Mapping[str, object] = field(default_factory=dict[str, object])
+
+    def __post_init__(self) -> None:
+        axes = ("atom", "v", "u", "slot")
+        checked("dictionary", self.atoms, axes=axes, dtype=np.float32, unit="1", nonnegative=False)
+        lengths = np.sqrt((self.atoms.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
+        if np.abs(lengths - 1).max() > 1e-3:
+            raise ValueCheckError(
+                f"dictionary: atom {int(np.abs(lengths - 1).argmax())} is not of unit length; cure: unit()"
+            )
+
+    @property
+    def patch(self) -> int:
+        """Side of a patch, panel pixels."""
+        return self.atoms.shape[1]
+
+    @property
+    def slots(self) -> int:
+        """Slots of a patch."""
+        return self.atoms.shape[3]
+
+
+def unit(atoms: Floats) -> Floats:
+    """Scale each atom, shape (atom, ...), to unit length."""
+    lengths = np.sqrt(np.sum(atoms.astype(np.float64) ** 2, axis=tuple(range(1, atoms.ndim)), keepdims=True))
+    return (atoms / np.maximum(lengths, 1e-30)).astype(np.float32)
+
+
+def save_dictionary(path: Path, dictionary: Dictionary) -> None:
+    """Write a dictionary as a compressed .npz: 8 bits a number, one scale an atom, provenance as JSON."""
+    scales = np.abs(dictionary.atoms).max(axis=(1, 2, 3)) / 127
+    codes = np.rint(dictionary.atoms / scales[:, None, None, None]).astype(np.int8)
+    text = json.dumps(dict(dictionary.provenance), allow_nan=False)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, atoms=codes, provenance=np.array(text))
+    with atomic(path) as temporary:
+        temporary.write_bytes(buffer.getvalue())
+
+
+def load_dictionary(path: Path) -> Dictionary:
+    """Read what :func:`save_dictionary` wrote.
+
+    Raises
+    ------
+    StorageError
+        When the file is missing or is no dictionary.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            codes = stored["atoms"]
+            provenance = json.loads(str(stored["provenance"]))
+    except FileNotFoundError:
+        raise StorageError(f"no such dictionary: {path}; make one with 'optsim train'") from None
+    except (OSError, ValueError, KeyError) as error:
+        raise StorageError(f"{path} is not a dictionary: {error}") from None
+    return Dictionary(unit(codes.astype(np.float32)), provenance)
+
+
+@lru_cache(maxsize=2)
+def shipped_dictionary() -> Dictionary:
+    """The dictionary that comes with the package."""
+    with resources.as_file(resources.files("optsim.reconstruct") / "dictionary.npz") as path:
+        return load_dictionary(path)

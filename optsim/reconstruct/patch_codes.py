@@ -1,0 +1,320 @@
+# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+"""From a coded image to a video, patch by patch: measurement matrices, sparse codes, overlapping sums.
+
+Panel grid throughout; a patch is named by its first row and column.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from optsim.quantities import Bools, Floats, Ints
+from optsim.reconstruct.dictionary import Dictionary
+from optsim.reconstruct.matching_pursuit import pursue
+
+_STRIP = 16
+
+
+@dataclass(frozen=True, eq=False)
+class CodedImage:
+    """What the sparse decoder needs of a coded frame.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (v, u), float32
+        Sum over the slots of weight times irradiance; 0 where not usable.
+    variance : ndarray of shape (v, u), float32
+        Its noise variance; 0 where not usable.
+    weights : ndarray of shape (v, u, slot), float32
+        Weights; 0 where not usable.
+    """
+
+    signal: Floats
+    variance: Floats
+    weights: Floats
+
+
+def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
+    """First rows and columns of the patches of a grid that touch a mask: array of shape (n, 2), raster order.
+
+    The last patch of a row or column sits at the edge, so that every pixel is covered.
+    """
+    axes: list[Ints] = []
+    for length in mask.shape:
+        starts = np.arange(0, length - patch + 1, stride)
+        if starts[-1] != length - patch:
+            starts = np.append(starts, length - patch)
+        axes.append(starts)
+    sums = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    v, u = axes[0][:, None], axes[1]
+    touched = sums[v + patch, u + patch] - sums[v, u + patch] - sums[v + patch, u] + sums[v, u]
+    rows, cols = np.nonzero(touched)
+    return np.stack([axes[0][rows], axes[1][cols]], axis=1)
+
+
+def nominal_tile(weights: Floats, mask: Bools, tile: int, n_max: int = 101) -> Floats:
+    """Median weights of each place in the repeated tile, over pixels of a mask: array of shape (v, u, slot).
+
+    The median is that of the pixels in steady state, even while a few come out of another code.
+    Places with no pixel in the mask are 0.
+    """
+    nominal = np.zeros((tile, tile, weights.shape[2]), np.float32)
+    for v in range(tile):
+        for u in range(tile):
+            pixels = weights[v::tile, u::tile][mask[v::tile, u::tile]]
+            if len(pixels):
+                nominal[v, u] = np.median(pixels[:: -(-len(pixels) // n_max)], axis=0)
+    return nominal
+
+
+def deviating(weights: Floats, nominal: Floats, corners: Ints, patch: int, tolerance: float) -> Bools:
+    """Patches whose weights differ from the repeated tile by more than a relative rms: array of shape (n,)."""
+    rows, cols, _ = weights.shape
+    tile = nominal.shape[0]
+    v, u = np.arange(rows) % tile, np.arange(cols) % tile
+    error = np.empty((rows, cols))
+    for row in range(rows):
+        error[row] = ((weights[row] - nominal[v[row], u]) ** 2).sum(axis=1, dtype=np.float64)
+    energy = (nominal.astype(np.float64) ** 2).sum(axis=2)[v[:, None], u]
+    sums = [np.pad(image.cumsum(0).cumsum(1), ((1, 0), (1, 0))) for image in (error, energy)]
+    top, left = corners[:, 0], corners[:, 1]
+    bottom, right = top + patch, left + patch
+    error, energy = (s[bottom, right] - s[top, right] - s[bottom, left] + s[top, left] for s in sums)
+    return error > tolerance**2 * energy
+
+
+@dataclass(frozen=True, eq=False)
+class PatchCoder:
+    """A dictionary laid out for measuring: used for all frames of a video.
+
+    Parameters
+    ----------
+    by_pixel : ndarray of shape (pixel, slot, atom), float32
+        The atoms, so that a row of a measurement matrix is a short sum of contiguous rows.
+    sums : ndarray of shape (pixel, atom), float32
+        Their sums over the slots, for what leaks in every slot.
+    atoms : ndarray of shape (atom, v, u, slot), float32
+        The atoms themselves.
+    """
+
+    by_pixel: Floats
+    sums: Floats
+    atoms: Floats
+
+    @classmethod
+    def of(cls, dictionary: Dictionary) -> PatchCoder:
+        """Lay out a dictionary."""
+        n_atoms, _, _, slots = dictionary.atoms.shape
+        flat = dictionary.atoms.reshape(n_atoms, -1, slots)
+        by_pixel = np.ascontiguousarray(np.moveaxis(flat, 0, -1))
+        return cls(by_pixel, by_pixel.sum(axis=1), dictionary.atoms)
+
+    def encode(
+        self,
+        image: CodedImage,
+        corners: Ints,
+        nominal: Floats,
+        tolerance: float,
+        *,
+        cap: int,
+        noise_gain: float,
+    ) -> tuple[Ints, Floats, int]:
+        """Sparse codes of the patches at ``corners``.
+
+        Patches within ``tolerance`` of the repeated tile share one matrix a tile phase; the others get
+        their own. Blocks run in threads; the result does not depend on how many.
+
+        Returns
+        -------
+        support, amounts : ndarray of shape (patch, cap), int64 and float32
+            Atoms and coefficients; -1 after the last.
+        n_own : int
+            Patches that needed a matrix of their own.
+        """
+        patch = self.atoms.shape[1]
+        tile = nominal.shape[0]
+        own = deviating(image.weights, nominal, corners, patch, tolerance)
+        support = np.empty((len(corners), cap), np.int64)
+        amounts = np.empty((len(corners), cap), np.float32)
+        phase = np.where(own, -1, corners[:, 0] % tile * tile + corners[:, 1] % tile)
+
+        def run(number: int, members: Ints) -> None:
+            signals, stop = _gather(image.signal, image.variance, corners[members], patch)
+            stop *= np.float32(noise_gain**2)
+            codes = np.empty((len(members), cap), np.int64), np.empty((len(members), cap), np.float32)
+            if number < 0:
+                _encode_own(self.by_pixel, self.sums, image.weights, corners[members], signals, stop, *codes)
+            else:
+                weights = np.roll(nominal, (-(number // tile), -(number % tile)), axis=(0, 1))
+                weights = np.resize_tile(weights, patch) if tile != patch else weights
+                _encode_shared(self.by_pixel, self.sums, weights.reshape(patch**2, -1), signals, stop, *codes)
+            support[members], amounts[members] = codes
+
+        jobs = [(n, np.flatnonzero(phase == n)) for n in np.unique(phase[phase >= 0])]
+        slow = np.flatnonzero(own)
+        jobs += [(-1, slow[first : first + 256]) for first in range(0, len(slow), 256)]
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            for done in [pool.submit(run, int(n), members) for n, members in jobs]:
+                done.result()
+        return support, amounts, len(slow)
+
+    def paint(
+        self, corners: Ints, support: Ints, amounts: Floats, shape: tuple[int, int]
+    ) -> tuple[Floats, Floats]:
+        """Add up the patches where they overlap.
+
+        Returns
+        -------
+        total : ndarray of shape (v, u, slot), float32
+            Sum of all patches over each pixel.
+        count : ndarray of shape (v, u), float32
+            Number of patches over each pixel.
+        """
+        total = np.zeros((*shape, self.atoms.shape[3]), np.float32)
+        count = np.zeros(shape, np.float32)
+
+        def run(first: int) -> None:
+            _paint(self.atoms, corners, support, amounts, first, min(first + _STRIP, shape[0]), total, count)
+
+        # Strips of rows share no pixel, and each pixel adds its patches in raster order: same sums for any workers.
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            for done in [pool.submit(run, first) for first in range(0, shape[0], _STRIP)]:
+                done.result()
+        return total, count
+
+
+@njit(nogil=True, cache=True)
+def _gather(signal: Floats, variance: Floats, corners: Ints, patch: int) -> tuple[Floats, Floats]:
+    """Signals of shape (p, pixel) and the expected squared noise of each."""
+    n = len(corners)
+    signals = np.empty((n, patch * patch), np.float32)
+    noise = np.zeros(n, np.float32)
+    for p in range(n):
+        v0, u0 = corners[p]
+        for v in range(patch):
+            for u in range(patch):
+                signals[p, v * patch + u] = signal[v0 + v, u0 + u]
+                noise[p] += variance[v0 + v, u0 + u]
+    return signals, noise
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+def measurement_matrix(by_pixel: Floats, sums: Floats, weights: Floats, matrix: Floats, lengths: Floats) -> None:
+    """Measured atoms for weights of shape (pixel, slot), as unit columns and their lengths.
+
+    Most slots of a pixel carry the same weight (what a dark panel leaks): they cost one row, and only the
+    others are added one by one.
+    """
+    lengths[:] = 0
+    for m in range(weights.shape[0]):
+        row = matrix[m]
+        least = weights[m].min()
+        for k in range(len(row)):
+            row[k] = least * sums[m, k]
+        floor = least + np.float32(1e-5) * weights[m].max()
+        for t in range(weights.shape[1]):
+            if weights[m, t] > floor:
+                extra = weights[m, t] - least
+                atoms = by_pixel[m, t]
+                for k in range(len(row)):
+                    row[k] += extra * atoms[k]
+        for k in range(len(row)):
+            lengths[k] += row[k] * row[k]
+    for k in range(len(lengths)):
+        lengths[k] = np.sqrt(lengths[k])
+    longest = lengths.max()
+    for k in range(len(lengths)):
+        # An atom that this code hardly measures would be blown up from noise.
+        if lengths[k] < np.float32(1e-4) * longest or lengths[k] == 0:
+            lengths[k] = np.float32(np.inf)
+    for m in range(weights.shape[0]):
+        row = matrix[m]
+        for k in range(len(row)):
+            row[k] /= lengths[k]
+
+
+@njit(nogil=True, cache=True)
+def _rescale(support: Ints, amounts: Floats, lengths: Floats) -> None:
+    for p in range(support.shape[0]):
+        for j in range(support.shape[1]):
+            if support[p, j] >= 0:
+                amounts[p, j] /= lengths[support[p, j]]
+
+
+@njit(nogil=True, cache=True)
+def _encode_shared(
+    by_pixel: Floats,
+    sums: Floats,
+    weights: Floats,
+    signals: Floats,
+    stop: Floats,
+    support: Ints,
+    amounts: Floats,
+) -> None:
+    width = sums.shape[1]
+    matrix, lengths = np.empty(sums.shape, np.float32), np.empty(width, np.float32)
+    measurement_matrix(by_pixel, sums, weights, matrix, lengths)
+    gram, known = np.empty((width, width), np.float32), np.zeros(width, np.bool_)
+    pursue(matrix, signals, stop, gram, known, support, amounts)
+    _rescale(support, amounts, lengths)
+
+
+@njit(nogil=True, cache=True)
+def _encode_own(
+    by_pixel: Floats,
+    sums: Floats,
+    weights: Floats,
+    corners: Ints,
+    signals: Floats,
+    stop: Floats,
+    support: Ints,
+    amounts: Floats,
+) -> None:
+    width = sums.shape[1]
+    patch = int(np.sqrt(sums.shape[0]))
+    matrix, lengths = np.empty(sums.shape, np.float32), np.empty(width, np.float32)
+    gram, known = np.empty((width, width), np.float32), np.zeros(width, np.bool_)
+    own = np.empty((patch * patch, weights.shape[2]), np.float32)
+    for p in range(len(corners)):
+        v0, u0 = corners[p]
+        for v in range(patch):
+            own[v * patch : (v + 1) * patch] = weights[v0 + v, u0 : u0 + patch]
+        measurement_matrix(by_pixel, sums, own, matrix, lengths)
+        known[:] = False
+        one = slice(p, p + 1)
+        pursue(matrix, signals[one], stop[one], gram, known, support[one], amounts[one])
+        _rescale(support[one], amounts[one], lengths)
+
+
+@njit(nogil=True, cache=True, fastmath={"contract"})
+def _paint(
+    atoms: Floats,
+    corners: Ints,
+    support: Ints,
+    amounts: Floats,
+    first: int,
+    last: int,
+    total: Floats,
+    count: Floats,
+) -> None:
+    """Add the rows first .. last - 1 of all patches."""
+    _, patch, _, slots = atoms.shape
+    flat = atoms.reshape(atoms.shape[0], patch, patch * slots)
+    lines = total.reshape(total.shape[0], -1)
+    for p in range(len(corners)):
+        v0, u0 = corners[p]
+        for v in range(max(first, v0), min(last, v0 + patch)):
+            count[v, u0 : u0 + patch] += 1
+            target = lines[v, u0 * slots : (u0 + patch) * slots]
+            for j in range(support.shape[1]):
+                if support[p, j] < 0:
+                    break
+                amount = amounts[p, j]
+                row = flat[support[p, j], v - v0]
+                for k in range(len(target)):
+                    target[k] += amount * row[k]

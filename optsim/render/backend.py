@@ -1,0 +1,226 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+"""Which Mitsuba variant to render with, tried out in a subprocess before Mitsuba is imported here.
+
+Dr.Jit 1.5 with an LLVM older than 17 kills the process at its first path-traced kernel (it emits
+``llvm.minimum``, which these cannot lower on x86), and Dr.Jit picks up a system LLVM by itself. So a
+library is chosen first, a pixel is path traced with it in a subprocess, and only what survived is used.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from optsim.cache import default_folder, hash_of
+from optsim.errors import BackendError, StorageError, unknown_name
+from optsim.files import read_json, write_json
+
+VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
+OLDEST_LLVM = 17
+_LLVM_CURE = (
+    "cure: install karellen-llvm-core (x86-64 Linux), or a system LLVM >= 17, and set DRJIT_LIBLLVM_PATH to it"
+)
+_MARK = "PROBE"
+_PROBE = """
+import json, sys
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+box = mi.cornell_box()
+box["sensor"]["film"]["width"] = box["sensor"]["film"]["height"] = 2
+box["integrator"] = {"type": "path", "max_depth": 3}
+image = mi.render(mi.load_dict(box), spp=4)
+total = float(sum(v for v in image.numpy().ravel())) if hasattr(image, "numpy") else 1.0
+import drjit as dr
+print("PROBE" + json.dumps({"total": total, "llvm": list(dr.detail.llvm_version()) if "llvm" in sys.argv[1] else []}))
+"""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One variant tried: with which library, whether it rendered, and what it said."""
+
+    variant: str
+    library: str
+    works: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class BackendReport:
+    """Which backend renders, and why.
+
+    Parameters
+    ----------
+    variant : str
+        Mitsuba variant.
+    library : str
+        LLVM library it uses; empty for the one that Dr.Jit finds, or none.
+    preview : bool
+        True for the scalar fallback, whose truth is of preview quality.
+    reason : str
+        One line for people.
+    attempts : tuple of Attempt
+        What was tried, in order.
+    """
+
+    variant: str
+    library: str
+    preview: bool
+    reason: str
+    attempts: tuple[Attempt, ...]
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides a render."""
+    found: dict[str, str] = {"python": ".".join(map(str, sys.version_info[:2]))}
+    for package in ("mitsuba", "drjit", "numpy", "scipy", "scikit-image"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "missing"
+    return found
+
+
+@functools.cache
+def choose_backend(backend: str | None = None) -> BackendReport:
+    """Find a variant that renders; probes are remembered on disk, so later calls cost nothing.
+
+    Parameters
+    ----------
+    backend : str, optional
+        Insist on this variant.
+
+    Raises
+    ------
+    BackendError
+        When Mitsuba is missing, or the variant insisted on does not work, with the cure.
+    ConfigError
+        For a variant that optsim does not use.
+    """
+    if backend is not None and backend not in VARIANTS:
+        raise unknown_name("backend", backend, VARIANTS)
+    if "missing" in (versions()["mitsuba"], versions()["drjit"]):
+        raise BackendError("mitsuba and drjit are not installed; cure: pip install mitsuba==3.9.1 drjit==1.5.0")
+    attempts: list[Attempt] = []
+    for variant, library in _candidates(backend):
+        attempt = _remembered_probe(variant, library)
+        attempts.append(attempt)
+        if attempt.works:
+            return BackendReport(
+                variant, library, variant == "scalar_rgb", _reason(attempt, attempts), tuple(attempts)
+            )
+    tried = "; ".join(f"{a.variant} ({a.library or 'default library'}): {a.message}" for a in attempts)
+    if backend is None:
+        raise BackendError(f"no renderer backend works: {tried}; {_LLVM_CURE}")
+    cure = _LLVM_CURE if "llvm" in backend else "cure: leave the backend to be chosen automatically"
+    raise BackendError(f"backend {backend!r} does not work here: {tried or 'no such device'}; {cure}")
+
+
+def activate(backend: str | None = None) -> BackendReport:
+    """Choose a backend and make it Mitsuba's variant in this process."""
+    report = choose_backend(backend)
+    if report.library and "drjit" not in sys.modules:
+        os.environ["DRJIT_LIBLLVM_PATH"] = report.library
+    import mitsuba as mi
+
+    if mi.variant() != report.variant:
+        mi.set_variant(report.variant)
+    return report
+
+
+def llvm_libraries() -> Iterator[str]:
+    """LLVM libraries worth probing, best first; the empty string lets Dr.Jit search by itself."""
+    inherited = os.environ.get("DRJIT_LIBLLVM_PATH", "")
+    if inherited and llvm_major(inherited) >= OLDEST_LLVM:
+        yield inherited
+    wheels = [path for path in Path(sys.prefix, "lib").glob("libLLVM.so.[0-9]*") if path.is_file()]
+    for path in sorted(wheels, key=lambda path: llvm_major(str(path)), reverse=True):
+        if llvm_major(str(path)) >= OLDEST_LLVM and str(path) != inherited:
+            yield str(path)
+    yield ""
+
+
+def llvm_major(library: str) -> int:
+    """Major version in the name of an LLVM library, links followed; 0 if the name does not say."""
+    found = re.search(r"libLLVM(?:\.so)?[-.](\d+)", Path(library).resolve().name)
+    return int(found.group(1)) if found else 0
+
+
+def _candidates(backend: str | None) -> Iterator[tuple[str, str]]:
+    for variant in VARIANTS if backend is None else (backend,):
+        if variant == "llvm_ad_mono":
+            yield from ((variant, library) for library in llvm_libraries())
+        elif variant != "cuda_ad_mono" or backend is not None or _has_nvidia():
+            yield variant, ""
+
+
+def _has_nvidia() -> bool:
+    """Whether a probe of CUDA is worth its second."""
+    return Path("/dev/nvidiactl").exists() or Path("/proc/driver/nvidia/version").exists()
+
+
+def _reason(chosen: Attempt, attempts: list[Attempt]) -> str:
+    if chosen.variant == "scalar_rgb":
+        failed = "; ".join(f"{a.variant}: {a.message}" for a in attempts if not a.works) or "asked for"
+        return f"scalar_rgb: preview quality only, much slower ({failed}); {_LLVM_CURE}"
+    where = f" with {chosen.library}" if chosen.library else ""
+    return f"{chosen.variant}{where}: probed, it path traces"
+
+
+def _remembered_probe(variant: str, library: str) -> Attempt:
+    """A probe, or its result of an earlier process with the same library file and versions."""
+    stat = os.stat(library) if library and Path(library).exists() else None
+    identity = [variant, library, stat and [stat.st_size, stat.st_mtime_ns], versions(), sys.executable]
+    path = default_folder() / "probes" / f"{hash_of(identity)}.json"
+    try:
+        record: Any = read_json(path)
+        return Attempt(variant, library, bool(record["works"]), str(record["message"]))
+    except (StorageError, KeyError, TypeError):
+        attempt = probe(variant, library)
+    # Only success is remembered: a failure may be cured from outside (a library installed, a driver loaded).
+    if attempt.works:
+        try:
+            write_json(path, {"works": True, "message": attempt.message})
+        except (StorageError, OSError):
+            pass  # an unwritable cache only costs the next process a probe
+    return attempt
+
+
+def probe(variant: str, library: str) -> Attempt:
+    """Path trace a few pixels in a subprocess, which may die without harm."""
+    environment = dict(os.environ)
+    environment.pop("DRJIT_LIBLLVM_PATH", None)
+    if library:
+        environment["DRJIT_LIBLLVM_PATH"] = library
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE, variant],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Attempt(variant, library, False, str(error))
+    if done.returncode != 0:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        said = next((line for line in reversed(lines) if "LLVM" in line or "rror" in line), "no message")
+        how = f"killed by signal {-done.returncode}" if done.returncode < 0 else "failed"
+        return Attempt(variant, library, False, f"{how}: {said[:300]}")
+    # Mitsuba shares standard output: a progress bar may stand before our line.
+    record = json.loads(done.stdout[done.stdout.rindex(_MARK) + len(_MARK) :])
+    if not record["total"] > 0:
+        return Attempt(variant, library, False, f"rendered nonsense: a sum of {record['total']}")
+    if record["llvm"] and record["llvm"][0] < OLDEST_LLVM:
+        return Attempt(variant, library, False, f"LLVM {record['llvm'][0]} is older than {OLDEST_LLVM}")
+    return Attempt(variant, library, True, f"LLVM {record['llvm'][0]}" if record["llvm"] else "works")

@@ -1,0 +1,122 @@
+"""Where movers are on the fine grid, and how far they go: projection, coverage and path lengths, no rays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+
+from optsim.quantities import Bools, Doubles, View
+from optsim.scene.geometry import Faces
+from optsim.scene.parts import CameraPose
+
+# Nearer than this to the camera's plane a point has no projection worth having.
+_NEAR_M = 0.05
+# A box pixel whose centre is farther than half its diagonal from a triangle cannot see it.
+_MARGIN_PX = 0.75
+
+
+def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
+    """Project points through the pinhole.
+
+    Parameters
+    ----------
+    points_m : ndarray of shape (n, 3)
+        Points in the scene.
+
+    Returns
+    -------
+    ndarray of shape (n, 3), float64
+        Row and column in fine samples (pixel centres at +0.5) and depth in m; NaN behind the camera.
+    """
+    origin = np.asarray(camera.position_m)
+    forward = np.asarray(camera.target_m) - origin
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward])
+    across, down, depth = axes @ (points_m - origin).T
+    depth = np.where(depth < _NEAR_M, np.nan, depth)
+    scale = view.cols / 2 / view.tan_half_width
+    return np.stack([view.rows / 2 + scale * down / depth, view.cols / 2 + scale * across / depth, depth], -1)
+
+
+def path_px(
+    vertices: Callable[[float], Doubles], start_s: float, stop_s: float, steps: int, camera: CameraPose, view: View
+) -> float:
+    """Farthest way that a mover's visible point goes in a time span, fine samples.
+
+    Parameters
+    ----------
+    vertices : callable
+        Time -> vertices.
+    start_s, stop_s : float
+        The span.
+    steps : int
+        Straight pieces by which the way is measured.
+    """
+    total = 0.0
+    before = project(vertices(start_s), camera, view)
+    for step in range(1, steps + 1):
+        after = project(vertices(start_s + (stop_s - start_s) * step / steps), camera, view)
+        seen = _in_view(before, view) | _in_view(after, view)
+        moved = np.hypot(*(after - before)[:, :2].T)[seen]
+        moved = moved[np.isfinite(moved)]
+        total += float(moved.max()) if moved.size else 0.0
+        before = after
+    return total
+
+
+def _in_view(places: Doubles, view: View) -> Bools:
+    with np.errstate(invalid="ignore"):
+        return (
+            (places[:, 0] > 0) & (places[:, 0] < view.rows) & (places[:, 1] > 0) & (places[:, 1] < view.cols)
+        )
+
+
+def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, view: View) -> None:
+    """Mark, in place, every fine sample whose box any triangle may touch (a little generously).
+
+    Parameters
+    ----------
+    mask : ndarray of shape (y, x), bool
+        Marks are added.
+    vertices_m : ndarray of shape (n, 3)
+        Positions.
+    faces : ndarray of shape (m, 3)
+        Triangles.
+    """
+    _cover(mask, project(vertices_m, camera, view), faces, _MARGIN_PX)
+
+
+@njit(nogil=True, cache=True)
+def _cover(mask, places, faces, margin):  # type: ignore[no-untyped-def]
+    rows, cols = mask.shape
+    for f in range(faces.shape[0]):
+        a, b, c = places[faces[f, 0]], places[faces[f, 1]], places[faces[f, 2]]
+        behind = np.isnan(a[0]) + np.isnan(b[0]) + np.isnan(c[0])
+        if behind == 3:
+            continue
+        if behind > 0:  # reaches behind the camera: it may be anywhere
+            mask[:, :] = True
+            return
+        top = max(0, int(np.floor(min(a[0], b[0], c[0]) - margin)))
+        bottom = min(rows - 1, int(np.ceil(max(a[0], b[0], c[0]) + margin)))
+        left = max(0, int(np.floor(min(a[1], b[1], c[1]) - margin)))
+        right = min(cols - 1, int(np.ceil(max(a[1], b[1], c[1]) + margin)))
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        sign = 1.0 if area >= 0 else -1.0
+        for y in range(top, bottom + 1):
+            for x in range(left, right + 1):
+                inside = True
+                for p, q in ((a, b), (b, c), (c, a)):
+                    dy, dx = q[0] - p[0], q[1] - p[1]
+                    length = np.sqrt(dy * dy + dx * dx)
+                    if length > 1e-9:
+                        distance = sign * (dy * (x + 0.5 - p[1]) - dx * (y + 0.5 - p[0])) / length
+                        if distance < -margin:
+                            inside = False
+                            break
+                if inside:
+                    mask[y, x] = True

@@ -1,0 +1,181 @@
+"""From results.json to report.html: one page, relative pictures, no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, cast
+
+from optsim.errors import StorageError
+from optsim.files import write_text
+from optsim.report import headline, plots, words
+from optsim.report.schema import Picture, Results, Section, Series, check_results
+
+TEMPLATES = Path(__file__).parent / "template"
+
+
+def write_report(folder: Path, results: object) -> Path:
+    """Render ``report.html`` from a results record and the pictures below the run folder alone.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder; ``pictures[].file`` is relative to it.
+    results : Results
+        What ``results.json`` holds, see :mod:`optsim.report.schema`.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ValueCheckError
+        When the record does not follow the schema.
+    StorageError
+        When a picture is missing.
+    """
+    import jinja2
+
+    record = check_results(results)
+    for picture in record["pictures"]:
+        for file in (picture["file"], picture.get("still", picture["file"])):
+            if not (folder / file).is_file():
+                raise StorageError(
+                    f"report: picture {folder / file} is missing; "
+                    "cure: run the experiment again into this folder"
+                )
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters = cast("dict[str, Callable[..., str]]", environment.filters)
+    filters.update(
+        score=words.score,
+        share=words.share,
+        seconds=words.seconds,
+        number=words.number,
+        words=words.label,
+        sentence=words.sentence,
+        with_unit=words.metric,
+    )
+    page = environment.get_template("report.html.j2").render(**_context(record))
+    path = folder / "report.html"
+    write_text(path, page)
+    return path
+
+
+def _context(results: Results) -> dict[str, object]:
+    """Names that the template uses; arrangement only, no number is made here."""
+    latency = results["latency"]
+    reached = headline.phases_reached(results)
+    phase = reached[0] if reached else None
+    return {
+        "r": results,
+        "methods": list(results["methods"]),
+        "style": {name: headline.style_of(list(results["methods"]), name) for name in results["methods"]},
+        "phase": phase,
+        "cards": headline.cards(results, phase) if phase else [],
+        "tables": [(p, headline.table(results, p)) for p in reached],
+        "ceilings": {p: headline.ceilings(results, p) for p in reached},
+        "coverage": {(c["phase"], c["region"], c["method"]): c for c in results["coverage"]},
+        "regions": headline.REGIONS,
+        "pictures": {section: _grouped(results, section) for section in ("crops", "capture", "errors")},
+        "compare": [p for p in results["pictures"] if p["section"] == "compare"],
+        "moving": [p for p in results["pictures"] if p["section"] == "moving"],
+        "frame_plots": _series_plots(results, results["frame_series"], "coded frame", latency["frames"]),
+        "slot_plots": _series_plots(results, results["slot_series"], "slot in the coded frame", None),
+        "mask_plot": _mask_plot(results),
+        "time_plot": plots.bar_plot(
+            [(t["stage"], t["wall_s"], words.seconds(t["wall_s"])) for t in results["timings"]],
+            title="Wall time of each stage",
+        ),
+        "quantity": words.quantity,
+        "flat": _flat(results["experiment"]),
+    }
+
+
+def _grouped(results: Results, section: Section) -> list[tuple[str, list[Picture]]]:
+    chosen = [p for p in results["pictures"] if p["section"] == section]
+    order = list(dict.fromkeys(p["group"] for p in chosen))
+    chosen.sort(key=lambda p: order.index(p["group"]))
+    return [(name, list(group)) for name, group in groupby(chosen, key=lambda p: p["group"])]
+
+
+def _phase_bands(latency: int) -> list[plots.Band]:
+    """Phases on the axis of coded frames, as the scores define them."""
+    return [
+        plots.Band(-0.5, latency + 0.5, "warm-up"),
+        plots.Band(latency + 0.5, latency + 3.5, "merging"),
+        plots.Band(latency + 3.5, 1e9, "steady"),
+    ]
+
+
+def _series_plots(
+    results: Results, series: list[Series], x_label: str, latency: int | None
+) -> list[tuple[str, list[tuple[str, object]]]]:
+    """One plot a metric and region, grouped by region; phases shaded where the axis is coded frames."""
+    methods = list(results["methods"])
+    found: list[tuple[str, list[tuple[str, object]]]] = []
+    for region, where in headline.REGIONS:
+        of_region: list[tuple[str, object]] = []
+        for metric in dict.fromkeys(s["metric"] for s in series):
+            chosen = [s for s in series if s["metric"] == metric and s["region"] == region]
+            lines = [
+                plots.Line(s["method"], headline.style_of(methods, s["method"]), s["x"], s["values"])
+                for s in chosen
+            ]
+            plot = plots.line_plot(
+                lines,
+                title=f"{metric} against {x_label}, {where.lower()}",
+                x_label=x_label,
+                y_label=chosen[0]["unit"] if chosen else "",
+                bands=[] if latency is None else _phase_bands(latency),
+            )
+            of_region.append((metric, plot))
+        if of_region:
+            found.append((where, of_region))
+    return found
+
+
+def _mask_plot(results: Results) -> object:
+    """Intersection over union of the motion masks against the oracle, a line a method."""
+    methods = list(results["methods"])
+    lines: list[plots.Line] = []
+    for method in dict.fromkeys(m["method"] for m in results["masks"]):
+        rows = [m for m in results["masks"] if m["method"] == method]
+        lines.append(
+            plots.Line(
+                method,
+                headline.style_of(methods, method),
+                [m["frame"] for m in rows],
+                [m["iou"] for m in rows],
+            )
+        )
+    return plots.line_plot(
+        lines,
+        title="Intersection over union of motion mask and oracle",
+        x_label="coded frame",
+        y_label="intersection over union",
+        bands=_phase_bands(results["latency"]["frames"]),
+    )
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> list[tuple[str, object]]:
+    """Dotted keys of a nested table, as ``--set`` takes them."""
+    rows: list[tuple[str, object]] = []
+    for key, value in table.items():
+        below: dict[str, Any] | None = None
+        if isinstance(value, Mapping):
+            below = dict(cast("Mapping[str, Any]", value))
+        elif isinstance(value, (list, tuple)):
+            items = cast("Sequence[Any]", value)
+            if any(isinstance(item, Mapping) for item in items):
+                below = {str(i): item for i, item in enumerate(items)}
+        rows += [(f"{prefix}{key}", value)] if below is None else _flat(below, f"{prefix}{key}.")
+    return rows

@@ -1,0 +1,253 @@
+"""What results.json holds: the single source of every number in a report (``schema_version`` 1).
+
+A missing number is null, never NaN or infinity. Shares are 0..1; times, lengths and light are SI with the
+unit in the name. Sections that a run cannot fill are empty lists or null, and the report says so.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NotRequired
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
+
+from optsim.errors import ValueCheckError
+
+SCHEMA_VERSION = 1
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Scalar = str | int | float | bool | None
+Cell = Scalar | list[Scalar]
+Region = Literal["all", "moving", "static"]
+Phase = Literal["warm-up", "merging", "steady"]
+Section = Literal["compare", "crops", "moving", "capture", "errors"]
+
+
+@with_config(_STRICT)
+class StageTime(TypedDict):
+    """One stage of the run."""
+
+    stage: str
+    wall_s: float
+    cpu_s: float
+    peak_rss_mb: float
+    peak_is_of_this_stage: bool
+
+
+@with_config(_STRICT)
+class LightRule(TypedDict):
+    """The fixed light rule and what it decided, the same for all methods."""
+
+    statement: str
+    nd_transmission: float
+    wanted_transmission: float
+    percentile_dn: float
+    saturation_dn: float
+
+
+@with_config(_STRICT)
+class Photons(TypedDict):
+    """Light that a method used: mean and 5th percentile of photoelectrons a CCD pixel and coded frame."""
+
+    method: str
+    mean_e: float
+    dark_e: float
+    saturated_share: float
+
+
+@with_config(_STRICT)
+class Ledger(TypedDict):
+    """One photon ledger: rows as ``dataclasses.asdict`` of the camera's rows, all with the same keys."""
+
+    name: str
+    radiance_w_m2_sr: float
+    rows: list[dict[str, Cell]]
+
+
+@with_config(_STRICT)
+class Latency(TypedDict):
+    """Latency of the loop in coded frames."""
+
+    frames: int
+    smallest_physical: int
+    hypothetical: bool
+    details: NotRequired[dict[str, Cell]]
+
+
+@with_config(_STRICT)
+class SceneFacts(TypedDict):
+    """What was looked at; ratios are 95th percentile of the window over 5th of the interior."""
+
+    name: str
+    variation: str
+    description: str
+    white_w_m2_sr: float
+    white_cd_m2: float
+    window_interior_ratio_before_glare: float | None
+    window_interior_ratio_after_glare: float | None
+
+
+@with_config(_STRICT)
+class Score(TypedDict):
+    """One pooled score, as :class:`optsim.metrics.ScoreBoard` makes it."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    phase: Phase
+    value: float | None
+    flag: str
+    n: int
+    higher_is_better: bool
+    clamped_share: float
+
+
+@with_config(_STRICT)
+class Coverage(TypedDict):
+    """Share of a region that a method was scored on, and of that the share filled from neighbours."""
+
+    method: str
+    region: Region
+    phase: Phase
+    valid: float
+    interpolated: float
+
+
+@with_config(_STRICT)
+class Series(TypedDict):
+    """A score against coded frame or slot."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    x: list[int]
+    values: list[float | None]
+
+
+@with_config(_STRICT)
+class MaskScore(TypedDict):
+    """A method's motion mask against the oracle in one coded frame."""
+
+    method: str
+    frame: int
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
+@with_config(_STRICT)
+class Verdict(TypedDict):
+    """One registered claim and how it came out."""
+
+    claim: str
+    metric: str
+    region: Region
+    measured: str
+    margin: float | None
+    unit: str
+    passed: bool | None
+
+
+@with_config(_STRICT)
+class EvidenceRow(TypedDict):
+    """State of one modelled effect, as ``optsim.evidence.status`` gives it."""
+
+    effect: str
+    what: str
+    validated: bool
+    why: str
+    claim: str | None
+    oracle: str | None
+    source: str | None
+    measured: float | None
+    tolerance: float | None
+
+
+@with_config(_STRICT)
+class ColourScale(TypedDict):
+    """A labelled colour bar: CSS colours from low to high, evenly spaced."""
+
+    colours: list[str]
+    ticks: list[str]
+    unit: str
+
+
+@with_config(_STRICT)
+class LegendEntry(TypedDict):
+    """One colour of a picture and what it means."""
+
+    colour: str
+    meaning: str
+
+
+@with_config(_STRICT)
+class Picture(TypedDict):
+    """An image file below the run folder, and where it belongs."""
+
+    file: str
+    caption: str
+    section: Section
+    group: str
+    label: str
+    width: int
+    height: int
+    still: NotRequired[str]
+    scale: NotRequired[ColourScale]
+    legend: NotRequired[list[LegendEntry]]
+
+
+@with_config(_STRICT)
+class Results(TypedDict):
+    """Everything a report is made of."""
+
+    schema_version: Literal[1]
+    title: str
+    experiment: dict[str, Any]
+    command: str
+    finished_utc: str
+    versions: dict[str, str]
+    backend: str
+    seeds: dict[str, int]
+    timings: list[StageTime]
+    light_rule: LightRule
+    photons: list[Photons]
+    ledgers: list[Ledger]
+    geometry: dict[str, Cell]
+    latency: Latency
+    scene: SceneFacts
+    methods: dict[str, str]
+    scores: list[Score]
+    coverage: list[Coverage]
+    frame_series: list[Series]
+    slot_series: list[Series]
+    masks: list[MaskScore]
+    noise_ceiling: list[Score]
+    hypothesis: list[Verdict]
+    evidence: list[EvidenceRow]
+    not_modelled: list[str]
+    reconstruct_s: dict[str, float]
+    pictures: list[Picture]
+
+
+def check_results(results: object) -> Results:
+    """Check a results record against the schema.
+
+    Raises
+    ------
+    ValueCheckError
+        One line a problem: where, what was got, what was expected.
+    """
+    try:
+        return TypeAdapter(Results).validate_python(results)
+    except ValidationError as error:
+        lines = [
+            f"  {'.'.join(map(str, item['loc']))}: {item['msg']}"
+            + ("" if item["type"] == "missing" else f"; got {str(item['input'])[:60]!r}")
+            for item in error.errors()
+        ]
+        raise ValueCheckError(
+            f"results.json is not of schema version {SCHEMA_VERSION}: {len(lines)} problems\n"
+            + "\n".join(lines)
+        ) from None

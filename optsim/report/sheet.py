@@ -1,0 +1,258 @@
+"""The contact sheet of a run: every still picture of the report, made from one coded frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.files import write_png8
+from optsim.quantities import Bools, Bytes, Floats, Words
+from optsim.report import pictures as draw
+from optsim.report.schema import ColourScale, LegendEntry, Picture, Section
+
+LIMIT_STOPS = 2.0
+_SHOWN_PX = 260
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A rectangle of panel pixels worth a closer look."""
+
+    name: str
+    row: int
+    col: int
+    height: int
+    width: int
+
+    def of(self, image: Bytes) -> Bytes:
+        """Cut it out of an image (v, u) or (v, u, 3)."""
+        return image[self.row : self.row + self.height, self.col : self.col + self.width]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What one method did in the coded frame shown.
+
+    Parameters
+    ----------
+    estimate_cd_m2 : ndarray of shape (slot, v, u), float32
+        Reconstructed luminance, cd/m^2.
+    valid, moving : ndarray of shape (v, u), bool
+        Where the estimate holds; where the code was a temporal one.
+    dn : ndarray of shape (y, x), uint16
+        The captured frame.
+    levels : ndarray of shape (slot, v, u), uint8
+        The code.
+    """
+
+    estimate_cd_m2: Floats
+    valid: Bools
+    moving: Bools
+    dn: Words
+    levels: Bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """The coded frame shown: truth, oracle mask and all methods.
+
+    Parameters
+    ----------
+    index, slot : int
+        Coded frame, and the slot in it whose estimate is shown.
+    reference_cd_m2 : ndarray of shape (slot, v, u), float32
+        True luminance, cd/m^2.
+    oracle : ndarray of shape (v, u), bool
+        Where it really moves.
+    saturation_dn : float
+        Where captured frames count as saturated, DN.
+    shots : Mapping
+        Method name -> Shot.
+    """
+
+    index: int
+    slot: int
+    reference_cd_m2: Floats
+    oracle: Bools
+    saturation_dn: float
+    shots: Mapping[str, Shot]
+
+
+def choose_crops(
+    reference_cd_m2: Floats, oracle: Bools, outside: Bools | None, *, size: tuple[int, int]
+) -> tuple[Crop, ...]:
+    """Choose where to look from the truth alone: most motion, window, and most texture in the interior.
+
+    Parameters
+    ----------
+    reference_cd_m2 : ndarray of shape (v, u), float32
+        True luminance of the instant shown.
+    oracle : ndarray of shape (v, u), bool
+        Where it moves.
+    outside : ndarray of shape (v, u), bool, or None
+        Where the bright outside is seen; None: the brightest place stands for it.
+    size : (int, int)
+        Height and width of the crops, panel pixels.
+    """
+    if any(s > n for s, n in zip(size, reference_cd_m2.shape, strict=True)):
+        raise ValueCheckError(f"crops of {size} panel pixels do not fit a panel of {reference_cd_m2.shape}")
+    stops = np.log2(np.maximum(reference_cd_m2, 0) + 1e-3)
+    gradient = np.hypot(*np.gradient(stops))
+    still = (~oracle).astype(np.float32)
+    window = stops if outside is None else outside * (1 + gradient)
+    interior = gradient * (still if outside is None else still * ~outside)
+    # a strong edge (the window's frame) is no texture: count small contrasts, of at most a stop
+    places = (
+        ("what moves", oracle.astype(np.float32)),
+        ("the window", window * still),
+        ("interior texture", np.minimum(interior, 1.0)),
+    )
+    return tuple(_best(name, cast("Floats", weight), size) for name, weight in places if weight.any())
+
+
+def _best(name: str, weight: Floats, size: tuple[int, int]) -> Crop:
+    """Crop of the largest total weight, from a table of sums over all rectangles at the origin."""
+    height, width = size
+    sums = np.pad(weight.astype(np.float64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    total = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
+    row, col = divmod(int(total.argmax()), total.shape[1])
+    return Crop(name, row, col, height, width)
+
+
+def render_pictures(
+    folder: Path, moment: Moment, tone: draw.ToneCurve, crops: Sequence[Crop], *, e_cd_m2: float
+) -> list[Picture]:
+    """Write every still picture below ``folder/assets`` and describe it for results.json.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder.
+    moment : Moment
+        The coded frame to show.
+    tone : ToneCurve
+        One curve for all pictures of light.
+    crops : sequence of Crop
+        From :func:`choose_crops`; the first one also frames the picture of the code.
+    e_cd_m2 : float
+        Offset of the error maps, that of the scored log error.
+    """
+    at = f"Coded frame {moment.index}, slot {moment.slot}; {tone.caption}."
+    truth = moment.reference_cd_m2[moment.slot]
+    views = {"truth": truth, **{n: s.estimate_cd_m2[moment.slot] for n, s in moment.shots.items()}}
+    toned = {name: tone.apply(view) for name, view in views.items()}
+    sheet = _Sheet(folder)
+    found = [
+        sheet.save(f"full_{name}", image, "compare", at, "full frame", name) for name, image in toned.items()
+    ]
+    for number, crop in enumerate(crops):
+        factor = max(1, round(_SHOWN_PX / crop.width))
+        place = f"{crop.width} × {crop.height} panel pixels at row {crop.row}, column {crop.col}. {at}"
+        found += [
+            sheet.save(
+                f"crop{number}_{name}",
+                draw.enlarge(crop.of(image), factor),
+                "crops",
+                place,
+                crop.name,
+                name,
+            )
+            for name, image in toned.items()
+        ]
+    for name, shot in moment.shots.items():
+        found += _capture(sheet, moment, name, shot, toned["truth"], crops[0] if crops else None)
+        error = draw.error_picture(views[name], truth, shot.valid, e_cd_m2=e_cd_m2, limit_stops=LIMIT_STOPS)
+        caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {at}"
+        scale = draw.error_scale(LIMIT_STOPS)
+        found.append(sheet.save(f"error_{name}", error, "errors", caption, "error", name, scale=scale))
+    return found
+
+
+def _capture(
+    sheet: _Sheet, moment: Moment, name: str, shot: Shot, truth: Bytes, crop: Crop | None
+) -> list[Picture]:
+    """Draw captured frame, code and mask of one method."""
+    cut = crop or Crop("panel", 0, 0, *moment.oracle.shape)
+    factor = max(1, round(_SHOWN_PX / cut.width))
+    place = f"{cut.width} × {cut.height} panel pixels at row {cut.row}, column {cut.col}"
+    code = draw.enlarge(cut.of(shot.levels[moment.slot]), factor)
+    starts = draw.enlarge(cut.of(draw.start_picture(shot.levels)), factor)
+    found = [
+        sheet.save(
+            f"captured_{name}",
+            draw.captured_picture(shot.dn, moment.saturation_dn),
+            "capture",
+            f"Raw CCD frame {moment.index}, gamma 1/2.2.",
+            name,
+            "captured frame",
+            legend=draw.captured_legend(),
+        ),
+        sheet.save(
+            f"code_{name}",
+            code,
+            "capture",
+            f"Drive level in slot {moment.slot}; {place}.",
+            name,
+            "code, one slot",
+        ),
+        sheet.save(
+            f"starts_{name}",
+            starts,
+            "capture",
+            f"When each pixel first opens; grey chequer: never. {place}.",
+            name,
+            "code, exposure start",
+            scale=draw.start_scale(len(shot.levels)),
+        ),
+    ]
+    if shot.moving.any() and not shot.moving.all():
+        mask = draw.mask_picture(shot.moving, moment.oracle, truth)
+        caption = f"Motion mask of coded frame {moment.index} against the oracle from the truth."
+        found.append(
+            sheet.save(
+                f"mask_{name}", mask, "capture", caption, name, "motion mask", legend=draw.mask_legend()
+            )
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """Writes pictures below one run folder."""
+
+    folder: Path
+
+    def save(
+        self,
+        name: str,
+        image: Bytes,
+        section: Section,
+        caption: str,
+        group: str,
+        label: str,
+        *,
+        scale: ColourScale | None = None,
+        legend: list[LegendEntry] | None = None,
+    ) -> Picture:
+        """Write one picture as PNG."""
+        file = f"assets/{name}.png"
+        write_png8(self.folder / file, image)
+        picture: Picture = {
+            "file": file,
+            "caption": caption,
+            "section": section,
+            "group": group,
+            "label": label,
+            "width": image.shape[1],
+            "height": image.shape[0],
+        }
+        if scale:
+            picture["scale"] = scale
+        if legend:
+            picture["legend"] = legend
+        return picture

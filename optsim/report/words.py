@@ -1,0 +1,104 @@
+"""Numbers and key names as people read them; the exact number stays beside each in the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import cast
+
+_DECIMALS = {"dB": 2, "stops": 3}
+# Suffix of a key -> unit, and whether a metric prefix may be put before it.
+_SUFFIXES: tuple[tuple[str, str, bool], ...] = (
+    ("_w_m2_sr", "W m⁻² sr⁻¹", False),
+    ("_cd_m2", "cd/m²", False),
+    ("_w_m2", "W/m²", False),
+    ("_j_m2", "J/m²", False),
+    ("_rad", "rad", True),
+    ("_hz", "Hz", True),
+    ("_px", "px", False),
+    ("_dn", "DN", False),
+    ("_mb", "MB", False),
+    ("_m", "m", True),
+    ("_s", "s", True),
+    ("_e", "e⁻", False),
+)
+_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+
+
+def score(value: float | None, unit: str) -> str:
+    """Write a score with the decimals its unit deserves; a dash for None."""
+    return "–" if value is None else f"{value:.{_DECIMALS.get(unit, 3)}f}".replace("-", "−")
+
+
+def share(value: float | None) -> str:
+    """Write a share as per cent; never rounds a missing part away."""
+    if value is None:
+        return "–"
+    text = f"{100 * value:.1f} %"
+    return "> 99.9 %" if text == "100.0 %" and value < 1 else text
+
+
+def seconds(value: float) -> str:
+    """Write a duration."""
+    if value < 1:
+        return f"{1000 * value:.0f} ms"
+    return f"{value:.1f} s" if value < 120 else f"{value / 60:.1f} min"
+
+
+def sentence(text: str) -> str:
+    """Begin with a capital letter and leave the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def metric(name: str, unit: str) -> str:
+    """Name of a metric with its unit, unless the name already says it."""
+    return name if f"({unit})" in name else f"{name}, {unit}"
+
+
+def label(key: str) -> str:
+    """Turn a key such as ``margin_px`` into words, without the unit suffix."""
+    for suffix, _, _ in _SUFFIXES:
+        if key.endswith(suffix):
+            key = key.removesuffix(suffix)
+            break
+    return key.replace("_", " ")
+
+
+def quantity(key: str, value: object) -> str:
+    """Write a value with the unit that its key's suffix says."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return " × ".join(quantity(key, item) for item in cast("Sequence[object]", value))
+    if not isinstance(value, (int, float)):
+        return str(value)
+    for suffix, unit, prefixed in _SUFFIXES:
+        if key.endswith(suffix):
+            factor, prefix = _prefix(value) if prefixed else (1.0, "")
+            return f"{number(value / factor)} {prefix}{unit}"
+    return number(value)
+
+
+def number(value: float | None) -> str:
+    """Write a number with four significant digits or all before the point, and thin spaces in thousands."""
+    if value is None:
+        return "–"
+    if isinstance(value, int) or 1e3 <= abs(value) < 1e7:
+        return f"{value:,.0f}".replace(",", "\u2009").replace("-", "−")
+    if value and not 1e-3 <= abs(value) < 1e7:
+        mantissa, exponent = f"{value:.3e}".split("e")
+        mantissa = mantissa.rstrip("0").rstrip(".")
+        mantissa = mantissa.replace("-", "−")
+        return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return f"{value:.4g}".replace("-", "−")
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _prefix(value: float) -> tuple[float, str]:
+    if not value or not math.isfinite(value):
+        return 1.0, ""
+    return next(((f, p) for f, p in _PREFIXES if abs(value) >= f), _PREFIXES[-1])

@@ -1,0 +1,6 @@
+"""What is in front of the camera: scenes, movers as pure functions of time, and footage as truth."""
+
+from optsim.scene.footage import footage, still
+from optsim.scene.scene import Scene, list_scenes, load_scene
+
+__all__ = ["Scene", "footage", "list_scenes", "load_scene", "still"]

@@ -1,0 +1,5 @@
+"""The image sensor with its true parameters."""
+
+from optsim.sensor.ccd import Ccd
+
+__all__ = ["Ccd"]

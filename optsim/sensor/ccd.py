@@ -1,0 +1,134 @@
+"""The CCD: from photons to digital numbers, by EMVA 1288 with a physical full well.
+
+    e  = Poisson(QE (1 + PRNU) photons + dark current x time), clipped at the full well
+    DN = round((bend(e) + read noise + DSNU) / gain + black level), clipped by the converter
+
+Source: EMVA Standard 1288, release 4.0 Linear (2021), section 2; the order of clip and noise is that of an
+interline CCD, whose well clips before its output amplifier adds noise.
+
+Not modelled: smear, blooming, lag, charge-transfer loss, hot pixels, fixed row and column patterns.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.random import Generator
+from pydantic import Field
+
+from optsim.config import Part
+from optsim.quantities import Doubles, Floats, Words
+
+# Below this an expected signal under zero is rounding of the optics' transforms, not negative light.
+_ROUNDING_E = 1e-6
+_PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
+
+
+class Ccd(Part):
+    """A monochrome CCD, or a region of interest of it.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Pixels read out: the region of interest, in the middle of the chip.
+    pitch_m : float
+        Pixel pitch, m.
+    quantum_efficiency : float
+        Electrons per photon in the band.
+    full_well_e : float
+        Electrons at which a pixel clips (not the EMVA saturation capacity, which lies a little below).
+    read_noise_e : float
+        Temporal dark noise, rms.
+    dark_current_e_s : float
+        Electrons a second and pixel at the camera's temperature.
+    prnu : float
+        Photo response non-uniformity, relative rms.
+    dsnu_e : float
+        Dark signal non-uniformity, rms.
+    gain_e : float
+        Electrons per digital number.
+    bits : int
+        Of the converter.
+    black_dn : float
+        Black level.
+    bend_at_full_well : float
+        Share of the signal that is missing at the full well; grows with the fifth power of the signal.
+    readout_s : float
+        Time to read a frame out.
+    """
+
+    rows: int = Field(ge=1)
+    cols: int = Field(ge=1)
+    pitch_m: float = Field(gt=0)
+    quantum_efficiency: float = Field(gt=0, le=1)
+    full_well_e: float = Field(gt=0)
+    read_noise_e: float = Field(ge=0)
+    dark_current_e_s: float = Field(ge=0)
+    prnu: float = Field(ge=0, le=0.1)
+    dsnu_e: float = Field(ge=0)
+    gain_e: float = Field(gt=0)
+    bits: int = Field(ge=8, le=16)
+    black_dn: float = Field(ge=0)
+    bend_at_full_well: float = Field(ge=0, le=0.1)
+    readout_s: float = Field(gt=0)
+
+    @property
+    def max_dn(self) -> int:
+        """Largest digital number."""
+        return 2**self.bits - 1
+
+    @property
+    def pixel_area_m2(self) -> float:
+        """Area of a pixel, m^2, all of it sensitive: micro-lenses are part of the quantum efficiency."""
+        return self.pitch_m**2
+
+    def pixel_response(self, serial_number: int) -> Floats:
+        """1 + PRNU of every pixel, (y, x)."""
+        return _patterns(self.rows, self.cols, self.prnu, self.dsnu_e, serial_number)[0]
+
+    def dark_signal_e(self, serial_number: int) -> Floats:
+        """DSNU of every pixel, (y, x), electrons."""
+        return _patterns(self.rows, self.cols, self.prnu, self.dsnu_e, serial_number)[1]
+
+    def bent(self, electrons: Doubles) -> Doubles:
+        """Signal after the non-linearity, electrons: e (1 - bend (e / full well)^5)."""
+        # Repeated products: a general power takes ten times as long on a whole frame.
+        x = electrons / self.full_well_e
+        x2 = x * x
+        return electrons * (1 - self.bend_at_full_well * x2 * x2 * x)
+
+    def digitise(self, expected_e: Doubles, serial_number: int, rng: Generator) -> tuple[Words, int]:
+        """Take a frame of given expected electrons.
+
+        Parameters
+        ----------
+        expected_e : ndarray of shape (y, x), float64
+            Before any clip; negative where the light is (Monte-Carlo noise).
+        serial_number : int
+            Seed of the fixed patterns.
+        rng : Generator
+            Of this frame's shot and read noise.
+
+        Returns
+        -------
+        dn : ndarray of shape (y, x), uint16
+            Raw frame.
+        negative_light : int
+            Pixels whose expected light was negative, taken as dark.
+        """
+        negative_light = int(np.count_nonzero(expected_e < -_ROUNDING_E))
+        electrons = rng.poisson(np.maximum(expected_e, 0)).astype(np.float64)
+        signal = self.bent(np.minimum(electrons, self.full_well_e))
+        signal += rng.standard_normal(signal.shape, np.float32) * np.float32(self.read_noise_e)
+        signal += self.dark_signal_e(serial_number)
+        dn = np.rint(signal / self.gain_e + self.black_dn)
+        return np.clip(dn, 0, self.max_dn).astype(np.uint16), negative_light
+
+
+@lru_cache(maxsize=4)
+def _patterns(rows: int, cols: int, prnu: float, dsnu_e: float, serial_number: int) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng([serial_number, _PATTERN])
+    response = 1 + prnu * rng.standard_normal((rows, cols), np.float32)
+    dark = dsnu_e * rng.standard_normal((rows, cols), np.float32)
+    return response.astype(np.float32), dark.astype(np.float32)

@@ -1,0 +1,504 @@
+"""The report page: every number is that of results.json, it needs no network, and it can be made again."""
+
+from __future__ import annotations
+
+import copy
+import html
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from optsim import metrics, report
+from optsim.errors import StorageError, ValueCheckError
+from optsim.files import read_json, write_json
+from optsim.metrics import PhotometricScale, ScoreBoard, judge_hypothesis, mask_agreement, oracle_moving
+from optsim.quantities import Reconstruction
+from optsim.report import headline, plots, words
+from optsim.report.pictures import (
+    ToneCurve,
+    captured_picture,
+    error_picture,
+    mask_legend,
+    mask_picture,
+    start_picture,
+)
+
+METHODS = {
+    "adaptive": "motion-adaptive coding, union decoder",
+    "normal": "all slots open",
+    "hdr_mosaic": "four densities, merged",
+    "random": "random exposure, sparse decoder",
+}
+# Relative noise where it moves and where it is static: a made-up contest with a clear order.
+NOISE = {
+    "adaptive": (0.055, 0.021),
+    "normal": (0.5, 0.06),
+    "hdr_mosaic": (0.35, 0.02),
+    "random": (0.05, 0.09),
+}
+SLOTS = 12
+
+
+def truth_frame(index: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """A dim textured room with a bright window and a disc that moves: irradiance (slot, v, u), W/m^2."""
+    v, u = np.indices((rows, cols)) / rows
+    still = 2e-3 * (1 + 0.6 * np.sin(40 * u) * np.sin(31 * v)) * (0.4 + v)
+    outside = (v > 0.12) & (v < 0.5) & (u > 0.12) & (u < 0.5)
+    still = np.where(outside, 3.0 * (1.2 + np.sin(70 * u)), still)
+    frames = []
+    for slot in range(SLOTS):
+        at = 0.75 + 0.1 * np.sin((index * SLOTS + slot) / 9)
+        disc = (u - at) ** 2 + (v - 0.62) ** 2 < 0.02
+        frames.append(np.where(disc, 0.02 * (1.5 + np.sin(60 * (u - at))), still))
+    return np.asarray(frames, np.float32), outside
+
+
+def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str, Any]:
+    """Results of a made-up run, scored and drawn by the real rooms."""
+    rng = np.random.default_rng(7)
+    scale = PhotometricScale(white_w_m2_sr=0.5, irradiance_per_radiance=0.02)
+    board = ScoreBoard(metrics.ALL, scale, 1, SLOTS)
+    tallies, ceiling, masks, shots, pairs = [], [], [], {}, []
+    previous = None
+    for index in range(n_frames):
+        reference, outside = truth_frame(index, rows, cols)
+        moving = oracle_moving(reference, previous, 0.0)
+        previous = reference
+        half = (reference * rng.normal(0, 0.004, reference.shape)).astype(np.float32)
+        ceiling.append(board.tally_noise(index, reference, half, moving))
+        for name in METHODS:
+            sigma = np.where(moving, *NOISE[name]) * (1.5 if index < 2 else 1)
+            estimate = np.maximum(reference * (1 + sigma * rng.normal(size=reference.shape)), 0)
+            if name == "normal":
+                estimate = np.minimum(estimate, 0.03)
+            valid = np.ones((rows, cols), bool)
+            valid[:2, : cols // 4] = name != "random"
+            mask = moving if name != "adaptive" else np.roll(moving, 2, axis=1)
+            r = Reconstruction(index, estimate.astype(np.float32), valid, ~valid, mask & (name == "adaptive"))
+            tallies.append(board.tally(name, r, reference, moving))
+            if name == "adaptive":
+                agreement = mask_agreement(r.moving, moving)
+                masks.append(
+                    {
+                        "method": name,
+                        "frame": index,
+                        "precision": agreement.precision,
+                        "recall": agreement.recall,
+                        "iou": agreement.iou,
+                    }
+                )
+                if index >= n_frames - 2:
+                    lum = scale.luminance_cd_m2(r.irradiance_w_m2), scale.luminance_cd_m2(reference)
+                    pairs += list(zip(*lum, strict=True))
+            levels = (rng.random((SLOTS, rows, cols)) < 0.1).astype(np.uint8) * 255
+            dn = np.clip(rng.normal(reference.mean(0) * 4e5, 30), 0, 16383).repeat(3, 0).repeat(3, 1)
+            shots[name] = report.Shot(
+                scale.luminance_cd_m2(r.irradiance_w_m2),
+                valid,
+                np.asarray(r.moving),
+                dn.astype(np.uint16),
+                np.full_like(levels, 255) if name == "normal" else levels,
+            )
+    luminance = scale.luminance_cd_m2(reference)
+    tone = report.tone_curve_for(luminance)
+    crops = report.choose_crops(luminance[5], moving, outside, size=(rows // 4, cols // 4))
+    moment = report.Moment(n_frames - 1, 5, luminance, moving, 16000.0, shots)
+    pictures = report.render_pictures(folder, moment, tone, crops, e_cd_m2=0.01)
+    pictures.append(report.animate(folder, pairs, tone, method="adaptive", instant_s=1 / 180))
+    scores = board.records(tallies)
+    return {
+        "schema_version": 1,
+        "title": "A made-up run <of & for> tests",
+        "experiment": {
+            "name": "synthetic",
+            "camera": {"latency_frames": 1},
+            "methods": [{"name": "adaptive"}],
+        },
+        "command": "optsim run synthetic --seed 7",
+        "finished_utc": "2026-01-02T03:04:05",
+        "versions": {"optsim": "0.1.0", "numpy": "2.4.6"},
+        "backend": "llvm_ad_mono, 2 cores",
+        "seeds": {"experiment": 7},
+        "timings": [
+            {
+                "stage": s,
+                "wall_s": w,
+                "cpu_s": 1.9 * w,
+                "peak_rss_mb": 812.5,
+                "peak_is_of_this_stage": s != "render",
+            }
+            for s, w in (
+                ("render", 95.3),
+                ("calibrate", 4.25),
+                ("capture", 21.0),
+                ("decode", 61.4),
+                ("score", 7.7),
+            )
+        ],
+        "light_rule": {
+            "statement": "The interior's 90th percentile under the all-on code reaches 80 % of measured saturation.",
+            "nd_transmission": 0.3712,
+            "wanted_transmission": 0.3712,
+            "percentile_dn": 12441.0,
+            "saturation_dn": 15551.0,
+        },
+        "photons": [
+            {"method": m, "mean_e": 5000.5 + i, "dark_e": 210.25, "saturated_share": 0.03125}
+            for i, m in enumerate(METHODS)
+        ],
+        "ledgers": [
+            {
+                "name": "mid-grey",
+                "radiance_w_m2_sr": 0.09,
+                "rows": [
+                    {
+                        "element": "objective f/4",
+                        "transmission": 0.9,
+                        "irradiance_w_m2": 1.23e-3,
+                        "source": "data sheet",
+                    },
+                    {
+                        "element": "panel",
+                        "transmission": 0.65,
+                        "irradiance_w_m2": 8.0e-4,
+                        "source": "no source",
+                    },
+                ],
+            }
+        ],
+        "geometry": {
+            "panel_px": [rows, cols],
+            "ratio": 3.0,
+            "margin_px": 14,
+            "fits": True,
+            "pitch_m": 9.5e-6,
+        },
+        "latency": {
+            "frames": 1,
+            "smallest_physical": 3,
+            "hypothetical": True,
+            "details": {"readout_s": 0.069, "transfer_s": 0.0118},
+        },
+        "scene": {
+            "name": "synthetic",
+            "variation": "main",
+            "description": "a dim room, a bright window, a moving disc",
+            "white_w_m2_sr": 0.5,
+            "white_cd_m2": scale.white_cd_m2,
+            "window_interior_ratio_before_glare": 21500.0,
+            "window_interior_ratio_after_glare": 2040.0,
+        },
+        "methods": METHODS,
+        "scores": scores,
+        "coverage": board.coverage(tallies),
+        "frame_series": board.frame_series([*tallies, *ceiling]),
+        "slot_series": board.slot_series(tallies),
+        "masks": masks,
+        "noise_ceiling": board.records(ceiling),
+        "hypothesis": judge_hypothesis(scores),
+        "evidence": [
+            {
+                "effect": "pu21",
+                "what": "PU21 encoding of the scores",
+                "validated": True,
+                "why": "",
+                "claim": "encodes as its authors do",
+                "oracle": "published numbers",
+                "source": "doi:10.1109/PCS50896.2021.9477471",
+                "measured": 2.0e-5,
+                "tolerance": 6e-5,
+            },
+            {
+                "effect": "lens_psf",
+                "what": "blur of each lens group",
+                "validated": False,
+                "why": "no validation yet",
+                "claim": None,
+                "oracle": None,
+                "source": None,
+                "measured": None,
+                "tolerance": None,
+            },
+        ],
+        "not_modelled": ["twist of the nematic panel", "row scan of the panel"],
+        "reconstruct_s": {"adaptive": 31.4, "normal": 0.4, "hdr_mosaic": 0.7, "random": 29.0},
+        "pictures": pictures,
+    }
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_json(folder / "results.json", make_results(folder, 36, 48, 7))
+    return folder
+
+
+@pytest.fixture
+def results(run_folder: Path) -> dict[str, Any]:
+    return read_json(run_folder / "results.json")
+
+
+class Cells(HTMLParser):
+    """Collects text and attributes of all elements that carry the exact number, and every address."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cells: list[tuple[dict[str, str | None], str]] = []
+        self.addresses: list[str] = []
+        self._open: tuple[dict[str, str | None], str] | None = None
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        table = dict(attrs)
+        self.addresses += [str(table[k]) for k in ("src", "href", "srcset") if table.get(k)]
+        if "data-value" in table:
+            self._open = (table, "")
+
+    def handle_data(self, text: str) -> None:
+        if self._open:
+            self._open = (self._open[0], self._open[1] + text)
+
+    def handle_endtag(self, tag: str) -> None:
+        if self._open and tag in {"td", "dd", "b"}:
+            self.cells.append((self._open[0], self._open[1].strip()))
+            self._open = None
+
+
+def parsed(page: str) -> Cells:
+    parser = Cells()
+    parser.feed(page)
+    return parser
+
+
+def test_every_score_in_the_page_is_that_of_the_results(run_folder: Path, results: dict[str, Any]) -> None:
+    page = report.write_report(run_folder, results).read_text()
+    shown = [(a, text) for a, text in parsed(page).cells if "data-metric" in a]
+    expected = {
+        (s["method"], s["metric"], s["region"], s["value"]): words.score(s["value"], s["unit"])
+        for s in results["scores"]
+    }
+    found = {
+        (a["data-method"], a["data-metric"], a["data-region"], float(str(a["data-value"]))): text
+        for a, text in shown
+    }
+    assert found == expected
+    assert len(shown) == len(results["scores"]) == 4 * 3 * 3 * 3  # methods, metrics, regions, phases
+
+
+def test_other_exact_numbers_agree_with_their_text(run_folder: Path, results: dict[str, Any]) -> None:
+    page = report.write_report(run_folder, results).read_text()
+    plain = [(float(str(a["data-value"])), t) for a, t in parsed(page).cells if "data-metric" not in a]
+    assert len(plain) > 40
+    for value, text in plain:
+        digits = float(re.sub(r"[^0-9.\-]", "", text.replace("−", "-").split("e⁻")[0]) or "nan")
+        # shown as itself, in per cent, in milliseconds or in minutes: two digits are always right
+        nearest = min(abs(digits - value * f) / max(abs(value * f), 0.01) for f in (1, 100, 1000, 1 / 60))
+        assert nearest < 0.15, (value, text)
+
+
+def test_best_is_marked_by_direction(run_folder: Path, results: dict[str, Any]) -> None:
+    page = report.write_report(run_folder, results).read_text()
+    best = [a for a, _ in parsed(page).cells if "best" in str(a.get("class"))]
+    assert len(best) == 3 * 3 * 3
+    for a in best:
+        rivals = [
+            s
+            for s in results["scores"]
+            if (s["metric"], s["region"]) == (a["data-metric"], a["data-region"]) and s["value"] is not None
+        ]
+        of_phase = [
+            s
+            for s in rivals
+            if any(r["phase"] == s["phase"] and r["value"] == float(str(a["data-value"])) for r in rivals)
+        ]
+        pick = max if of_phase[0]["higher_is_better"] else min
+        assert pick(s["value"] for s in of_phase) == float(str(a["data-value"]))
+
+
+def test_page_is_finite_self_contained_and_repeatable(run_folder: Path, results: dict[str, Any]) -> None:
+    path = report.write_report(run_folder, results)
+    page = path.read_text()
+    assert report.write_report(run_folder, results).read_text() == page
+    text = html.unescape(re.sub(r"<style>.*?</style>|<script>.*?</script>|<[^>]+>", " ", page, flags=re.S))
+    assert not re.search(r"\b(nan|inf|infinity|none|null|undefined)\b", text, flags=re.I)
+    addresses = parsed(page).addresses
+    assert len(addresses) > 20
+    for address in addresses:
+        assert not re.match(r"(https?:)?//", address)
+        assert (run_folder / address).is_file(), address
+    assert "A made-up run &lt;of &amp; for&gt; tests" in page, "titles are escaped"
+    assert not re.search(r"url\(|@import|fetch\(|https?://", page)
+
+
+def test_first_screen_names_the_winners_and_their_lead(run_folder: Path, results: dict[str, Any]) -> None:
+    moving, static, everywhere = headline.cards(report.check_results(results), "steady")
+    assert [moving.contestants[0].name, static.contestants[0].name] == ["random", "hdr_mosaic"]
+    assert everywhere.contestants[0].name == "adaptive"
+    steady = {
+        (s["method"], s["region"]): s["value"]
+        for s in results["scores"]
+        if s["phase"] == "steady" and s["metric"].startswith("PU21")
+    }
+    assert moving.lead == pytest.approx(steady["random", "moving"] - steady["adaptive", "moving"], abs=1e-12)
+    assert moving.contestants[0].position == 1
+    assert moving.contestants[-1].position == 0
+
+
+def test_sections_come_in_order(run_folder: Path, results: dict[str, Any]) -> None:
+    page = report.write_report(run_folder, results).read_text()
+    order = re.findall(r'<section[^>]* id="(\w+)"', page)
+    assert order == [
+        "headline", "crops", "moving", "capture", "errors", "ledger", "geometry", "ceiling", "evidence", "reproduce",
+    ]  # fmt: skip
+    assert "hypothetical" in page
+    assert "cannot be certified by this truth" in page
+    assert "optsim run synthetic --seed 7" in page
+    assert page.count("unvalidated") == 1
+
+
+def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, Any]) -> None:
+    """Short footage run: no steady phase, no noise ceiling, no masks, no pictures, no hypothesis."""
+    bare = copy.deepcopy(results)
+    bare["scores"] = [s for s in bare["scores"] if s["phase"] == "warm-up"]
+    for key in ("pictures", "masks", "noise_ceiling", "hypothesis", "slot_series", "photons", "ledgers"):
+        bare[key] = []
+    bare["scores"][0]["value"], bare["scores"][0]["flag"] = None, "empty"
+    page = report.write_report(tmp_path, bare).read_text()
+    assert "too short to reach the steady phase" in page
+    assert "what it can certify is unknown" in page
+    bare["scores"] = bare["coverage"] = bare["frame_series"] = []
+    assert "No scores in this run" in report.write_report(tmp_path, bare).read_text()
+
+
+def test_schema_refuses_with_the_place(tmp_path: Path, results: dict[str, Any]) -> None:
+    broken = copy.deepcopy(results)
+    broken["scores"][3]["value"] = float("nan")
+    broken["surprise"] = 1
+    del broken["command"]
+    with pytest.raises(ValueCheckError, match=r"3 problems") as error:
+        report.write_report(tmp_path, broken)
+    for place in (r"scores\.3\.value", "surprise", "command: Field required"):
+        assert re.search(place, str(error.value))
+    with pytest.raises(StorageError, match="missing; cure"):
+        report.write_report(tmp_path, results)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_moving_picture_is_small_and_complete(run_folder: Path, results: dict[str, Any]) -> None:
+    from PIL import Image
+
+    (film,) = (p for p in results["pictures"] if p["section"] == "moving")
+    assert (run_folder / film["file"]).stat().st_size < 1_500_000
+    with Image.open(run_folder / film["file"]) as image:
+        assert image.n_frames == 2 * SLOTS
+        assert image.size == (film["width"], film["height"]) == (648, 240)
+    assert "11.9 times slower" in film["caption"]  # 66 ms shown for each 1/180 s
+    with pytest.raises(ValueCheckError, match="no frames"):
+        report.animate(run_folder, [], ToneCurve(knee_cd_m2=1, peak_cd_m2=10), method="x", instant_s=1)
+
+
+def test_tone_curve_is_one_monotone_curve() -> None:
+    tone = ToneCurve(knee_cd_m2=2.0, peak_cd_m2=2000.0)
+    luminance = np.array([-1.0, 0.0, 2.0, 200.0, 2000.0, 1e9], np.float32)
+    expected = 255 * np.log1p([0, 0, 1, 100, 1000, 1000]) / np.log1p(1000)
+    assert np.array_equal(tone.apply(luminance), np.rint(expected).astype(np.uint8))
+    assert "knee 2 cd/m²" in tone.caption
+    assert "2\u2009000 cd/m²" in tone.caption
+
+
+def test_error_picture_is_signed_and_symmetric() -> None:
+    truth = np.full((1, 5), 100.0, np.float32)
+    estimate = truth * np.array([[0.01, 0.5, 1.0, 2.0, 100.0]], np.float32)
+    valid = np.ones((1, 5), bool)
+    image = error_picture(estimate, truth, valid, e_cd_m2=1e-6, limit_stops=2.0).astype(int)
+    assert tuple(image[0, 0]) == (0x08, 0x30, 0x6B)  # two stops too dark, or more
+    assert tuple(image[0, 2]) == (0xF4, 0xF3, 0xEF)
+    assert tuple(image[0, 4]) == (0x6E, 0x14, 0x14)
+    assert image[0, 1, 2] > image[0, 1, 0], "too dark is blue"
+    assert image[0, 3, 0] > image[0, 3, 2], "too bright is red"
+    unknown = error_picture(estimate, truth, ~valid, e_cd_m2=1e-6, limit_stops=2.0)
+    assert set(unknown[0, :, 0].tolist()) <= {0x8A, 0x70}
+
+
+def test_mask_picture_has_four_kinds() -> None:
+    mask, oracle = np.array([[1, 0, 1, 0]], bool), np.array([[1, 1, 0, 0]], bool)
+    image = mask_picture(mask, oracle, np.zeros((1, 4), np.uint8))
+    hues = [int(entry["colour"][1:3], 16) for entry in mask_legend()[:3]]
+    assert image[0, :3, 0].tolist() == [round(0.8 * h) for h in hues]
+    assert image[0, 3].tolist() == [20, 20, 20]
+
+
+def test_start_and_capture_pictures() -> None:
+    levels = np.zeros((4, 1, 3), np.uint8)
+    levels[0, 0, 0] = levels[3, 0, 1] = 255
+    image = start_picture(levels)
+    assert tuple(image[0, 0]) == (0x22, 0x11, 0x50)
+    assert tuple(image[0, 1]) == (0xFC, 0xF3, 0xBD)
+    assert image[0, 2, 0] == image[0, 2, 1] == image[0, 2, 2], "never open: grey"
+    captured = captured_picture(np.array([[0, 4000, 16000]], np.uint16), 16000.0)
+    assert captured[0].tolist() == [[0, 0, 0], [136, 136, 136], [0xFF, 0x7A, 0x1A]]  # 255 * 0.25 ** (1/2.2)
+
+
+def test_crops_find_motion_window_and_texture() -> None:
+    reference, outside = truth_frame(2, 60, 80)
+    oracle = oracle_moving(reference, None, 0.0)
+    crops = {c.name: c for c in report.choose_crops(reference[0] * 3e4, oracle, outside, size=(15, 20))}
+    assert crops["what moves"].of(oracle).mean() > 0.7
+    assert crops["the window"].of(outside).all()
+    assert not crops["interior texture"].of(outside | oracle).any()
+    with pytest.raises(ValueCheckError, match="do not fit"):
+        report.choose_crops(reference[0], oracle, outside, size=(61, 20))
+
+
+def test_plots_break_at_missing_values_and_keep_labels_apart() -> None:
+    line = plots.Line("a & b", "s0", [0, 1, 2, 3], [1.0, None, 2.0, 3.0])
+    twin = plots.Line("twin", "s1", [0, 1, 2, 3], [1.0, 1.0, 2.0, 3.0])
+    svg = plots.line_plot([line, twin], title="t", x_label="frame", y_label="dB")
+    (path,) = re.findall(r'class="line s0" d="([^"]+)"', svg)
+    assert path.count("M") == 2, "a missing value breaks the line"
+    assert "a &amp; b" in svg
+    low, high = sorted(float(y) for y in re.findall(r'class="end s\d" x="[\d.]+" y="([\d.]+)"', svg))
+    assert high - low == pytest.approx(15)
+    assert "no values" in plots.line_plot(
+        [plots.Line("x", "s0", [0], [None])], title="t", x_label="x", y_label="y"
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0, 1), (-9.7, -9.69), (11.5, 37.2), (5, 5), (0, 0), (0.0005, 0.002)]
+)
+def test_ticks_are_round_and_enclose(low: float, high: float) -> None:
+    ticks = plots.nice_ticks(low, high)
+    assert ticks[0] <= low + 1e-9
+    assert ticks[-1] >= high - 1e-9
+    assert 2 <= len(ticks) <= 8
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("pitch_m", 9.5e-6, "9.5 µm"),
+        ("readout_s", 0.069, "69 ms"),
+        ("saturation_dn", 15551.4, "15\u2009551 DN"),
+        ("fits", True, "yes"),
+        ("panel_px", [500, 600], "500 px × 600 px"),
+        ("ratio", 2.88, "2.88"),
+        ("energy_j_m2", -2.5e-7, "−2.5 × 10⁻⁷ J/m²"),
+        ("missing", None, "–"),
+    ],
+)
+def test_quantities_in_words(key: str, value: object, text: str) -> None:
+    assert words.quantity(key, value) == text
+
+
+def test_shares_never_round_a_missing_part_away() -> None:
+    assert [words.share(x) for x in (1.0, 0.99999, 0.998, 0.0, None)] == [
+        "100.0 %",
+        "> 99.9 %",
+        "99.8 %",
+        "0.0 %",
+        "–",
+    ]
