@@ -6,8 +6,6 @@ ideal one, which holds the paper's equations.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field
@@ -21,6 +19,7 @@ from optsim.forward.panel import PanelResponse, slot_weights
 from optsim.forward.radiometry import photons_per_joule
 from optsim.forward.relay import RelayGeometry, RelayOperator
 from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
+from optsim.known_calibration import known_calibration
 from optsim.ledger import LedgerRow, photon_ledger
 from optsim.optics import Modulator, Objective, Relay, Splitter, form_image, leak, throughput
 from optsim.quantities import (
@@ -30,7 +29,6 @@ from optsim.quantities import (
     Doubles,
     ExposureCode,
     Floats,
-    Ints,
     IrradianceVideo,
     PanelState,
     RadianceVideo,
@@ -223,7 +221,7 @@ class CodedCamera(Part):
     def expected_electrons(
         self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState
     ) -> tuple[Doubles, PanelState]:
-        """Electrons that a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
+        """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
         self._check(truth)
         expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
         if code.levels.shape != expected:
@@ -241,7 +239,7 @@ class CodedCamera(Part):
         return self._photon_electrons(image) + self._dark_e, PanelState(after)
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:
-        """What a perfect decoder returns for a frame: slot means over pitch cells, objective shading undone.
+        """Return a perfect decoder's answer: slot means over pitch cells, objective shading undone.
 
         Returns
         -------
@@ -252,7 +250,7 @@ class CodedCamera(Part):
         return means / truth.shading
 
     def relay_operator(self, samples_per_pitch: int = SAMPLES_PER_PITCH) -> RelayOperator:
-        """True operator from the fine grid behind the panel to radiant exposure on the CCD."""
+        """Return the true operator from the fine grid behind the panel to radiant exposure on the CCD."""
         panel_f_number = self.objective.working_f_number
         transmission = self.relay.transmission * self.relay.accepted_share(panel_f_number)
         return self.relay.operator(
@@ -308,9 +306,12 @@ class CodedCamera(Part):
         gain = self._panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
         operator = self.relay_operator()
         flat_e = self._photon_electrons(operator.apply(shading * gain * self.slot_s))
-        offset_e = sensor.dark_signal_e(self.serial_number) + self._dark_e
-        return self._calibration(
+        offset_e = sensor.dark_signal_e(self.serial_number).astype(np.float64) + self._dark_e
+        return known_calibration(
             "true",
+            sensor=sensor,
+            timing=self.timing(1),
+            coded_slots=self.coded_slots,
             response=self.panel_response,
             picks=(row, col, on_ccd & ~self._stuck[0]),
             responsivity_e=np.maximum(flat_e[row, col], 1e-30),
@@ -320,13 +321,16 @@ class CodedCamera(Part):
         )
 
     def ideal_calibration(self) -> Calibration:
-        """The paper's equations: instantaneous panel, no leak, no crosstalk, nominal map and response."""
+        """Put the paper's equations: instantaneous panel, no leak, no crosstalk, nominal map and response."""
         aligned = self.relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0})
         nominal = self.model_copy(update={"relay": aligned})
         electrons = {row.stage: row.value for row in self.ledger(1.0)}["electrons a slot"]
         shape = (self.panel_rows, self.panel_cols)
-        return self._calibration(
+        return known_calibration(
             "ideal",
+            sensor=self.sensor,
+            timing=self.timing(1),
+            coded_slots=self.coded_slots,
             response=PanelResponse(
                 tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=self.modulator.drive_exponent
             ),
@@ -337,50 +341,14 @@ class CodedCamera(Part):
             crosstalk=np.ones((1, 1)),
         )
 
-    def _calibration(
-        self,
-        source: Literal["true", "ideal"],
-        *,
-        response: PanelResponse,
-        picks: tuple[Ints, Ints, Bools],
-        responsivity_e: Doubles,
-        offset_e: Doubles,
-        full_well_e: float,
-        crosstalk: Doubles,
-    ) -> Calibration:
-        sensor = self.sensor
-        read_noise_dn = float(np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5))
-        black_dn = sensor.black_dn + offset_e / sensor.gain_e
-        # Four sigma below the clip: a saturated pixel is missed once in 30 000.
-        clip_dn = np.minimum(black_dn + full_well_e / sensor.gain_e, sensor.max_dn)
-        return Calibration(
-            source=source,
-            slot_s=self.slot_s,
-            slots_per_frame=self.slots_per_frame,
-            coded_slots=self.coded_slots,
-            response=response,
-            pick_row=picks[0],
-            pick_col=picks[1],
-            valid=picks[2],
-            responsivity_dn=(responsivity_e / sensor.gain_e).astype(np.float32),
-            black_dn=black_dn.astype(np.float32),
-            saturation_dn=(clip_dn - 4 * read_noise_dn).astype(np.float32),
-            read_noise_dn=read_noise_dn,
-            dn_per_e=1 / sensor.gain_e,
-            crosstalk=crosstalk.astype(np.float32),
-            gain_uncertainty=0.0,
-            leak_uncertainty=0.0,
-            map_residual_px=0.0,
-        )
-
     # -- small shared pieces ------------------------------------------------------------------------------
 
     def _check(self, video: Video) -> None:
         panel = (self.panel_rows, self.panel_cols)
         if video.panel_shape != panel or abs(video.slot_s / self.slot_s - 1) > 1e-6:
             raise ValueCheckError(
-                f"video of panel {video.panel_shape} and slots of {video.slot_s * 1e3:.4g} ms: this camera has "
-                f"{panel} panel pixels (camera.panel_rows, camera.panel_cols) and slots of "
+                f"video of panel {video.panel_shape} and slots of {video.slot_s * 1e3:.4g} ms: this camera "
+                f"has {panel} panel pixels (camera.panel_rows, camera.panel_cols) and slots of "
                 f"{self.slot_s * 1e3:.4g} ms (camera.modulator.field_rate_hz)"
             )
 

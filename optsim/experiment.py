@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from optsim import hardware
 from optsim.camera import CodedCamera
@@ -70,6 +70,12 @@ class Experiment(Part):
     calibration: Literal["bench", "true", "ideal"] = "bench"
     light: LightRule = LightRule()
     save_reconstructions: tuple[str, ...] = ()
+
+    @field_validator("calibration", mode="before")
+    @classmethod
+    def _true_is_a_word(cls, value: object) -> object:
+        """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
+        return "true" if value is True else value
 
     @model_validator(mode="after")
     def _names_agree(self) -> Experiment:

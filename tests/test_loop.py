@@ -12,12 +12,12 @@ ROWS, COLS, FRAMES = 24, 32, 6
 
 
 def scene(seed: int = 0) -> np.ndarray:
-    """A static texture with a bright patch moving across it, slot by slot, on 3 samples a panel pixel."""
+    """A static texture with a bright patch swinging over it, out of step with the frames (period 50 slots)."""
     rng = np.random.default_rng(seed)
     texture = np.kron(rng.uniform(0.02, 0.15, (ROWS // 2, COLS // 2)), np.ones((6, 6))).astype(np.float32)
     frames = np.repeat(texture[None], FRAMES * 36, 0)
     for slot in range(FRAMES * 36):
-        col = 6 + (slot * 2) % (3 * COLS - 24)
+        col = round(36 + 18 * np.sin(2 * np.pi * slot / 50))
         frames[slot, 24:42, col : col + 12] = 0.3
     return frames
 

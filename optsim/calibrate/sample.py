@@ -1,11 +1,11 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportMissingTypeStubs=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
 """A coded frame as each panel pixel saw it by itself: the light of the neighbours taken out."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from scipy import ndimage
@@ -13,7 +13,7 @@ from scipy import ndimage
 from optsim.calibrate.calibration import Calibration
 from optsim.errors import ConfigError
 from optsim.forward.motion import Bounds, bounds
-from optsim.quantities import Bools, CodedFrame, Floats, PanelState
+from optsim.quantities import Bools, CodedFrame, Floats, Ints, PanelState
 
 Crosstalk = Literal["undone", "row_summed"]
 _REMAINDER = 1e-4
@@ -120,8 +120,7 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
     if not sample.valid.all() and sample.valid.any():
-        nearest = tuple(ndimage.distance_transform_edt(~sample.valid, False, True))
-        pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest] * sample.exposure
+        pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest(sample.valid)] * sample.exposure
     if estimate is not None:
         pins = np.where(known, np.maximum(estimate * sample.exposure, pins), pins)
     rate = (1 - centre) / centre
@@ -140,14 +139,15 @@ def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
     centre = np.float32(_centre(calibration))
     neighbours = calibration.crosstalk**2
     neighbours[neighbours.shape[0] // 2, neighbours.shape[1] // 2] = 0
-    around = ndimage.convolve(variance, neighbours, mode="nearest")
-    return (variance + around / centre**2) / centre**2
+    around = cast("Callable[..., Floats]", ndimage.convolve)(variance, neighbours, mode="nearest")
+    return ((variance + around / centre**2) / centre**2).astype(np.float32)
 
 
 def noise_variance(calibration: Calibration, measured: Floats) -> Floats:
     """Predicted shot and read noise of a signal that is known, W^2 m^-4 slots^2."""
     dn = np.maximum(measured, 0) * calibration.responsivity_dn
-    return (dn * calibration.dn_per_e + calibration.read_noise_dn**2) / calibration.responsivity_dn**2
+    variance = (dn * calibration.dn_per_e + calibration.read_noise_dn**2) / calibration.responsivity_dn**2
+    return variance.astype(np.float32)
 
 
 def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
@@ -166,6 +166,13 @@ def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
     )
 
 
+def nearest(found: Bools) -> tuple[Ints, Ints]:
+    """Row and column of the nearest pixel of a mask, for every pixel."""
+    transform = cast("Callable[..., Ints]", ndimage.distance_transform_edt)
+    rows, cols = transform(~found, return_distances=False, return_indices=True)
+    return rows, cols
+
+
 def _centre(calibration: Calibration) -> float:
     reach = calibration.crosstalk.shape[0] // 2
     centre = float(calibration.crosstalk[reach, reach])
@@ -175,4 +182,3 @@ def _centre(calibration: Calibration) -> float:
             "cure: a sharper relay, or crosstalk = 'row_summed'"
         )
     return centre
-

@@ -16,7 +16,8 @@ from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.errors import BenchError
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
-_REACH = 1  # of the crosstalk kernel, panel pixels: at 1/3 pixel blur the next ring holds below 1e-3
+# Farthest neighbours that the kernel holds, panel pixels: diffraction wings reach 1e-4 of the light there.
+_REACH = 3
 # No source, sensible defaults: a pixel is dead below this share of the median responsivity, and stuck on
 # above this share of its own light when told to be off.
 _DEAD, _STUCK = 0.25, 0.5
@@ -124,7 +125,7 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
 def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading) -> Floats:
     """Image of one bright panel pixel in the picks around it: array of shape (k, k), float32, of sum 1.
 
-    Averaged over the dots, so over the phases between the two pixel grids; the few per mille beyond the
+    Averaged over the dots, so over the phases between the two pixel grids; what little lies beyond the
     kernel are shared out in proportion.
 
     Raises

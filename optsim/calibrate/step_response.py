@@ -19,6 +19,7 @@ from optsim.quantities import Bools, Doubles
 
 # Bounds and start of the fit as shares of a slot; below the lower one a panel counts as instantaneous.
 _LEAST, _FIRST, _MOST = 1e-4, 0.15, 5.0
+_LIT = 0.5
 
 
 def step_weight(step: Step, tau_on_s: float, tau_off_s: float, leak: float, exponent: float) -> float:
@@ -68,21 +69,27 @@ def response_times(
         raise BenchError("bench steps: expected steps to a higher and to a lower level; take both")
     grey = PanelResponse().drive_exponent if exponent is None else exponent
     row, col, black = picker.row[valid], picker.col[valid], picker.black_dn[valid]
+    brightest = max(steps, key=lambda s: float(np.mean(s.dn[:, row, col])))
+    light = brightest.dn[:, row, col].mean(axis=0) - black
+    # The flash need not fill the picture; where it is weak there is nothing to learn.
+    full = float(np.percentile(light, 99))
+    if full < 20 * picker.noise.read_noise_dn:
+        raise BenchError(
+            f"bench steps: even the brightest has {full:.1f} DN only; check that flash and exposure meet"
+        )
+    lit = light > _LIT * full
+    row, col, black = row[lit], col[lit], black[lit]
     level = float(np.mean(black, dtype=np.float64))
     signal = np.array([np.mean(s.dn[:, row, col], dtype=np.float64) for s in steps]) - level
-    brightest = float(signal.max())
+    peak = float(signal.max())
     samples = np.array([len(s.dn) for s in steps]) * black.size
     noise = picker.noise
     sigma = np.sqrt((noise.dn_per_e * np.maximum(signal, 0) + noise.read_noise_dn**2) / samples)
-    if brightest < 20 * float(sigma.max()):
-        raise BenchError(
-            f"bench steps: brightest mean signal is {brightest:.2f} DN; check that flash and exposure meet"
-        )
 
     def misfit(guess: Doubles) -> Doubles:
         energy, on, off = guess
         weights = [step_weight(s, on * slot_s, off * slot_s, leak, grey) for s in steps]
-        return (energy * brightest * np.array(weights) - signal) / sigma
+        return (energy * peak * np.array(weights) - signal) / sigma
 
     fit = least_squares(
         misfit, [1.0, _FIRST, _FIRST], bounds=([0, _LEAST, _LEAST], [10, _MOST, _MOST]), x_scale="jac"

@@ -10,7 +10,7 @@ from optsim.quantities import Doubles, Ints
 # Farthest neighbours, in panel pixels, that the kernel keeps; what lies beyond is spread over it.
 _REACH = 3
 # Distance of the lit dots: at any ratio it shifts their phase on the CCD's pixels from dot to dot.
-_SPACING = 16
+_SPACING = 13
 
 
 def crosstalk_kernel(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints) -> Doubles:
@@ -33,12 +33,16 @@ def crosstalk_kernel(operator: RelayOperator, pitch: int, pick_row: Ints, pick_c
     """
     rows, cols = pick_row.shape
     reach = min(_REACH, (min(rows, cols) - 1) // 2)
-    v, u = (np.arange(reach + (n - 2 * reach) % _SPACING // 2, n - reach, _SPACING) for n in (rows, cols))
+    v, u = _dots(rows, reach), _dots(cols, reach)
     dots = np.zeros((rows, cols))
     dots[np.ix_(v, u)] = 1
     light = operator.blur.apply(dots.repeat(pitch, axis=0).repeat(pitch, axis=1))
-    image = (operator.overlap @ light.ravel()).reshape(operator.ccd_shape)
-    seen = image[pick_row, pick_col]
+    seen = operator.project(light)[pick_row, pick_col]
     shifts = range(-reach, reach + 1)
     kernel = np.array([[seen[np.ix_(v + dv, u + du)].mean() for du in shifts] for dv in shifts])
     return kernel / kernel.sum()
+
+
+def _dots(n: int, reach: int) -> Ints:
+    """Places of the dots along an axis, as near to the middle as they come."""
+    return np.arange(reach + (n - 2 * reach) % _SPACING // 2, n - reach, _SPACING)

@@ -1,5 +1,4 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportMissingTypeStubs=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Has a pixel changed between two coded frames? Frame subtraction after the codes are divided out.
 
 The paper subtracts two frames compensated with their codes, thresholds and dilates (section 3.1). Two
@@ -10,12 +9,14 @@ is: a lower bound.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy import ndimage
 
-from optsim.quantities import Bools, Floats
+from optsim.quantities import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ def without_specks(mask: Bools, least_px: int) -> Bools:
     """Remove connected regions (8 neighbours) of fewer than ``least_px`` pixels."""
     if least_px <= 1:
         return mask
-    regions, n = ndimage.label(mask, structure=np.ones((3, 3), int))
+    regions, n = cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
     sizes = np.bincount(regions.ravel(), minlength=n + 1)
     keep = sizes >= least_px
     keep[0] = False
@@ -139,4 +140,4 @@ def grown(mask: Bools, reach_px: int) -> Bools:
     """Dilate by a square: every pixel within ``reach_px`` rows and columns of the mask."""
     if reach_px == 0:
         return mask
-    return ndimage.maximum_filter(mask, size=2 * reach_px + 1)
+    return cast("Callable[..., Bools]", ndimage.maximum_filter)(mask, size=2 * reach_px + 1)

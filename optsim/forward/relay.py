@@ -188,8 +188,12 @@ class RelayOperator:
 
     def apply(self, energy: NDArray[np.floating]) -> Doubles:
         """Radiant exposure on the CCD, (y, x) of its pixels, from that on the panel, (y, x) fine; J m^-2."""
-        image = (self.overlap @ self.blur.apply(energy).ravel()).reshape(self.ccd_shape)
-        return self._veil(image)
+        return self._veil(self.project(self.blur.apply(energy)))
+
+    def project(self, energy: Doubles) -> Doubles:
+        """Area overlap alone: no blur, no veil."""
+        image: Doubles = (self.overlap @ energy.ravel()).reshape(self.ccd_shape)
+        return image
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
         """Transpose of :meth:`apply`: from the CCD's grid to the fine panel grid."""

@@ -36,7 +36,7 @@ def icx674() -> Ccd:
 
 
 def imx174() -> Ccd:
-    """Point Grey GS3-U3-23S6 (Sony IMX174, global-shutter CMOS), the paper's ground-truth camera, mono, 12 bit."""
+    """Point Grey GS3-U3-23S6 (Sony IMX174, global-shutter CMOS), the paper's ground truth, mono, 12 bit."""
     return Ccd(
         # Data of the same pixel in matrix-vision's mvBlueFOX3 manual (IMX249): 1920 x 1200, 5.86 um.
         rows=1200,

@@ -90,6 +90,6 @@ def load_dictionary(path: Path) -> Dictionary:
 
 @lru_cache(maxsize=2)
 def shipped_dictionary() -> Dictionary:
-    """The dictionary that comes with the package."""
+    """Load the dictionary that comes with the package."""
     with resources.as_file(resources.files("optsim.reconstruct") / "dictionary.npz") as path:
         return load_dictionary(path)

@@ -4,9 +4,9 @@
 Pati, Rezaiifar and Krishnaprasad, "Orthogonal matching pursuit", Asilomar 1993
 (doi:10.1109/ACSSC.1993.342465), in the QR form: with q the part of the atom just picked that is orthogonal
 to those before, its correlations with all atoms are ``A'q = (G_k - sum r_i A'q_i) / |.|``; ``A'residual``
-then loses a multiple of that. So an atom costs one row of the Gram matrix G and a few vectors of K numbers that
-stay in cache. Rows of G are computed when first asked for and kept: a matrix used once costs what it must,
-a matrix shared by thousands of patches costs its Gram matrix once (compare Rubinstein, Zibulevsky and
+then loses a multiple of that. So an atom costs one row of the Gram matrix G and a few vectors of K
+numbers that stay in cache. Rows of G are computed when first asked for and kept: a matrix used once costs
+what it must, a matrix shared by thousands of patches costs its Gram matrix once (compare Rubinstein, Zibulevsky and
 Elad, Technion CS-2008-08, which keeps G but not ``A'q``).
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
@@ -182,8 +183,7 @@ def _one(
         shares[picked] = products[best] / length
         energy -= shares[picked] ** 2
         factors = triangle[:, picked].astype(np.float32)
-        scale = np.float32(1 / length)
-        _project(gram[best], spans, factors, picked, scale, np.float32(shares[picked]), products)
+        _project(gram[best], spans, factors, picked, 1 / length, shares[picked], products)
         picked += 1
         best = _largest(products)
     for i in range(picked - 1, -1, -1):
@@ -204,8 +204,9 @@ def _gram_row(matrix: Floats, column: int, row: Floats) -> None:
 def _project(
     row: Floats, spans: Floats, factors: Floats, picked: int, scale: float, share: float, products: Floats
 ) -> None:
-    """Fill ``spans[picked]`` with the correlations of the new direction; take its share out of the products."""
+    """Fill ``spans[picked]`` with the new direction's correlations; take its share out of the products."""
     # Only in-place updates: where a loop's source may be its own target, compilers fall back to scalar code.
+    scale32, share32 = np.float32(scale), np.float32(share)
     new = spans[picked]
     for k in range(len(new)):
         new[k] = row[k]
@@ -218,9 +219,9 @@ def _project(
     for i in range(whole, picked):
         _add(new, -factors[i], spans[i])
     for k in range(len(new)):
-        value = new[k] * scale
+        value = new[k] * scale32
         new[k] = value
-        products[k] -= share * value
+        products[k] -= share32 * value
 
 
 @njit(nogil=True, cache=True)
@@ -245,7 +246,7 @@ def _largest(values: Floats) -> int:
 
 
 @njit(nogil=True, cache=True)
-def _peak(bits: Ints) -> int:
+def _peak(bits: NDArray[np.int32]) -> np.int32:
     peak = np.int32(-1)
     for k in range(len(bits)):
         peak = max(peak, bits[k] & np.int32(0x7FFFFFFF))

@@ -40,21 +40,31 @@ class CodedImage:
 
 
 def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
-    """First rows and columns of the patches of a grid that touch a mask: array of shape (n, 2), raster order.
-
-    The last patch of a row or column sits at the edge, so that every pixel is covered.
-    """
-    axes: list[Ints] = []
-    for length in mask.shape:
-        starts = np.arange(0, length - patch + 1, stride)
-        if starts[-1] != length - patch:
-            starts = np.append(starts, length - patch)
-        axes.append(starts)
+    """First rows and columns of the patches that touch a mask: array of shape (n, 2), raster order."""
+    v, u = _starts(mask.shape[0], patch, stride), _starts(mask.shape[1], patch, stride)
     sums = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    v, u = axes[0][:, None], axes[1]
-    touched = sums[v + patch, u + patch] - sums[v, u + patch] - sums[v + patch, u] + sums[v, u]
+    top, left = v[:, None], u
+    touched = sums[top + patch, left + patch] - sums[top, left + patch]
+    touched += sums[top, left] - sums[top + patch, left]
     rows, cols = np.nonzero(touched)
-    return np.stack([axes[0][rows], axes[1][cols]], axis=1)
+    return np.stack([v[rows], u[cols]], axis=1)
+
+
+def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
+    """How many patches of the whole grid cover each pixel: array of shape (v, u), float32."""
+    counts: list[Floats] = []
+    for length in shape:
+        count = np.zeros(length, np.float32)
+        for start in _starts(length, patch, stride):
+            count[start : start + patch] += 1
+        counts.append(count)
+    return counts[0][:, None] * counts[1]
+
+
+def _starts(length: int, patch: int, stride: int) -> Ints:
+    """Where patches start along an axis; the last one sits at the edge, so that every pixel is covered."""
+    starts = np.arange(0, length - patch + 1, stride)
+    return starts if starts[-1] == length - patch else np.append(starts, length - patch)
 
 
 def nominal_tile(weights: Floats, mask: Bools, tile: int, n_max: int = 101) -> Floats:
@@ -73,10 +83,11 @@ def nominal_tile(weights: Floats, mask: Bools, tile: int, n_max: int = 101) -> F
 
 
 def deviating(weights: Floats, nominal: Floats, corners: Ints, patch: int, tolerance: float) -> Bools:
-    """Patches whose weights differ from the repeated tile by more than a relative rms: array of shape (n,)."""
+    """Patches whose weights differ from the tile by more than a relative rms: array of shape (n,)."""
     rows, cols, _ = weights.shape
     tile = nominal.shape[0]
-    v, u = np.arange(rows) % tile, np.arange(cols) % tile
+    v: Ints = np.arange(rows) % tile
+    u: Ints = np.arange(cols) % tile
     error = np.empty((rows, cols))
     for row in range(rows):
         error[row] = ((weights[row] - nominal[v[row], u]) ** 2).sum(axis=1, dtype=np.float64)
@@ -150,9 +161,10 @@ class PatchCoder:
             if number < 0:
                 _encode_own(self.by_pixel, self.sums, image.weights, corners[members], signals, stop, *codes)
             else:
-                weights = np.roll(nominal, (-(number // tile), -(number % tile)), axis=(0, 1))
-                weights = np.resize_tile(weights, patch) if tile != patch else weights
-                _encode_shared(self.by_pixel, self.sums, weights.reshape(patch**2, -1), signals, stop, *codes)
+                v: Ints = (number // tile + np.arange(patch)) % tile
+                u: Ints = (number % tile + np.arange(patch)) % tile
+                weights = nominal[v[:, None], u].reshape(patch**2, -1)
+                _encode_shared(self.by_pixel, self.sums, weights, signals, stop, *codes)
             support[members], amounts[members] = codes
 
         jobs = [(n, np.flatnonzero(phase == n)) for n in np.unique(phase[phase >= 0])]
@@ -181,7 +193,7 @@ class PatchCoder:
         def run(first: int) -> None:
             _paint(self.atoms, corners, support, amounts, first, min(first + _STRIP, shape[0]), total, count)
 
-        # Strips of rows share no pixel, and each pixel adds its patches in raster order: same sums for any workers.
+        # Strips share no pixel and each pixel adds its patches in raster order: same sums for any workers.
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for done in [pool.submit(run, first) for first in range(0, shape[0], _STRIP)]:
                 done.result()
@@ -204,7 +216,9 @@ def _gather(signal: Floats, variance: Floats, corners: Ints, patch: int) -> tupl
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
-def measurement_matrix(by_pixel: Floats, sums: Floats, weights: Floats, matrix: Floats, lengths: Floats) -> None:
+def measurement_matrix(
+    by_pixel: Floats, sums: Floats, weights: Floats, matrix: Floats, lengths: Floats
+) -> None:
     """Measured atoms for weights of shape (pixel, slot), as unit columns and their lengths.
 
     Most slots of a pixel carry the same weight (what a dark panel leaks): they cost one row, and only the

@@ -8,7 +8,7 @@ import numpy as np
 
 from optsim.errors import ValueCheckError
 from optsim.progress import Progress, silent
-from optsim.quantities import Floats, Ints
+from optsim.quantities import Doubles, Floats, Ints
 from optsim.reconstruct.dictionary import Dictionary, unit
 from optsim.reconstruct.matching_pursuit import pursue_products
 
@@ -34,8 +34,8 @@ def train_dictionary(
 
     Alternates sparse coding by OMP with the least-squares update ``D = X C' (C C')^-1`` (Engan, Aase and
     Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624); atoms that nobody uses are replaced by the patches
-    that are coded worst. Patches are drawn where clips change, scaled to the same brightness, turned, mirrored
-    and reversed in time. Atom 0 is the constant patch, and stays.
+    that are coded worst. Patches are drawn where clips change, scaled to the same brightness, turned,
+    mirrored and reversed in time. Atom 0 is the constant patch, and stays.
 
     Parameters
     ----------
@@ -60,12 +60,14 @@ def train_dictionary(
     signals = _training_patches(clips, rng, patch, slots, n_patches)
     if len(signals) < 2 * n_atoms:
         raise ValueCheckError(
-            f"training: got {len(signals)} usable patches, expected at least {2 * n_atoms} for {n_atoms} atoms"
+            f"training: got {len(signals)} usable patches, expected at least {2 * n_atoms} "
+            f"for {n_atoms} atoms"
         )
     constant = np.ones((1, signals.shape[1]), np.float32)
     first = rng.choice(len(signals), n_atoms - 1, replace=False)
     detail = signals[first] - signals[first].mean(axis=1, keepdims=True)
     atoms = unit(np.concatenate([constant, detail]))
+    left = np.zeros(0, np.float32)
     for step in range(iterations):
         support, amounts, left = _code(signals, atoms, atoms_per_patch)
         atoms = _update(signals, atoms, support, amounts, left)
@@ -157,7 +159,8 @@ def _update(signals: Floats, atoms: Floats, support: Ints, amounts: Floats, left
         cross += codes.T @ signals[part]
     uses = np.bincount(support[support >= 0], minlength=n_atoms)
     ridge = 1e-6 * np.trace(square) / n_atoms
-    solved = np.linalg.solve(square + ridge * np.eye(n_atoms), cross + ridge * atoms)
+    system: Doubles = square + ridge * np.eye(n_atoms)
+    solved: Doubles = np.asarray(np.linalg.solve(system, cross + ridge * atoms), np.float64)
     # Fewer uses than this is fitting one patch, not learning from many.
     idle = uses < 5
     idle[0] = False

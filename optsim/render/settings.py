@@ -34,10 +34,10 @@ class RenderSettings(Part):
         Of all random numbers.
     """
 
-    static_samples: int = Field(192, ge=2, le=65536, multiple_of=2)
-    key_samples: int = Field(4, ge=2, le=1024, multiple_of=2)
+    static_samples: int = Field(256, ge=2, le=65536, multiple_of=2)
+    key_samples: int = Field(6, ge=2, le=1024, multiple_of=2)
     key_seeds: int = Field(4, ge=1, le=64)
-    mover_samples: int = Field(16, ge=2, le=4096, multiple_of=2)
+    mover_samples: int = Field(10, ge=2, le=4096, multiple_of=2)
     slots_per_segment: int = Field(9, ge=1, le=36)
     max_step_px: float = Field(2.0, gt=0.05, le=50)
     instants_per_slot: int = Field(1, ge=1, le=32)

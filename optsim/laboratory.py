@@ -1,0 +1,177 @@
+"""The virtual laboratory: a camera goes in, the raw images that a real bench would give come out.
+
+Everything is measured with the camera's true parameters and its photon noise. The source for flats is
+an integrating sphere that fills the field; its radiance is known, so is the f-number, hence the nominal
+irradiance on the modulator. A second source is a pulsed LED, synchronised to the panel, that lights the
+middle of the modulator for a tenth of a slot: so the panel can be seen inside a slot although the shutter
+only knows whole ones.
+
+What a real bench has and this one has not: an error of the source's scale or uniformity, drift, dust,
+vibration between the frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.random import Generator
+
+from optsim.calibrate import Bench, Flat, Patches, Step
+from optsim.camera import CodedCamera
+from optsim.forward.panel import settled_retardance
+from optsim.quantities import (
+    Block,
+    Bytes,
+    ExposureCode,
+    Floats,
+    IrradianceVideo,
+    PanelState,
+    RadianceVideo,
+    Segment,
+    Words,
+)
+
+# Shares of the least of full well and converter range that a fully lit pixel reaches. Interline CCDs bend
+# above half of it; off frames get ten times the light of the brightest flat, dots and greys the same.
+_FLAT_SHARES = (0.15, 0.3, 0.45)
+_FLASH_SHARE = 0.45
+_SATURATED_SHARE = 4.0
+_OFF_BOOST = 10.0
+_DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _SATURATED_FRAMES = 16, 8, 4, 2, 4
+_GREYS = (96, 160, 208)
+_DOT_SPACING = 10
+_FLASHES_PER_SLOT = 10
+# Delays of the flash from half a slot before the step to two slots after, in flashes.
+_DELAYS = range(-5, 20)
+_STEP_SLOTS = 4
+_SPOT_PX = 48
+
+
+def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
+    """Put a camera on the bench and take all images that its calibration needs.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        The camera, with its true parameters.
+    rng : Generator
+        Of all shot and read noise on the bench.
+
+    Returns
+    -------
+    Bench
+        Images and stated settings; no true parameter is in it.
+    """
+    lab = _Laboratory(camera, rng)
+    brightest = lab.irradiance(_FLAT_SHARES[-1])
+    rows, cols = lab.panel
+    corners = ((rows // 4, cols // 4), (rows // 4, 3 * cols // 4), (3 * rows // 4, cols // 4))
+    shifts = (2, 2 + _DOT_SPACING // 2)
+    return Bench(
+        slot_s=camera.slot_s,
+        slots_per_frame=camera.slots_per_frame,
+        coded_slots=camera.coded_slots,
+        panel_shape=lab.panel,
+        darks=lab.flat(0, 0.0, _DARK_FRAMES).dn,
+        flats=tuple(lab.flat(255, lab.irradiance(share), _FLAT_FRAMES) for share in _FLAT_SHARES),
+        off=lab.flat(0, _OFF_BOOST * brightest, _OFF_FRAMES),
+        greys=tuple(lab.flat(level, brightest, _DOT_FRAMES) for level in _GREYS),
+        saturated=lab.flat(255, lab.irradiance(_SATURATED_SHARE), _SATURATED_FRAMES),
+        anchors=tuple(lab.patches((v,), (u,), 3, brightest) for v, u in corners),
+        dots=tuple(
+            lab.patches(range(v, rows - 2, _DOT_SPACING), range(u, cols - 2, _DOT_SPACING), 1, brightest)
+            for v in shifts
+            for u in shifts
+        ),
+        steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
+    )
+
+
+class _Laboratory:
+    """A camera, its light sources and the noise of the day."""
+
+    def __init__(self, camera: CodedCamera, rng: Generator) -> None:
+        self.camera, self.rng = camera, rng
+        self.panel = (camera.panel_rows, camera.panel_cols)
+        sensor = camera.sensor
+        well_e = min(sensor.full_well_e, (sensor.max_dn - sensor.black_dn) * sensor.gain_e)
+        electrons_a_slot = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
+        # Any starting value would do: a bench turns the lamp until the histogram is right.
+        self._fills_well_w_m2_slot = well_e / electrons_a_slot * camera.irradiance_per_radiance
+
+    def irradiance(self, share: float, slots: float | None = None) -> float:
+        """Irradiance on the modulator that fills a share of the wells on axis, W m^-2."""
+        return share * self._fills_well_w_m2_slot / (slots or self.camera.coded_slots)
+
+    def flat(self, level: int, irradiance_w_m2: float, n_frames: int) -> Flat:
+        """Sphere on, whole panel held at a level."""
+        levels = np.full(self.panel, level, np.uint8)
+        return Flat(level, irradiance_w_m2, self._held(levels, irradiance_w_m2, n_frames))
+
+    def patches(self, rows: Sequence[int], cols: Sequence[int], size: int, irradiance_w_m2: float) -> Patches:
+        """Sphere on, bright patches held on black."""
+        levels = np.zeros(self.panel, np.uint8)
+        for row in range(size):
+            for col in range(size):
+                levels[np.ix_(np.add(rows, row), np.add(cols, col))] = 255
+        dn = self._held(levels, irradiance_w_m2, _DOT_FRAMES)
+        return Patches(tuple(rows), tuple(cols), size, irradiance_w_m2, dn)
+
+    def _held(self, levels: Bytes, irradiance_w_m2: float, n_frames: int) -> Words:
+        camera = self.camera
+        view, n = camera.view, camera.slots_per_frame
+        radiance = np.full(
+            (view.rows, view.cols), irradiance_w_m2 / camera.irradiance_per_radiance, np.float32
+        )
+        sphere = RadianceVideo(
+            rows=view.rows,
+            cols=view.cols,
+            samples_per_pitch=view.samples_per_pitch,
+            slot_s=camera.slot_s,
+            instants_per_slot=1,
+            slots_per_segment=n,
+            n_slots=n,
+            load=lambda _: Segment(radiance, radiance, (), n),
+        )
+        return self._take(camera, camera.form_image(sphere), levels, levels, n_frames)
+
+    def step(self, before: int, after: int, delay: int) -> Step:
+        """LED flashes ``delay`` flash lengths after the panel, held at one level, got another.
+
+        The shutter is open for four slots around the flash; the panel changes when the second begins.
+        """
+        camera = self.camera.model_copy(update={"slots_per_frame": _STEP_SLOTS, "overlap": True})
+        view, flash_s = camera.view, camera.slot_s / _FLASHES_PER_SLOT
+        slot, instant = divmod(_FLASHES_PER_SLOT + delay, _FLASHES_PER_SLOT)
+        side = min(_SPOT_PX * view.samples_per_pitch, view.rows, view.cols)
+        spot = np.zeros((_FLASHES_PER_SLOT, side, side), np.float32)
+        spot[instant] = self.irradiance(_FLASH_SHARE, 1 / _FLASHES_PER_SLOT)
+        black = np.zeros((view.rows, view.cols), np.float32)
+        flash = Block((view.rows - side) // 2, (view.cols - side) // 2, spot)
+        led = IrradianceVideo(
+            rows=view.rows,
+            cols=view.cols,
+            samples_per_pitch=view.samples_per_pitch,
+            slot_s=camera.slot_s,
+            instants_per_slot=_FLASHES_PER_SLOT,
+            slots_per_segment=1,
+            n_slots=_STEP_SLOTS,
+            load=lambda index: Segment(black, black, (flash,) if index == slot else (), _FLASHES_PER_SLOT),
+        )
+        first, second = (np.full(self.panel, level, np.uint8) for level in (before, after))
+        return Step(before, after, delay * flash_s, flash_s, self._take(camera, led, first, second, 1))
+
+    def _take(
+        self, camera: CodedCamera, light: IrradianceVideo, first: Bytes, then: Bytes, n_frames: int
+    ) -> Words:
+        """Frames of a panel held at ``first`` until the second slot begins, and then told ``then``."""
+        levels = np.repeat(then[None], camera.slots_per_frame, axis=0)
+        levels[0] = first
+        code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
+        held: Floats = settled_retardance(first, camera.modulator.drive_exponent)
+        expected_e, _ = camera.expected_electrons(light, 0, code, PanelState(held))
+        frames = [
+            camera.sensor.digitise(expected_e, camera.serial_number, self.rng)[0] for _ in range(n_frames)
+        ]
+        return np.stack(frames)

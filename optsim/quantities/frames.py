@@ -1,0 +1,107 @@
+"""What panel, camera and decoder exchange: codes, panel state, coded frames, reconstructions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.quantities.arrays import Bools, Bytes, Floats, Words, checked
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureCode:
+    """What one coded frame shows on the panel.
+
+    Parameters
+    ----------
+    levels : ndarray of shape (slot, v, u), uint8
+        Drive level, 0 (dark) to 255 (bright).
+    moving : ndarray of shape (v, u), bool
+        Pixels that carry a temporal code, for the sparse decoder; the others are coded as static.
+    """
+
+    levels: Bytes
+    moving: Bools
+
+    def __post_init__(self) -> None:
+        checked("levels", self.levels, axes=("slot", "v", "u"), dtype=np.uint8, unit="drive level")
+        checked("moving", self.moving, axes=("v", "u"), dtype=np.bool_, unit="mask")
+        if self.moving.shape != self.levels.shape[1:]:
+            raise ValueCheckError(
+                f"moving mask {self.moving.shape} and levels {self.levels.shape} are of different panels"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class PanelState:
+    """Retardance of every panel pixel at the end of a frame: the panel's only memory.
+
+    Parameters
+    ----------
+    retardance_rad : ndarray of shape (v, u), float32
+        Round-trip retardance, 0 (dark) to pi (bright).
+    """
+
+    retardance_rad: Floats
+
+    def __post_init__(self) -> None:
+        checked("retardance", self.retardance_rad, axes=("v", "u"), dtype=np.float32, unit="rad")
+
+
+@dataclass(frozen=True, eq=False)
+class CodedFrame:
+    """A digital frame of the CCD together with the code shown during it.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index, from 0.
+    dn : ndarray of shape (y, x), uint16
+        Raw digital numbers on the CCD.
+    code : ExposureCode
+        What the panel was told to show.
+    negative_light : int
+        CCD pixels whose expected light was negative (Monte-Carlo noise of the truth) and was taken as dark.
+    """
+
+    index: int
+    dn: Words
+    code: ExposureCode
+    negative_light: int = 0
+
+    def __post_init__(self) -> None:
+        checked("dn", self.dn, axes=("y", "x"), dtype=np.uint16, unit="DN")
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What a decoder says the scene was during one coded frame.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    irradiance_w_m2 : ndarray of shape (slot, v, u), float32
+        Mean irradiance on the modulator in each slot, objective shading divided out.
+    valid : ndarray of shape (v, u), bool
+        False where the decoder has nothing to go on; not scored, but counted.
+    interpolated : ndarray of shape (v, u), bool
+        Filled from neighbours rather than measured.
+    moving : ndarray of shape (v, u), bool
+        Pixels taken from the sparse decoder.
+    """
+
+    index: int
+    irradiance_w_m2: Floats
+    valid: Bools
+    interpolated: Bools
+    moving: Bools
+
+    def __post_init__(self) -> None:
+        checked(
+            "reconstruction", self.irradiance_w_m2, axes=("slot", "v", "u"), dtype=np.float32, unit="W m^-2"
+        )
+        for name in ("valid", "interpolated", "moving"):
+            checked(name, getattr(self, name), axes=("v", "u"), dtype=np.bool_, unit="mask")

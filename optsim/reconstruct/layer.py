@@ -1,0 +1,42 @@
+"""What a branch of a decoder hands over before branches are joined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.quantities import Bools, Floats, Reconstruction
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One branch's picture of one coded frame.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    irradiance_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32
+        Mean irradiance in each slot, or the same for all slots; may be negative by noise.
+    opacity : ndarray of shape (v, u), float32
+        How much of the joined picture this layer makes, 0..1.
+    valid, interpolated, moving : ndarray of shape (v, u), bool
+        As in :class:`~optsim.quantities.Reconstruction`.
+    slots : int
+        Slots of the frame's period.
+    """
+
+    index: int
+    irradiance_w_m2: Floats
+    opacity: Floats
+    valid: Bools
+    interpolated: Bools
+    moving: Bools
+    slots: int
+
+    def finished(self) -> Reconstruction:
+        """As a reconstruction by itself: all slots, and no negative light."""
+        video = np.maximum(self.irradiance_w_m2, 0)
+        video = np.broadcast_to(video, (self.slots, *video.shape[1:]))
+        return Reconstruction(self.index, video, self.valid, self.interpolated, self.moving)

@@ -1,0 +1,48 @@
+"""Moving pixels from sparse coding, the others from the HDR merge (equation 1 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import tee
+from typing import Literal
+
+import numpy as np
+
+from optsim.calibrate.calibration import Calibration
+from optsim.config import Part
+from optsim.quantities import CodedFrame, Reconstruction
+from optsim.reconstruct.branches import HdrMerge, SparseCoding
+
+
+class Union(Part):
+    """Join the two branches along the mask that the code was made with.
+
+    Equation (1) cuts hard. Patches reach past the mask, so there is more to go on: outside it, the sparse
+    video fades out with the number of patches that cover a pixel. ``moving`` is the mask itself.
+
+    Parameters
+    ----------
+    static, moving : decoder
+        The two branches.
+    """
+
+    kind: Literal["union"] = "union"
+    static: HdrMerge = HdrMerge()
+    moving: SparseCoding = SparseCoding()
+
+    def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
+        """Decode frame by frame, each from itself and those before."""
+        first, second = tee(frames)
+        branches = zip(
+            self.static.layers(first, calibration), self.moving.layers(second, calibration), strict=True
+        )
+        for still, video in branches:
+            share = np.where(video.moving | ~still.valid, np.sign(video.opacity), video.opacity)
+            joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
+            yield Reconstruction(
+                still.index,
+                np.maximum(joined, 0),
+                np.where(share > 0, video.valid | still.valid, still.valid),
+                still.interpolated & (share == 0),
+                video.moving,
+            )

@@ -1,0 +1,183 @@
+"""PSF, relay operator, crosstalk, Mueller algebra and radiometry: array functions against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from optsim.forward.crosstalk import crosstalk_kernel
+from optsim.forward.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
+from optsim.forward.psf import blur_block, extend, make_blur, psf_kernel
+from optsim.forward.radiometry import cos4, irradiance_factor, photons_per_joule
+from optsim.forward.relay import RelayGeometry, RelayOperator, overlap_operator
+from optsim.quantities import Block
+
+WAVELENGTH_M = 550e-9
+
+
+def operator(geometry, *, transmission=0.9, glare=0.005, sigma_m=3e-6):
+    cell_m = geometry.cell_px * 4.54e-6
+    kernel = psf_kernel(4.0, sigma_m, cell_m, WAVELENGTH_M, 5e-3)
+    return RelayOperator(
+        make_blur(kernel, (geometry.rows, geometry.cols)),
+        overlap_operator(geometry, transmission),
+        glare,
+        (geometry.ccd_rows, geometry.ccd_cols),
+    )
+
+
+def test_the_encircled_energy_of_a_fine_kernel_is_that_of_an_airy_pattern():
+    from scipy.special import j0, j1
+
+    f_number, cell_m = 6.0, 0.25e-6
+    kernel = psf_kernel(f_number, 0.0, cell_m, WAVELENGTH_M, 0.02)
+    half = kernel.shape[0] // 2
+    radius_m = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1]) * cell_m
+    for r_m in (2e-6, 4.026e-6, 10e-6):  # the second is the first dark ring, 1.22 lambda N
+        v = np.pi * r_m / (WAVELENGTH_M * f_number)
+        closed = 1 - j0(v) ** 2 - j1(v) ** 2
+        # Cells on the circle count whole, and 2 % of wings are folded back: hence 1.5 %.
+        assert kernel[radius_m <= r_m].sum() == pytest.approx(closed, abs=0.015)
+    assert kernel.min() >= 0
+    assert kernel.sum() == pytest.approx(1, abs=1e-12)
+
+
+def test_slow_patterns_are_damped_as_if_there_were_no_cells():
+    # Integration over cells adds h^2/12 of variance and the Gaussian gives it up: what is left differs from
+    # diffraction x Gaussian in the fourth order of the frequency, and by the aliases of diffraction.
+    f_number, sigma_m, cell_m = 6.0, 3e-6, 5e-6
+    kernel = psf_kernel(f_number, sigma_m, cell_m, WAVELENGTH_M, 2e-3)
+    size = kernel.shape[0]
+    k = np.arange(1, size // 8)
+    seen = np.abs(np.fft.fft2(kernel)[0, k])
+    frequency = k / (size * cell_m)
+    rho = frequency * WAVELENGTH_M * f_number
+    diffraction = 2 / np.pi * (np.arccos(rho) - rho * np.sqrt(1 - rho**2))
+    np.testing.assert_allclose(
+        seen, diffraction * np.exp(-2 * np.pi**2 * sigma_m**2 * frequency**2), rtol=1.5e-3
+    )
+
+
+def test_a_blur_is_a_convolution_and_its_own_adjoint():
+    rng = np.random.default_rng(1)
+    kernel = psf_kernel(4.0, 3e-6, 4.4e-6, WAVELENGTH_M, 0.01)
+    blur = make_blur(kernel, (40, 50))
+    image, other = rng.random((40, 50)), rng.random((40, 50))
+    np.testing.assert_allclose(blur.apply(image), fftconvolve(image, kernel, mode="same"), atol=1e-12)
+    assert (blur.apply(image) * other).sum() == pytest.approx((blur.apply(other) * image).sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("row", "col"), [(12, 20), (0, 20), (25, 44), (0, 0)])
+def test_a_block_blurs_like_the_whole_image(row, col):
+    rng = np.random.default_rng(2)
+    kernel = psf_kernel(6.0, 3e-6, 6.67e-6, WAVELENGTH_M, 0.03)
+    half = kernel.shape[0] // 2
+    excess = rng.normal(0, 1, (2, 7, 6)).astype(np.float32)
+    whole = np.zeros((2, 32, 50), np.float32)
+    whole[:, row : row + 7, col : col + 6] = excess
+    block = blur_block(Block(row, col, excess), kernel, (32, 50))
+    ours = np.zeros((2, 32, 50))
+    _, h, w = block.excess.shape
+    ours[:, block.row : block.row + h, block.col : block.col + w] = block.excess
+    for t in range(2):
+        wide = extend(whole[t], half)
+        theirs = make_blur(kernel, wide.shape).apply(wide)[half:-half, half:-half]
+        np.testing.assert_allclose(ours[t], theirs, atol=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [3.0, 2.88])
+def test_the_relay_operator_has_an_exact_adjoint(ratio):
+    rng = np.random.default_rng(3)
+    geometry = RelayGeometry(36, 48, 40, 52, ratio / 3, 0.68, 0.3, -0.2, 2e-3)
+    relay = operator(geometry)
+    panel, ccd = rng.random((36, 48)), rng.random((40, 52))
+    # Sums of float32 entries, but in float64: rounding only.
+    assert (relay.apply(panel) * ccd).sum() == pytest.approx((relay.adjoint(ccd) * panel).sum(), rel=1e-10)
+
+
+def test_the_relay_never_creates_energy_and_loses_only_its_transmission_inside():
+    geometry = RelayGeometry(36, 48, 60, 80, 0.96, 0.65376, 0.3, -0.2, 2e-3)
+    transmission = 0.9
+    matrix = overlap_operator(geometry, transmission)
+    # J m^-2 to J m^-2; in joules, a panel cell is cell_px / M pixels wide.
+    joules = np.asarray(matrix.sum(axis=0)).ravel() * geometry.magnification**2 / geometry.cell_px**2
+    np.testing.assert_allclose(joules, transmission, rtol=1e-5)  # float32 entries
+    clipped = overlap_operator(RelayGeometry(36, 48, 20, 30, 0.96, 0.65376), transmission)
+    joules = np.asarray(clipped.sum(axis=0)).ravel() * geometry.magnification**2 / geometry.cell_px**2
+    assert joules.max() <= transmission * (1 + 1e-5)
+    assert joules.min() == 0
+
+
+def test_veiling_glare_spreads_light_and_keeps_its_sum():
+    geometry = RelayGeometry(36, 48, 40, 52, 1.0, 0.681)
+    panel = np.zeros((36, 48))
+    panel[:3, :3] = 1e4
+    with_veil, without = (operator(geometry, glare=g).apply(panel) for g in (0.005, 0.0))
+    assert with_veil.sum() == pytest.approx(without.sum(), rel=1e-12)
+    assert with_veil[-1, -1] == pytest.approx(0.995 * without[-1, -1] + 0.005 * without.mean(), rel=1e-9)
+
+
+def test_one_bright_panel_pixel_lands_where_it_should():
+    geometry = RelayGeometry(30, 45, 40, 60, 1.0, 0.681)
+    panel = np.zeros((10, 15))
+    panel[2, 11] = 1.0
+    fine = panel.repeat(3, axis=0).repeat(3, axis=1)
+    image = operator(geometry, sigma_m=0, glare=0).project(fine)
+    rows, cols = np.nonzero(image > 1e-6)
+    # 2 x 3 + (40 - 30) / 2 = 11 and 11 x 3 + (60 - 45) / 2 = 40.5: rows and columns both increase with v, u.
+    assert (rows.min(), rows.max()) == (11, 13)
+    assert (cols.min(), cols.max()) == (40, 43)
+    assert image[12, 40] == pytest.approx(image[12, 41] / 2, rel=1e-6)
+    row, col, on_ccd = geometry.picks(3)
+    assert (row[2, 11], col[2, 11], on_ccd.all()) == (12, 42, True)
+
+
+def test_a_rotation_moves_pixels_as_a_rotation_does():
+    angle = 0.02
+    geometry = RelayGeometry(90, 90, 100, 100, 1.0, 0.681, rotation_rad=angle)
+    fine = np.zeros((90, 90))
+    fine[44:46, 84:86] = 1  # 40 pixels right of the centre
+    image = operator(geometry, glare=0).project(fine)
+    y, x = np.mgrid[:100, :100] + 0.5
+    assert (image * y).sum() / image.sum() == pytest.approx(50 + 40 * np.sin(angle), abs=1e-4)
+    assert (image * x).sum() / image.sum() == pytest.approx(50 + 40 * np.cos(angle), abs=1e-4)
+
+
+def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
+    geometry = RelayGeometry(90, 120, 98, 128, 1.0, 0.681)
+    row, col, _ = geometry.picks(3)
+    sharp = RelayOperator(
+        make_blur(np.pad([[1.0]], 1), (90, 120)), overlap_operator(geometry, 1.0), 0.005, (98, 128)
+    )
+    kernel = crosstalk_kernel(sharp, 3, row, col)
+    assert kernel[3, 3] == pytest.approx(1, abs=1e-6)
+    blurred = crosstalk_kernel(operator(geometry), 3, row, col)
+    assert blurred.sum() == pytest.approx(1)
+    assert 0.8 < blurred[3, 3] < 0.99
+    np.testing.assert_allclose(blurred, blurred.T, atol=1e-6)
+
+
+def test_mueller_matrices_between_crossed_polarisers():
+    into, out = polariser(1, 0), polariser(0, 1)
+
+    def through(*elements):
+        light = UNPOLARISED
+        for element in elements:
+            light = element @ light
+        return light[0]
+
+    assert through(into, mirror(), out) == pytest.approx(0, abs=1e-15)  # a bare mirror is dark
+    assert through(into, mirror() @ retarder_45(0), out) == pytest.approx(0, abs=1e-15)
+    assert through(into, mirror() @ retarder_45(np.pi), out) == pytest.approx(0.5)
+    gamma = 0.7
+    assert through(into, mirror() @ retarder_45(gamma), out) == pytest.approx(np.sin(gamma / 2) ** 2 / 2)
+    # Half of depolarised light passes the analyser.
+    assert through(into, depolariser(0.02), mirror(), out) == pytest.approx(0.5 * 0.01)
+
+
+def test_radiometry_closed_forms():
+    # f/6: sin(theta') = 1/12, so pi / 144 of the radiance.
+    assert irradiance_factor(6.0, 0.9) == pytest.approx(np.pi * 0.9 / 144)
+    field = cos4(101, 101, 0.01)
+    assert field[50, 50] == 1
+    assert field[50, 100] == pytest.approx(np.cos(np.arctan(0.5)) ** 4)
+    assert photons_per_joule(550e-9) == pytest.approx(2.7688e18, rel=1e-4)  # 3.6117e-19 J a photon
