@@ -160,12 +160,9 @@ def execute(
         total = experiment.n_frames * len(experiment.methods)
         decoded = decode(experiment.methods, frames, calibration)
         for done, (name, reconstruction, seconds) in enumerate(decoded):
-            index = reconstruction.index
             decode_s[name] += seconds
             scorer.add(name, reconstruction)
-            gallery.add(
-                name, reconstruction, frames[name][index], scorer.reference(index), scorer.moving(index)
-            )
+            gallery.add(name, reconstruction, frames[name][reconstruction.index])
             if name in experiment.save_reconstructions:
                 _write_reconstruction(folder, name, reconstruction, camera.irradiance_per_radiance)
             progress("decode", done + 1, total)
@@ -183,7 +180,7 @@ def execute(
         "command": command,
         "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
-        "backend": f"{chosen.variant}: {chosen.why}",
+        "backend": f"{chosen.variant}: {chosen.reason}",
         "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
         "timings": watch.stages,
         "light_rule": _light(experiment, light),

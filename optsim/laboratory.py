@@ -67,7 +67,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
     brightest = lab.irradiance(_FLAT_SHARES[-1])
     rows, cols = lab.panel
     corners = ((rows // 4, cols // 4), (rows // 4, 3 * cols // 4), (3 * rows // 4, cols // 4))
-    shifts = (2, 2 + _DOT_SPACING // 2)
+    shifts = (3, 3 + _DOT_SPACING // 2)
     return Bench(
         slot_s=camera.slot_s,
         slots_per_frame=camera.slots_per_frame,
@@ -80,7 +80,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         saturated=lab.flat(255, lab.irradiance(_SATURATED_SHARE), _SATURATED_FRAMES),
         anchors=tuple(lab.patches((v,), (u,), 3, brightest) for v, u in corners),
         dots=tuple(
-            lab.patches(range(v, rows - 2, _DOT_SPACING), range(u, cols - 2, _DOT_SPACING), 1, brightest)
+            lab.patches(range(v, rows - 3, _DOT_SPACING), range(u, cols - 3, _DOT_SPACING), 1, brightest)
             for v in shifts
             for u in shifts
         ),

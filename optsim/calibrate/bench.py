@@ -16,7 +16,7 @@ saturated     held at 255, at least 3 times the light that fills the wells; at l
 anchors       three single bright patches on black, well inside the picture and not in one line
 dots          lattices of single bright pixels on black
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
-              both directions, from half a slot before to two slots after
+              both directions, from half a slot before to two slots after; it may light a part of the panel
 ============  ==========================================================================================
 
 "Held" means shown for at least ten response times before the exposure, and during all of it.

@@ -157,6 +157,7 @@ def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
         sample.signal,
         sample.exposure,
         sample.variance,
+        (calibration.dn_per_e / calibration.responsivity_dn).astype(np.float32),
         sample.saturated,
         sample.tainted,
         sample.valid,

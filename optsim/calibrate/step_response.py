@@ -72,7 +72,7 @@ def response_times(
     brightest = max(steps, key=lambda s: float(np.mean(s.dn[:, row, col])))
     light = brightest.dn[:, row, col].mean(axis=0) - black
     # The flash need not fill the picture; where it is weak there is nothing to learn.
-    full = float(np.percentile(light, 99))
+    full = float(np.percentile(light, 99.9))
     if full < 20 * picker.noise.read_noise_dn:
         raise BenchError(
             f"bench steps: even the brightest has {full:.1f} DN only; check that flash and exposure meet"

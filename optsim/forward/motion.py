@@ -30,6 +30,10 @@ class Bounds:
         saturated, ``low`` is minus infinite where a saturated neighbour's light could not be removed.
     variance : ndarray of shape (v, u), float32
         Variance of a finite bound by noise and model error, (W m^-2)^2.
+    exposure : ndarray of shape (v, u), float32
+        Sum over the slots of the weights, slots.
+    shot : ndarray of shape (v, u), float32
+        Growth of the variance with the irradiance, W m^-2.
     valid : ndarray of shape (v, u), bool
         False where the frame says nothing.
     """
@@ -37,6 +41,8 @@ class Bounds:
     low: Floats
     high: Floats
     variance: Floats
+    exposure: Floats
+    shot: Floats
     valid: Bools
 
 
@@ -44,6 +50,7 @@ def bounds(
     signal: Floats,
     exposure: Floats,
     variance: Floats,
+    electron: Floats,
     saturated: Bools,
     tainted: Bools,
     valid: Bools,
@@ -65,6 +72,8 @@ def bounds(
         Sum over the slots of the weights, slots.
     variance : ndarray of shape (v, u), float32
         Noise variance of the signal, its unit squared.
+    electron : ndarray of shape (v, u), float32
+        Signal of one electron, W m^-2 slots: its shot noise per unit of signal.
     saturated, tainted, valid : ndarray of shape (v, u), bool
         Signal is a lower bound; signal holds light of a saturated neighbour; signal means something.
     gain_uncertainty : float
@@ -82,7 +91,9 @@ def bounds(
     error += (map_residual_px * _slope(signal) / per_slot) ** 2
     infinite = np.float32(np.inf)
     low = np.where(tainted & ~saturated, -infinite, mean)
-    return Bounds(low, np.where(saturated, infinite, mean), error.astype(np.float32), usable)
+    high = np.where(saturated, infinite, mean)
+    shot = (electron / per_slot).astype(np.float32)
+    return Bounds(low, high, error.astype(np.float32), per_slot, shot, usable)
 
 
 def _slope(image: Floats) -> Floats:
@@ -101,6 +112,9 @@ def _slope(image: Floats) -> Floats:
 
 def changed(first: Bounds, second: Bounds, threshold_sigma: float) -> tuple[Bools, Bools]:
     """Compare two frames: motion only where their intervals lie apart.
+
+    If nothing moved, both frames saw the same light; so the shot noise of two measured samples is that of
+    their pooled estimate. That of each by itself is too small wherever noise made the sample small.
 
     Parameters
     ----------
@@ -121,8 +135,19 @@ def changed(first: Bounds, second: Bounds, threshold_sigma: float) -> tuple[Bool
     undecided |= np.isinf(first.high) & np.isinf(second.high)
     undecided |= np.isinf(first.low) & np.isinf(second.low)
     gap = np.maximum(first.low - second.high, second.low - first.high)
-    sigma = np.sqrt(first.variance + second.variance)
+    sigma = np.sqrt(np.maximum(_pooled_variance(first, second), 1e-30))
     return (gap > threshold_sigma * sigma) & ~undecided, undecided
+
+
+def _pooled_variance(first: Bounds, second: Bounds) -> Floats:
+    measured = np.isfinite(first.low) & np.isfinite(first.high)
+    measured &= np.isfinite(second.low) & np.isfinite(second.high)
+    means = [np.where(measured, frame.high, 0) for frame in (first, second)]
+    pooled = (means[0] * first.exposure + means[1] * second.exposure) / (first.exposure + second.exposure)
+    total = first.variance + second.variance
+    for frame, mean in zip((first, second), means, strict=True):
+        total = total + frame.shot * (np.maximum(pooled, 0) - np.maximum(mean, 0))
+    return total
 
 
 def without_specks(mask: Bools, least_px: int) -> Bools:

@@ -6,8 +6,8 @@ Pati, Rezaiifar and Krishnaprasad, "Orthogonal matching pursuit", Asilomar 1993
 to those before, its correlations with all atoms are ``A'q = (G_k - sum r_i A'q_i) / |.|``; ``A'residual``
 then loses a multiple of that. So an atom costs one row of the Gram matrix G and a few vectors of K
 numbers that stay in cache. Rows of G are computed when first asked for and kept: a matrix used once costs
-what it must, a matrix shared by thousands of patches costs its Gram matrix once (compare Rubinstein, Zibulevsky and
-Elad, Technion CS-2008-08, which keeps G but not ``A'q``).
+what it must, a matrix shared by thousands of patches costs its Gram matrix once (compare Rubinstein,
+Zibulevsky and Elad, Technion CS-2008-08, which keeps G but not ``A'q``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportUnknownArgumentType=false
 """From a coded image to a video, patch by patch: measurement matrices, sparse codes, overlapping sums.
 
 Panel grid throughout; a patch is named by its first row and column.
@@ -86,8 +87,8 @@ def deviating(weights: Floats, nominal: Floats, corners: Ints, patch: int, toler
     """Patches whose weights differ from the tile by more than a relative rms: array of shape (n,)."""
     rows, cols, _ = weights.shape
     tile = nominal.shape[0]
-    v: Ints = np.arange(rows) % tile
-    u: Ints = np.arange(cols) % tile
+    v = np.mod(np.arange(rows), tile)
+    u = np.mod(np.arange(cols), tile)
     error = np.empty((rows, cols))
     for row in range(rows):
         error[row] = ((weights[row] - nominal[v[row], u]) ** 2).sum(axis=1, dtype=np.float64)
@@ -161,8 +162,8 @@ class PatchCoder:
             if number < 0:
                 _encode_own(self.by_pixel, self.sums, image.weights, corners[members], signals, stop, *codes)
             else:
-                v: Ints = (number // tile + np.arange(patch)) % tile
-                u: Ints = (number % tile + np.arange(patch)) % tile
+                v = np.mod(number // tile + np.arange(patch), tile)
+                u = np.mod(number % tile + np.arange(patch), tile)
                 weights = nominal[v[:, None], u].reshape(patch**2, -1)
                 _encode_shared(self.by_pixel, self.sums, weights, signals, stop, *codes)
             support[members], amounts[members] = codes

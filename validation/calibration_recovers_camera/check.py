@@ -1,0 +1,100 @@
+"""The bench's estimates against the numbers that a misaligned camera was built with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from optsim.calibrate import Bench, calibrate_from
+from optsim.camera import CodedCamera
+from optsim.hardware.cameras import demo
+from optsim.laboratory import measure_bench
+
+CLAIM = (
+    "from its images alone, the virtual laboratory's bench finds gain and read noise to 1 %, the panel's "
+    "time constants to 1 %, the leak to 2 %, the grey exponent to 0.5 %, and every panel pixel's centre to 0.05 "
+    "panel pixels under shift, rotation and a magnification that is not 3"
+)
+ORACLE = (
+    "the numbers that the camera was built with; leak and map by hand formulas written here: powers of the "
+    "two polarisations through splitter and polarisers, and a similarity of the plane"
+)
+SOURCE = (
+    "EMVA Standard 1288 release 4.0, section 6 (photon transfer); Malus' law for partial polarisers, "
+    "E. Hecht, Optics, 5th ed., section 8.2"
+)
+# The deviation of each number is divided by the bound claimed for it: 1 is the edge of the claim.
+TOLERANCE = 1.0
+FILES = ("optsim/calibrate/*.py", "optsim/laboratory.py")
+
+SHIFT_PX, ROTATION_RAD, RATIO = (1.7, -2.2), 3e-3, 2.97
+
+
+def camera() -> CodedCamera:
+    whole = demo()
+    update = {
+        "shift_y_px": SHIFT_PX[0],
+        "shift_x_px": SHIFT_PX[1],
+        "rotation_rad": ROTATION_RAD,
+        "magnification": RATIO * whole.sensor.pitch_m / whole.modulator.pitch_m,
+    }
+    return whole.model_copy(update={"relay": whole.relay.model_copy(update=update)})
+
+
+def leak_by_hand(built: CodedCamera) -> float:
+    """Light off over light on, from the powers of p and s, each weakened on its way."""
+    s, share = built.splitter, built.modulator.depolarised_share
+    weak = 1 / s.cleanup_contrast
+    into_p, into_s = s.tp * 1.0, s.ts * weak  # p and s powers at the panel, over their power outside
+    out_p, out_s = s.rp * weak, s.rs * 1.0
+    kept, turned = 1 - share / 2, share / 2
+    off = (into_p * kept + into_s * turned) * out_p + (into_p * turned + into_s * kept) * out_s
+    on = (into_p * turned + into_s * kept) * out_p + (into_p * kept + into_s * turned) * out_s
+    return off / on
+
+
+def centres_by_hand(rows: int, cols: int, ccd_rows: int, ccd_cols: int) -> np.ndarray:
+    """Where the centres of the panel's pixels fall on the CCD: array of shape (v, u, 2)."""
+    v, u = np.meshgrid(np.arange(rows) + 0.5 - rows / 2, np.arange(cols) + 0.5 - cols / 2, indexing="ij")
+    c, s = np.cos(ROTATION_RAD), np.sin(ROTATION_RAD)
+    y = RATIO * (c * v + s * u) + ccd_rows / 2 + SHIFT_PX[0]
+    x = RATIO * (c * u - s * v) + ccd_cols / 2 + SHIFT_PX[1]
+    return np.stack([y, x], axis=-1)
+
+
+def deviation(built: CodedCamera, bench: Bench) -> float:
+    """Signed deviation of the largest magnitude, each over its claimed bound."""
+    found = calibrate_from(bench)
+    sensor, panel = built.sensor, built.modulator
+    noise_dn = np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5)
+    centres = centres_by_hand(built.panel_rows, built.panel_cols, sensor.rows, sensor.cols)
+    picked = np.stack([found.pick_row, found.pick_col], axis=-1) + 0.5
+    # A pick is the CCD pixel that holds the centre; beyond half a pixel off, the map itself is wrong.
+    inside = np.all((centres >= 1) & (centres < np.array([sensor.rows, sensor.cols]) - 1), axis=-1)
+    off_px = np.maximum(np.abs(picked - centres)[inside & found.valid] - 0.5, 0).max() / RATIO
+    missed = np.mean(found.valid != (inside & ~panel.stuck(*found.shape, built.serial_number)[0]))
+    deviations = {
+        "gain": (found.dn_per_e * sensor.gain_e - 1) / 0.01,
+        "read noise": (found.read_noise_dn / noise_dn - 1) / 0.01,
+        "tau on": (found.response.tau_on_s / panel.tau_on_s - 1) / 0.01,
+        "tau off": (found.response.tau_off_s / panel.tau_off_s - 1) / 0.01,
+        "leak": (found.response.leak / leak_by_hand(built) - 1) / 0.02,
+        "grey exponent": (found.response.drive_exponent / panel.drive_exponent - 1) / 0.005,
+        "map": off_px / 0.05,
+        "pixels called valid": missed / 1e-3,
+    }
+    return float(max(deviations.values(), key=abs))
+
+
+def measure() -> float:
+    built = camera()
+    return deviation(built, measure_bench(built, np.random.default_rng(20)))
+
+
+def perturbed() -> float:
+    """Do the same with a wrong clock: every flash is stated a fiftieth of a slot too late."""
+    built = camera()
+    bench = measure_bench(built, np.random.default_rng(20))
+    late = tuple(replace(step, delay_s=step.delay_s + bench.slot_s / 50) for step in bench.steps)
+    return deviation(built, replace(bench, steps=late))
