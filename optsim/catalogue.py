@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from optsim.config import Part, read_toml
+
 
 def catalogue(what: str) -> list[tuple[str, str]]:
     """Names and first lines of a kind of shipped thing.
@@ -12,7 +14,6 @@ def catalogue(what: str) -> list[tuple[str, str]]:
         One of scenes, presets, schemes, decoders, metrics.
     """
     if what == "presets":
-        from optsim.config import read_toml
         from optsim.experiment import experiment_path, preset_names
 
         return [(n, str(read_toml(experiment_path(n)).get("description", ""))) for n in preset_names()]
@@ -33,8 +34,8 @@ def catalogue(what: str) -> list[tuple[str, str]]:
     return [(_kind(part), _first_line(part)) for part in reconstruct.ALL]
 
 
-def _kind(part: type) -> str:
-    return str(part.model_fields["kind"].default)  # pyright: ignore[reportAttributeAccessIssue]
+def _kind(part: type[Part]) -> str:
+    return str(part.model_fields["kind"].default)
 
 
 def _first_line(thing: type) -> str:

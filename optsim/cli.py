@@ -307,8 +307,10 @@ def main() -> None:
         )
         status = 130
     except Exception as error:
-        if not hasattr(error, "exit_code") or not hasattr(error, "show"):
+        # A usage error, of a class that typer keeps in its private copy of click.
+        show: object = getattr(error, "show", None)
+        if not callable(show):
             raise
-        error.show()  # pyright: ignore[reportAttributeAccessIssue]  (a usage error of the vendored click)
+        show()
         status = 2
     raise SystemExit(status or 0)

@@ -98,5 +98,4 @@ class Gallery:
         if outside is None:
             return None
         step = self.scorer.truth.samples_per_pitch
-        rows, cols = outside.shape
         return cell_means(outside.astype(np.float32), step) == 1

@@ -22,8 +22,8 @@ from optsim.errors import StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
-from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
 from optsim.gallery import Gallery
+from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report

@@ -9,6 +9,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
@@ -127,7 +128,7 @@ def capture(
         Method name -> its coded frames.
     """
     frames: dict[str, list[CodedFrame]] = {m.name: [] for m in experiment.methods}
-    states = {
+    states: dict[str, Any] = {
         m.name: m.scheme.init(calibration, stream(experiment.seed, "code", m.name))
         for m in experiment.methods
     }

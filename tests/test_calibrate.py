@@ -198,13 +198,13 @@ def test_dead_and_stuck_pixels_are_invalid_and_the_rest_is_not_hurt() -> None:
     camera = Camera(dead_ccd=[(int(at[0]), int(at[1]))], stuck=stuck)
     calibration = calibrate_from(camera.bench())
     expected = np.ones(camera.panel, bool)
-    for v, u in (dead, stuck[0][:2]):
+    for v, u in (dead, stuck[0][:2], stuck[1][:2]):
         expected[v, u] = False
-    # Stuck off, the pixel still reads its neighbours' quarter of the light: just above what counts as dead.
-    expected[33, 50] = calibration.valid[33, 50]
     np.testing.assert_array_equal(calibration.valid, expected)
     assert np.isfinite(calibration.responsivity_dn).all()
     assert calibration.response.tau_off_s == pytest.approx(camera.tau_off_s, abs=2e-6)
+    assert calibration.response.leak == pytest.approx(camera.leak, abs=5 * 3.5e-6)
+    assert calibration.leak_uncertainty < 0.01
 
 
 def test_pixels_off_the_ccd_are_invalid_and_counted() -> None:

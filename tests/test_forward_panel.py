@@ -48,7 +48,13 @@ def test_weights_with_history_agree_with_an_ode_solver(leak):
 
 
 def test_the_closed_form_agrees_with_quadrature():
-    for start, target, tau in [(0.0, 3.1, 5e-4), (3.1, 1.0, 2e-2), (1.0, 1.0 + 1e-5, 1e-3), (2.0, 0.0, 1e-5)]:
+    for start, target, tau in [
+        (0.0, 3.1, 5e-4),
+        (3.1, 1.0, 2e-2),
+        (1.0, 1.0 + 1e-5, 1e-3),
+        (1.0, 1.0009, 1e-3),
+        (2.0, 0.0, 1e-5),
+    ]:
         knots = [k * tau for k in (1, 5, 20) if k * tau < SLOT_S]
         expected, _ = quad(
             lambda t, s=start, g=target, c=tau: np.sin((g + (s - g) * np.exp(-t / c)) / 2) ** 2,

@@ -149,9 +149,10 @@ def test_stuck_pixels_are_found() -> None:
     found = calibrate_from(measure_bench(camera, np.random.default_rng(3)))
     stuck, level = camera.modulator.stuck(48, 64, camera.serial_number)
     assert stuck.sum() >= 5
-    # 81 % of a pick's light is its own pixel's, so stuck off reads a fifth of a flat.
+    # 0.8 of a pick's light is its own pixel's: stuck off reads a fifth of a flat, stuck on all of it.
     np.testing.assert_array_equal(~found.valid, stuck)
     assert level[stuck].any()
+    assert found.leak_uncertainty < 0.02
 
 
 def test_the_same_seed_gives_the_same_bench(camera: CodedCamera, bench: Bench) -> None:

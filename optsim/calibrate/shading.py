@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 """What flats and dots say of every panel pixel: responsivity, leak, grey curve and crosstalk.
 
 A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response; so one
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation, median_filter
 
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
@@ -18,9 +20,9 @@ from optsim.quantities import Bools, Doubles, Floats, Ints
 
 # Farthest neighbours that the kernel holds, panel pixels: diffraction wings reach 1e-4 of the light there.
 _REACH = 3
-# No source, sensible defaults: a pixel is dead below this share of the median responsivity, and stuck on
-# above this share of its own light when told to be off.
-_DEAD, _STUCK = 0.25, 0.5
+# No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
+# still reads its neighbours' 0.2 to 0.4), and stuck on above this share of its own light when told off.
+_DEAD, _STUCK = 0.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +109,25 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
     on, on_variance = picker.rate(bench.flats)
     off, off_variance = picker.rate((bench.off,))
     typical = float(np.median(on[inside])) if inside.any() else 0.0
-    valid = inside & (on > _DEAD * typical) & (off < _STUCK * on) & ~picker.clipped((*bench.flats, bench.off))
+    valid = (
+        inside
+        & (on > _DEAD * median_filter(on, size=5))
+        & (on > 0)
+        & (off < _STUCK * on)
+        & ~picker.clipped((*bench.flats, bench.off))
+    )
     if typical <= 0 or not valid.any():
         raise BenchError(
             f"bench flats, off: no pixel is lit (median {typical:.3g} DN per W m^-2 and slot), darker when "
             "off, and never saturated; check the levels shown, and take the flats below half of full well"
         )
     gain_uncertainty = float(np.sqrt(np.mean(on_variance[valid] / on[valid] ** 2)))
-    leak = max(float(off[valid].sum() / on[valid].sum()), 0.0)
-    ratio = off[valid] / on[valid]
-    noise = off_variance[valid] / on[valid] ** 2 + (ratio * gain_uncertainty) ** 2
+    # A pixel stuck on sends its neighbours more light than their own leak.
+    clean = valid & ~binary_dilation(inside & ~valid, np.ones((3, 3), np.bool_))
+    clean = clean if clean.any() else valid
+    leak = max(float(off[clean].sum() / on[clean].sum()), 0.0)
+    ratio = off[clean] / on[clean]
+    noise = off_variance[clean] / on[clean] ** 2 + (ratio * gain_uncertainty) ** 2
     spread = max(float(np.mean((ratio - leak) ** 2 - noise)), 0.0)
     error = float(np.sqrt(spread + np.mean(noise) / ratio.size))
     return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error))

@@ -13,8 +13,8 @@ from optsim.laboratory import measure_bench
 
 CLAIM = (
     "from its images alone, the virtual laboratory's bench finds gain and read noise to 1 %, the panel's "
-    "time constants to 1 %, the leak to 2 %, the grey exponent to 0.5 %, and every panel pixel's centre to 0.05 "
-    "panel pixels under shift, rotation and a magnification that is not 3"
+    "time constants to 1 %, the leak to 2 %, the grey exponent to 0.5 %, and every panel pixel's centre to "
+    "0.05 panel pixels under shift, rotation and a magnification that is not 3"
 )
 ORACLE = (
     "the numbers that the camera was built with; leak and map by hand formulas written here: powers of the "

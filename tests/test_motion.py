@@ -1,0 +1,164 @@
+"""Motion detection: false alarms at the stated rate, edges found, bounds treated as bounds."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ideal_camera import KERNEL, expose, film, ideal_calibration, still_light
+
+from optsim.calibrate.sample import sample_bounds, take
+from optsim.coding import HdrMosaic, RandomExposure
+from optsim.forward.motion import Bounds, bounds, changed, grown, without_specks
+
+ROWS, COLS = 96, 128
+
+
+def seen(calibration, frames, crosstalk="undone"):
+    panel = calibration.panel_at_rest()
+    result = []
+    for frame in frames:
+        sample, panel = take(calibration, frame, panel, crosstalk)
+        result.append(sample_bounds(calibration, sample))
+    return result
+
+
+def certain(value, *, saturated=False, tainted=False, variance=0.0):
+    image = np.full((1, 1), value, np.float32)
+    flag = np.ones((1, 1), np.bool_)
+    return bounds(
+        image,
+        np.ones_like(image),
+        np.full_like(image, variance),
+        np.zeros_like(image),
+        flag & saturated,
+        flag & tainted,
+        flag,
+        gain_uncertainty=0.0,
+        exposure_uncertainty=0.0,
+        map_residual_px=0.0,
+    )
+
+
+@pytest.mark.parametrize("scheme", [HdrMosaic(), RandomExposure()])
+@pytest.mark.parametrize("irradiance", [0.02, 0.3])
+@pytest.mark.parametrize("kernel", [np.ones((1, 1), np.float32), KERNEL])
+def test_false_alarms_come_at_the_stated_rate(scheme, irradiance, kernel):
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01, crosstalk=kernel)
+    light = still_light(np.full((ROWS, COLS), irradiance))
+    frames = seen(calibration, film(calibration, scheme, [light] * 4, np.random.default_rng(11)))
+    alarms = [changed(a, b, 2.0)[0].mean() for a, b in pairwise(frames)]
+    stated = math.erfc(2.0 / math.sqrt(2))
+    # 36 864 pixels at 4.55 %: binomial sigma 0.11 %; 5 of these leave one false alarm in a million for the
+    # binomial part. A tenth more is allowed for: few electrons are not Gaussian, undone crosstalk correlates.
+    tolerance = 5 * math.sqrt(stated / (ROWS * COLS * 3)) + 0.1 * stated
+    assert np.mean(alarms) == pytest.approx(stated, abs=tolerance)
+
+
+def test_static_edges_do_not_move_when_the_map_is_uncertain():
+    image = np.full((ROWS, COLS), 0.1, np.float32)
+    image[:, COLS // 2 :] = 1.0
+    sharp = ideal_calibration(ROWS, COLS)
+    # The panel is really shifted by a tenth of a pixel against what the calibration believes.
+    real = replace(sharp, crosstalk=np.array([[0, 0, 0], [0, 0.9, 0.1], [0, 0, 0]], np.float32))
+    shot = film(real, HdrMosaic(), [still_light(image)] * 2, np.random.default_rng(2))
+
+    def alarms(calibration):
+        first, second = seen(calibration, shot)
+        return changed(first, second, 4.0)[0].mean()
+
+    assert alarms(sharp) > 0.2
+    assert alarms(replace(sharp, map_residual_px=0.1)) < 0.01
+
+
+def test_a_moving_edge_is_found_and_nothing_else():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    before = np.full((ROWS, COLS), 0.1, np.float32)
+    after = before.copy()
+    after[20:40, 50:60] = 0.3
+    shots = film(
+        calibration, HdrMosaic(), [still_light(before), still_light(after)], np.random.default_rng(3)
+    )
+    moved, undecided = changed(*seen(calibration, shots), 4.0)
+    assert not undecided.any()
+    truth = before != after
+    # At 1/36 exposure 0.1 gives 27 electrons and 0.3 gives 81: about 5 sigma apart, so most pixels are found.
+    assert moved[truth].mean() > 0.85
+    assert moved[~truth].mean() < 1e-3
+    grown_mask = grown(without_specks(moved, 4), 1)
+    assert grown_mask[truth].all()
+    assert not grown_mask[:17].any()
+
+
+def test_saturated_samples_are_bounds():
+    def verdict(first, second):
+        moved, undecided = changed(first, second, 3.0)
+        return bool(moved[0, 0]), bool(undecided[0, 0])
+
+    assert verdict(certain(1.0, saturated=True), certain(5.0)) == (False, False)
+    assert verdict(certain(1.0, saturated=True), certain(0.5)) == (True, False)
+    assert verdict(certain(1.0, saturated=True), certain(9.0, saturated=True)) == (False, True)
+    assert verdict(certain(1.0, tainted=True), certain(0.5)) == (False, False)
+    assert verdict(certain(1.0, tainted=True), certain(1.5)) == (True, False)
+    assert verdict(certain(1.0, tainted=True), certain(5.0, saturated=True)) == (True, False)
+    blind = certain(1.0)
+    blind = Bounds(blind.low, blind.high, blind.variance, blind.exposure, blind.shot, ~blind.valid)
+    assert verdict(blind, certain(9.0)) == (False, True)
+
+
+positive = st.floats(1e-3, 1e3)
+
+
+@given(positive, positive, positive, st.floats(0.5, 8), st.booleans(), st.booleans())
+def test_comparison_is_symmetric_and_scale_free(a, b, noise, threshold, a_bound, b_bound):
+    def pair(scale):
+        first = certain(a * scale, saturated=a_bound, variance=(noise * scale) ** 2)
+        second = certain(b * scale, saturated=b_bound, variance=(noise * scale) ** 2)
+        return first, second
+
+    first, second = pair(1.0)
+    moved = changed(first, second, threshold)
+    for other in (changed(second, first, threshold), changed(*pair(4.0), threshold)):
+        np.testing.assert_array_equal(moved, other)
+
+
+@given(st.integers(0, 4), st.integers(0, 2**32 - 1))
+def test_growth_is_the_square_neighbourhood(reach, seed):
+    mask = np.random.default_rng(seed).random((13, 17)) < 0.05
+    rows, cols = np.nonzero(mask)
+    v, u = np.mgrid[:13, :17]
+    near = np.zeros_like(mask)
+    for row, col in zip(rows, cols, strict=True):
+        near |= (np.abs(v - row) <= reach) & (np.abs(u - col) <= reach)
+    np.testing.assert_array_equal(grown(mask, reach), near)
+
+
+def test_specks_go_and_regions_stay():
+    mask = np.zeros((10, 10), np.bool_)
+    mask[1, 1] = mask[2, 2] = mask[3, 3] = True
+    mask[7:9, 7:9] = True
+    kept = without_specks(mask, 4)
+    assert kept.sum() == 4
+    assert kept[7:9, 7:9].all()
+    np.testing.assert_array_equal(without_specks(mask, 3), mask)
+
+
+def test_panel_history_is_part_of_the_comparison():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01, tau_s=2e-3)
+    light = still_light(np.full((ROWS, COLS), 1.0))
+    scheme = HdrMosaic()
+    state = scheme.init(calibration, np.random.default_rng(0))
+    panel = calibration.panel_at_rest()
+    rest = panel
+    shots = []
+    for index in range(2):
+        code, state = scheme.next(index, [], state)
+        frame, panel = expose(calibration, light, index, code, panel, None)
+        shots.append(frame)
+    right = seen(calibration, shots)
+    assert not changed(*right, 3.0)[0].any()
+    forgetful = [sample_bounds(calibration, take(calibration, s, rest, "undone")[0]) for s in shots]
+    assert changed(*forgetful, 3.0)[0].mean() > 0.2, "a slow panel still shows the frame before"
