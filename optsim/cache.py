@@ -1,4 +1,4 @@
-"""Content-addressed cache of arrays on disk: an entry is a folder of .npy files, named by a hash of what made it.
+"""Content-addressed cache on disk: an entry is a folder of .npy files, named by a hash of what made it.
 
 An entry is written under a temporary name and renamed, so it is either whole or absent: an interrupted render
 resumes by finding what is there. Reading is memory-mapped. When the cache grows over its cap, the entries

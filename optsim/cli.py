@@ -23,6 +23,8 @@ app = typer.Typer(
     help="Validate an adaptive pixel-wise coded-exposure camera before its hardware exists.",
     epilog="Start with: optsim doctor, then optsim run demo",
 )
+# What typer returns for Ctrl-C: 128 + SIGINT, as shells count.
+_INTERRUPTED = 130
 config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
 cache_app = typer.Typer(no_args_is_help=True, help="Show or clear the cache of rendered truth.")
 app.add_typer(config_app, name="config")
@@ -295,17 +297,10 @@ def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
     command = typer.main.get_command(app)
     try:
-        # Not standalone: typer would turn an interruption into a bare "Aborted!".
         status = command.main(standalone_mode=False)
     except OptsimError as error:
         typer.echo(f"optsim: {error}", err=True)
         status = 2
-    except (KeyboardInterrupt, typer.Abort):
-        typer.echo(
-            "\noptsim: interrupted. Finished poses are in the cache; the same command goes on from there.",
-            err=True,
-        )
-        status = 130
     except Exception as error:
         # A usage error, of a class that typer keeps in its private copy of click.
         show: object = getattr(error, "show", None)
@@ -313,4 +308,9 @@ def main() -> None:
             raise
         show()
         status = 2
+    if status == _INTERRUPTED:
+        typer.echo(
+            "optsim: interrupted. Finished poses are in the cache; the same command goes on from there.",
+            err=True,
+        )
     raise SystemExit(status or 0)

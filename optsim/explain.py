@@ -64,7 +64,7 @@ def show(record: dict[str, Any]) -> list[object]:
         rows = cast("list[dict[str, Any]]", ledger["rows"])
         items.append(
             table(
-                f"photon ledger, {name}: {ledger['radiance_w_m2_sr']:.4g} W m^-2 sr^-1, all-on, no neutral density",
+                f"photon ledger, {name} ({ledger['radiance_w_m2_sr']:.4g} W m^-2 sr^-1), all-on, no density",
                 tuple(rows[0]),
                 [tuple(row.values()) for row in rows],
             )

@@ -1,4 +1,4 @@
-"""What a run keeps for its pictures: all methods in one coded frame, and one method's last frames in motion."""
+"""What a run keeps for its pictures: all methods in one coded frame, and one method in motion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from optsim.scoring import Scorer
 
 _MOVING_FRAMES = 2
 _MOVING_STRIDE = 1
-# A crop is this share of the panel's height and width: large enough to know the place, small enough to see pixels.
+# Share of the panel's height and width: large enough to know the place, small enough to see pixels.
 _CROP_SHARE = 0.3
 
 

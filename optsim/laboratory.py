@@ -54,7 +54,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
     Parameters
     ----------
     camera : CodedCamera
-        The camera, with its true parameters.
+        The camera, with its true parameters; at least 24 panel pixels each way, for enough dots.
     rng : Generator
         Of all shot and read noise on the bench.
 

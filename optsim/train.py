@@ -25,7 +25,7 @@ _SAMPLES = 64
 
 
 def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dict[str, Floats]:
-    """Slot means, (slot, v, u), of every variation of the training scene, from the cache where it has them."""
+    """Slot means, (slot, v, u), of every variation of the training scene; cached."""
     from optsim import render, scene
 
     cache = Cache()

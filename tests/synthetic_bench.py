@@ -40,7 +40,7 @@ class Camera:
     exponent: float = 1.2
     slot_s: float = 1 / 180
     slots: int = 36
-    dn_per_e: float = 1.04
+    dn_per_e: float = 0.7
     read_e: float = 9.4
     full_well_e: float = 15770.0
     black: float = 200.0

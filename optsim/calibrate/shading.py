@@ -1,4 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
 """What flats and dots say of every panel pixel: responsivity, leak, grey curve and crosstalk.
 
 A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response; so one
@@ -123,8 +124,8 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
         )
     gain_uncertainty = float(np.sqrt(np.mean(on_variance[valid] / on[valid] ** 2)))
     # A pixel stuck on sends its neighbours more light than their own leak.
-    clean = valid & ~binary_dilation(inside & ~valid, np.ones((3, 3), np.bool_))
-    clean = clean if clean.any() else valid
+    suspect = np.asarray(binary_dilation(inside & ~valid, np.ones((3, 3), np.bool_)), np.bool_)
+    clean = valid & ~suspect if np.any(valid & ~suspect) else valid
     leak = max(float(off[clean].sum() / on[clean].sum()), 0.0)
     ratio = off[clean] / on[clean]
     noise = off_variance[clean] / on[clean] ** 2 + (ratio * gain_uncertainty) ** 2

@@ -49,8 +49,8 @@ class HdrMerge(Part):
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the frames or added to the weights.
     taint_tolerance : float
-        Pixels with more than this share of light from saturated neighbours that nothing is known of are not
-        valid.
+        Pixels are not valid where the kernel brings more than this share of neighbours that never had an
+        unsaturated sample: these may hide any amount of light. 0.005 is a sensible default (no source).
     paper_literal : bool
         Equation (7) as printed, divided by 4: the mean of I / S over the frames, without a test for
         saturation or for change, with row-summed weights; for comparison.
@@ -60,7 +60,7 @@ class HdrMerge(Part):
     n_frames: int = Field(default=4, ge=1, le=16)
     threshold_sigma: float = Field(default=4.0, gt=0)
     crosstalk: Crosstalk = "undone"
-    taint_tolerance: float = Field(default=0.05, ge=0)
+    taint_tolerance: float = Field(default=0.005, ge=0)
     paper_literal: bool = False
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
@@ -128,7 +128,7 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float) -> list[Bools]:
 def _merged(
     calibration: Calibration, samples: Sequence[Sample], alive: Sequence[Bools], crosstalk: Crosstalk
 ) -> tuple[Floats, Bools, Floats]:
-    """Pooled estimate, where there is one, and the share of unknown light in it."""
+    """Pooled estimate, where there is one, and the share of the kernel that is unknown."""
     usable = [ok & s.valid & ~s.saturated & (s.exposure > 1e-6) for s, ok in zip(samples, alive, strict=True)]
     found = np.logical_or.reduce(usable)
     mean = _ratio([s.signal for s in samples], [s.exposure for s in samples], usable)
@@ -153,11 +153,8 @@ def _merged(
             break
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
-        unknown = np.where(sample.saturated & ~found, sample.measured, 0).astype(np.float32)
-        received = calibration.spread(unknown[None])[0]
-        floor = np.maximum(np.abs(sample.signal), np.sqrt(sample.variance))
-        share = np.where(use & sample.tainted, received / floor, 0)
-        tainted = np.maximum(tainted, share)
+        hidden = (sample.saturated & ~found).astype(np.float32)
+        tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
     return mean, found, tainted
 
 

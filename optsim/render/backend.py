@@ -8,6 +8,7 @@ library is chosen first, a pixel is path traced with it in a subprocess, and onl
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -26,9 +27,7 @@ from optsim.files import read_json, write_json
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
 OLDEST_LLVM = 17
-_LLVM_CURE = (
-    "cure: install karellen-llvm-core (x86-64 Linux), or a system LLVM >= 17, and set DRJIT_LIBLLVM_PATH to it"
-)
+_LLVM_CURE = "cure: install karellen-llvm-core (x86-64 Linux), or a system LLVM >= 17, and set DRJIT_LIBLLVM_PATH to it"
 _MARK = "PROBE"
 _PROBE = """
 import json, sys
@@ -40,7 +39,8 @@ box["integrator"] = {"type": "path", "max_depth": 3}
 image = mi.render(mi.load_dict(box), spp=4)
 total = float(sum(v for v in image.numpy().ravel())) if hasattr(image, "numpy") else 1.0
 import drjit as dr
-print("PROBE" + json.dumps({"total": total, "llvm": list(dr.detail.llvm_version()) if "llvm" in sys.argv[1] else []}))
+llvm = list(dr.detail.llvm_version()) if "llvm" in sys.argv[1] else []
+print("PROBE" + json.dumps({"total": total, "llvm": llvm}))
 """
 
 
@@ -109,7 +109,9 @@ def choose_backend(backend: str | None = None) -> BackendReport:
     if backend is not None and backend not in VARIANTS:
         raise unknown_name("backend", backend, VARIANTS)
     if "missing" in (versions()["mitsuba"], versions()["drjit"]):
-        raise BackendError("mitsuba and drjit are not installed; cure: pip install mitsuba==3.9.1 drjit==1.5.0")
+        raise BackendError(
+            "mitsuba and drjit are not installed; cure: pip install mitsuba==3.9.1 drjit==1.5.0"
+        )
     attempts: list[Attempt] = []
     for variant, library in _candidates(backend):
         attempt = _remembered_probe(variant, library)
@@ -177,7 +179,7 @@ def _reason(chosen: Attempt, attempts: list[Attempt]) -> str:
 
 
 def _remembered_probe(variant: str, library: str) -> Attempt:
-    """A probe, or its result of an earlier process with the same library file and versions."""
+    """Probe, or take the result of an earlier process with the same library file and versions."""
     stat = os.stat(library) if library and Path(library).exists() else None
     identity = [variant, library, stat and [stat.st_size, stat.st_mtime_ns], versions(), sys.executable]
     path = default_folder() / "probes" / f"{hash_of(identity)}.json"
@@ -188,10 +190,9 @@ def _remembered_probe(variant: str, library: str) -> Attempt:
         attempt = probe(variant, library)
     # Only success is remembered: a failure may be cured from outside (a library installed, a driver loaded).
     if attempt.works:
-        try:
+        # An unwritable cache only costs the next process a probe.
+        with contextlib.suppress(StorageError, OSError):
             write_json(path, {"works": True, "message": attempt.message})
-        except (StorageError, OSError):
-            pass  # an unwritable cache only costs the next process a probe
     return attempt
 
 

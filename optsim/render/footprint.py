@@ -1,3 +1,5 @@
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUntypedFunctionDecorator=false
 """Where movers are on the fine grid, and how far they go: projection, coverage and path lengths, no rays."""
 
 from __future__ import annotations
@@ -43,7 +45,12 @@ def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
 
 
 def path_px(
-    vertices: Callable[[float], Doubles], start_s: float, stop_s: float, steps: int, camera: CameraPose, view: View
+    vertices: Callable[[float], Doubles],
+    start_s: float,
+    stop_s: float,
+    steps: int,
+    camera: CameraPose,
+    view: View,
 ) -> float:
     """Farthest way that a mover's visible point goes in a time span, fine samples.
 

@@ -1,4 +1,4 @@
-"""The plain loop: every slot rendered by itself. For training footage, and where only the scalar backend works."""
+"""The plain loop, every slot rendered by itself: training footage, and the scalar fallback."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optsim.scene.scene import Scene
 
 
 def seed_of(*purpose: object) -> int:
-    """A 32-bit seed for a purpose; hashed, since neighbouring seeds may give shifted patterns."""
+    """Hash a purpose to a 32-bit seed, since neighbouring seeds may give shifted patterns."""
     return int(hash_of(*purpose)[:8], 16)
 
 

@@ -17,7 +17,11 @@ def pixel_sampler(mi: Any, dr: Any) -> Any:
 
     def mix(x: Any, y: Any) -> Any:
         """Hash two 32-bit integers into one (murmur3's finaliser after a multiplicative combination)."""
-        h = mi.UInt32(x) * mi.UInt32(0x9E3779B1) + mi.UInt32(y) * mi.UInt32(0x85EBCA77) + mi.UInt32(0x165667B1)
+        h = (
+            mi.UInt32(x) * mi.UInt32(0x9E3779B1)
+            + mi.UInt32(y) * mi.UInt32(0x85EBCA77)
+            + mi.UInt32(0x165667B1)
+        )
         h = (h ^ (h >> 16)) * mi.UInt32(0x7FEB352D)
         h = (h ^ (h >> 15)) * mi.UInt32(0x846CA68B)
         return h ^ (h >> 16)

@@ -8,7 +8,7 @@ All mesh parameters are behind :func:`_write_vertices`: Mitsuba 3.10 renames the
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,7 @@ class Stage:
         return result / counts
 
     def _sums(self, pixels: Ints, counts: Ints, seeds: tuple[int, ...], first_sample: int) -> Doubles:
-        """One launch, one lane a sample; summed in float64, since float32 sums of many samples lose digits."""
+        """Launch once, one lane a sample; summed in float64, as float32 sums of many samples lose digits."""
         starts = np.cumsum(counts) - counts
         index = np.arange(counts.sum()) - np.repeat(starts, counts) + first_sample
         values = self._trace(
@@ -116,22 +116,22 @@ class Stage:
         import mitsuba as mi
 
         pixel = mi.UInt32(pixels.astype(np.uint32))
-        sampler = pixel_sampler(mi, dr)()
+        sampler: Any = pixel_sampler(mi, dr)()
         sampler.start(mi.UInt32(seeds), pixel, mi.UInt32(indices.astype(np.uint32)))
         row = pixel // self.view.cols
         corner = mi.Point2f(mi.Float(pixel - row * self.view.cols), mi.Float(row))
         position = (corner + sampler.next_2d()) / mi.Point2f(self.view.cols, self.view.rows)
         ray, weight = self._loaded.sensors()[0].sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
-        light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, mi.Mask(True))
+        light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
         values = (light * weight)[0]
         dr.eval(values)
         return np.asarray(values.numpy(), np.float32)
 
     def picture(self, samples: int, seed: int) -> Floats:
-        """The whole fine grid by Mitsuba's own loop, in any variant: array of shape (y, x), float32."""
+        """Render the whole fine grid by Mitsuba's own loop, in any variant: (y, x), float32."""
         import mitsuba as mi
 
-        image = np.asarray(mi.render(self._loaded, spp=samples, seed=seed))
+        image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
         return np.ascontiguousarray(image.mean(axis=2), np.float32)
 
 
@@ -152,12 +152,12 @@ def outside_mask(scene: Scene, view: View) -> Bools:
 
 
 def _write_vertices(parameters: Any, name: str, vertices_m: Doubles) -> None:
-    """The one place that names a mesh's vertex buffer."""
+    """Set a mesh's vertices: the one place that names its vertex buffer."""
     parameters[f"{name}.vertex_positions"] = vertices_m.astype(np.float32).ravel()
 
 
 def _mesh(mi: Any, name: str, mesh: Mesh, material: Material) -> Any:
-    """A Mitsuba mesh with smooth normals and texture coordinates."""
+    """Make a Mitsuba mesh with smooth normals and texture coordinates."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(
         {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _reflectance(mi, material)}}

@@ -208,7 +208,11 @@ def _key_pose(plan: _Plan, still: Stage, moving: Stage, index: int) -> str:
     def make() -> dict[str, Floats]:
         moving.pose(plan.time_s(slot))
         light = moving.radiance(plan.pixels, n, seeds).reshape(plan.shape)
-        return {"change": (light - plan.cache.get(plan.key("without", n, turn), without)["light"]).astype(np.float32)}
+        return {
+            "change": (light - plan.cache.get(plan.key("without", n, turn), without)["light"]).astype(
+                np.float32
+            )
+        }
 
     key = plan.key("key", n, turn, slot)
     plan.cache.get(key, make)
@@ -263,7 +267,9 @@ def _render_movers(plan: _Plan, moving: Stage, first_slot: int) -> dict[str, Any
         # Steps are powers of two: a mover with fewer of them is due at every so many poses.
         due = [i for i, track in enumerate(tracks) if pose * track.n_steps % finest == 0]
         pixels = [tracks[i].pixels for i in due]
-        samples = np.concatenate([np.full(len(p), tracks[i].samples) for i, p in zip(due, pixels, strict=True)])
+        samples = np.concatenate(
+            [np.full(len(p), tracks[i].samples) for i, p in zip(due, pixels, strict=True)]
+        )
         seen = moving.radiance(np.concatenate(pixels), samples, plan.seeds("mover", first_slot, pose))
         parts = np.split(seen, np.cumsum([len(p) for p in pixels])[:-1], axis=1)
         for i, part in zip(due, parts, strict=True):
@@ -282,7 +288,7 @@ def _render_movers(plan: _Plan, moving: Stage, first_slot: int) -> dict[str, Any
 
 
 def _tracks(plan: _Plan, times: tuple[float, float]) -> list[_Track]:
-    """The movers seen in a segment, the one with the most poses first."""
+    """Find the movers seen in a segment, the one with the most poses first."""
     steps = {name: _n_steps(plan, name, times) for name in plan.scene.singles()}
     taken = np.zeros(plan.shape[1:], np.bool_)
     tracks: list[_Track] = []
@@ -299,7 +305,7 @@ def _tracks(plan: _Plan, times: tuple[float, float]) -> list[_Track]:
 
 
 def _n_steps(plan: _Plan, name: str, times: tuple[float, float]) -> int:
-    """Steps in a segment, a power of two, such that no visible point goes farther than allowed in one."""
+    """Count steps in a segment, a power of two, so that no visible point goes too far in one."""
     way = path_px(
         plan.scene.singles()[name].vertices,
         *times,
@@ -334,9 +340,7 @@ def hat_means(n_steps: int, n_instants: int) -> Doubles:
     return np.diff(integral, axis=0) * n_instants / n_steps
 
 
-def assemble(
-    start: Floats, stop: Floats, movers: dict[str, Any], half: _Half, n_instants: int
-) -> Segment:
+def assemble(start: Floats, stop: Floats, movers: dict[str, Any], half: _Half, n_instants: int) -> Segment:
     """Put a segment together: the base from two key instants, the movers as excess over it.
 
     Parameters
@@ -363,7 +367,7 @@ def assemble(
 
 
 def _load_plain(plan: _Plan) -> _Load:
-    """The scalar fallback: every slot by itself with few samples, one pose a slot."""
+    """Render the scalar fallback: every slot by itself with few samples, one pose a slot."""
     stage = Stage(plan.scene, plan.view)
     keys = [plan.key("preview", slot) for slot in range(plan.timing.n_slots)]
     for slot, key in enumerate(keys):

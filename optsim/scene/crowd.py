@@ -42,7 +42,7 @@ class Crowd(Part):
     speed_m_s: float = Field(0.8, ge=0)
 
     def members(self) -> dict[str, Single]:
-        """The single movers, by name."""
+        """Draw the single movers, by name."""
         rng = np.random.default_rng(self.seed)
         result: dict[str, Single] = {}
         for index in range(self.n_cards + self.n_small):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,11 +50,11 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def quad(corner_m: ArrayLike, edge_u_m: ArrayLike, edge_v_m: ArrayLike, uv: ArrayLike | None = None) -> Mesh:
-    """Parallelogram facing ``edge_u x edge_v``; texture in metres from the corner unless ``uv`` (4, 2) is given."""
+    """Parallelogram facing ``edge_u x edge_v``; texture in metres, or as ``uv`` (4, 2) says."""
     corner, u, v = (np.asarray(x, np.float64) for x in (corner_m, edge_u_m, edge_v_m))
     if uv is None:
         width, height = np.linalg.norm(u), np.linalg.norm(v)
-        uv = [[0, 0], [width, 0], [width, height], [0, height]]
+        uv = np.array([[0, 0], [width, 0], [width, height], [0, height]])
     vertices = np.stack([corner, corner + u, corner + u + v, corner + v])
     return Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.asarray(uv, np.float64))
 
@@ -106,17 +107,15 @@ def wall(
     us = sorted({0.0, width, *(x for hole in holes_m for x in (hole[0], hole[2]))})
     vs = sorted({0.0, height, *(x for hole in holes_m for x in (hole[1], hole[3]))})
     pieces: list[Mesh] = []
-    for u0, u1 in zip(us, us[1:], strict=False):
-        for v0, v1 in zip(vs, vs[1:], strict=False):
+    for u0, u1 in pairwise(us):
+        for v0, v1 in pairwise(vs):
             middle = (u0 + u1) / 2, (v0 + v1) / 2
             if any(h[0] < middle[0] < h[2] and h[1] < middle[1] < h[3] for h in holes_m):
                 continue
             uv = [[u0, v0], [u1, v0], [u1, v1], [u0, v1]]
             pieces.append(quad(corner + u * u0 + v * v0, u * (u1 - u0), v * (v1 - v0), uv))
     for u0, v0, u1, v1 in holes_m:
-        low, right, high, left = (
-            corner + u * a + v * b for a, b in ((u0, v0), (u1, v0), (u1, v1), (u0, v1))
-        )
+        low, right, high, left = (corner + u * a + v * b for a, b in ((u0, v0), (u1, v0), (u1, v1), (u0, v1)))
         pieces += [
             quad(low, right - low, back),
             quad(right, high - right, back),
@@ -189,7 +188,7 @@ def limb(
 
 
 def ball(center_m: ArrayLike, radius_m: float, *, around: int = 32, along: int = 17) -> Mesh:
-    """Ball with texture u round and v from the lower to the upper pole."""
+    """Ball with texture u round and v from lower to the upper pole."""
     polar = np.linspace(-np.pi / 2, np.pi / 2, along)
     angle = np.linspace(0, 2 * np.pi, around + 1)
     vertices = np.stack(
@@ -208,7 +207,7 @@ def ball(center_m: ArrayLike, radius_m: float, *, around: int = 32, along: int =
 
 
 def sheet(n_u: int, n_v: int) -> Mesh:
-    """Unit square in the x-z plane facing -y, centred, as a grid of n_u x n_v vertices; texture 0 .. 1."""
+    """Make a unit square in the x-z plane facing -y, centred, of n_u x n_v vertices; texture 0 .. 1."""
     u, v = np.meshgrid(np.linspace(0, 1, n_u), np.linspace(0, 1, n_v))
     vertices = np.stack([u - 0.5, np.zeros_like(u), v - 0.5], axis=-1).reshape(-1, 3)
     return Mesh(vertices, _grid_faces(n_v, n_u), np.stack([u, v], axis=-1).reshape(-1, 2))
@@ -218,6 +217,4 @@ def _grid_faces(rows: int, cols: int) -> Faces:
     """Two triangles a cell of a (rows, cols) grid of vertices, row-major."""
     index = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    return np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])

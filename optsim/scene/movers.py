@@ -64,12 +64,10 @@ class Fan(Part):
         return turned @ frame_about(self.axis) + np.asarray(self.center_m)
 
     def _rotor(self) -> Mesh:
-        """The rotor in its own frame: x, y in its plane, z along the axis."""
+        """Make the rotor in its own frame: x, y in its plane, z along the axis."""
         r = self.radius_m
         side = (0.0, np.cos(self.pitch_rad), np.sin(self.pitch_rad))
-        blade = geometry.limb(
-            (0.22 * r, 0, 0), (0.8 * r, 0, 0), 0.09 * r, 0.2 * r, side=side, flatness=0.12
-        )
+        blade = geometry.limb((0.22 * r, 0, 0), (0.8 * r, 0, 0), 0.09 * r, 0.2 * r, side=side, flatness=0.12)
         blades = [
             Mesh(geometry.turn(blade.vertices_m, 2 * np.pi * i / self.n_blades), blade.faces, blade.uv)
             for i in range(self.n_blades)
@@ -164,7 +162,7 @@ class BouncingBall(Part):
         fall = (time_s + half) % (2 * half) - half  # time from the last apex, -half .. half
         rise = self.height_m - 9.81 / 2 * fall**2 if time_s % (2 * half) else 0.0
         drift = np.asarray(self.velocity_m_s) * (1, 1, 0) * time_s
-        place = np.asarray(self.floor_m) + drift + (0, 0, self.radius_m + rise)
+        place = np.asarray(self.floor_m) + drift + np.array([0, 0, self.radius_m + rise])
         shape = geometry.ball((0, 0, 0), self.radius_m).vertices_m
         return geometry.turn(shape, 2 * np.pi * self.spin_hz * time_s) + place
 

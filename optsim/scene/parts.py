@@ -64,7 +64,7 @@ class Lamp(Part):
     picture : str or None
         Name of an outside in :mod:`optsim.scene.textures`; such a lamp is a window on the bright outside.
     sampling_weight : float
-        Share of light samples, relative to other lamps; for low noise about its share of the light that arrives.
+        Share of light samples, relative to other lamps; for low noise about its share of the light.
     """
 
     center_m: Vector
@@ -106,7 +106,7 @@ class Quad(Part):
     fit: bool = False
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         uv = [[0, 0], [1, 0], [1, 1], [0, 1]] if self.fit else None
         return geometry.quad(self.corner_m, self.edge_u_m, self.edge_v_m, uv)
 
@@ -121,7 +121,7 @@ class Box(Part):
     yaw_rad: float = 0.0
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         return geometry.box(self.center_m, self.size_m, self.yaw_rad)
 
 
@@ -137,7 +137,7 @@ class Wall(Part):
     depth_m: Positive = 0.15
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         return geometry.wall(self.corner_m, self.edge_u_m, self.edge_v_m, self.holes_m, self.depth_m)
 
 
@@ -152,7 +152,7 @@ class Rod(Part):
     radius_stop_m: Positive | None = None
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         start, stop = np.asarray(self.start_m), np.asarray(self.stop_m)
         side = np.eye(3)[int(np.argmin(np.abs(stop - start)))]
         return geometry.limb(
@@ -169,7 +169,7 @@ class Globe(Part):
     radius_m: Positive
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         return geometry.ball(self.center_m, self.radius_m)
 
 
@@ -194,7 +194,7 @@ class Plant(Part):
     seed: int = 0
 
     def mesh(self) -> Mesh:
-        """The triangles."""
+        """Make the triangles."""
         rng = np.random.default_rng(self.seed)
         leaf = geometry.sheet(3, 7)
         leaves: list[Mesh] = []
@@ -210,7 +210,9 @@ class Plant(Part):
                 ],
                 axis=-1,
             )
-            leaves.append(Mesh(geometry.turn(shape, float(yaw)) + np.asarray(self.base_m), leaf.faces, leaf.uv))
+            leaves.append(
+                Mesh(geometry.turn(shape, float(yaw)) + np.asarray(self.base_m), leaf.faces, leaf.uv)
+            )
         return geometry.merge(leaves)
 
 

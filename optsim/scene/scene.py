@@ -46,8 +46,8 @@ class Scene(Part):
     camera: CameraPose
     materials: dict[str, Material]
     lamps: dict[str, Lamp] = Field(min_length=1)
-    objects: dict[str, StillObject] = {}
-    movers: dict[str, Mover] = {}
+    objects: dict[str, StillObject] = Field(default={})
+    movers: dict[str, Mover] = Field(default={})
 
     @field_validator("movers")
     @classmethod
@@ -65,13 +65,12 @@ class Scene(Part):
         users = [*self.objects.items(), *self.singles().items()]
         for name, user in users:
             if user.material not in self.materials:
-                raise ValueError(
-                    f"{name}: {unknown_name('material', user.material, self.materials or ['(none declared)'])}"
-                )
+                known = self.materials or ["(none declared)"]
+                raise ValueError(f"{name}: {unknown_name('material', user.material, known)}")
         return self
 
     def singles(self) -> dict[str, Single]:
-        """The movers by name, crowds resolved into their members."""
+        """Return the movers by name, crowds resolved into their members."""
         return {name: mover for name, mover in self.movers.items() if not isinstance(mover, Crowd)}
 
     def still_meshes(self) -> dict[str, Mesh]:
@@ -110,7 +109,7 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     Raises
     ------
     ConfigError
-        For an unknown scene, variation, key, kind, material or texture, a lamp missing, or a number out of range.
+        For an unknown scene, variation, key, kind, material or texture, no lamp, or a number out of range.
     """
     text = str(name_or_path)
     if "/" in text or text.endswith(".toml"):

@@ -78,7 +78,7 @@ def _books() -> Doubles:
 
 
 def _poster() -> Doubles:
-    """A test chart: rings, wedges, bars of several periods and a grey staircase on white."""
+    """Draw a test chart: rings, wedges, bars of several periods and a grey staircase on white."""
     y, x = np.indices((512, 512)) / 512
     image = np.full((512, 512), 0.85)
     radius, angle = np.hypot(x - 0.5, y - 0.64), np.arctan2(y - 0.64, x - 0.5)
@@ -117,7 +117,7 @@ def _quarters() -> Doubles:
 
 def _leaf() -> Doubles:
     y, x = np.indices((128, 64)) / 64
-    vein = (np.abs(x - 0.5) < 0.05) | ((np.abs((y + np.abs(x - 0.5) * 1.2) % 0.25) < 0.04))
+    vein = (np.abs(x - 0.5) < 0.05) | (np.abs((y + np.abs(x - 0.5) * 1.2) % 0.25) < 0.04)
     return np.where(vein, 0.34, 0.16) * (0.8 + 0.4 * _noise(128, (2, 5), 10)[:, :64])
 
 
@@ -137,7 +137,7 @@ def _speckle() -> Doubles:
 
 
 def _wardrobe() -> Doubles:
-    """A walker's clothes: five bands in v (see optsim.scene.walker): skin, shirt, trousers, shoes, hair."""
+    """Draw a walker's clothes: five bands in v: skin, shirt, trousers, shoes, hair."""
     image = np.empty((500, 256))
     x = np.indices((100, 256))
     fine = _noise(256, (1, 3), 15)[:100]
@@ -150,7 +150,7 @@ def _wardrobe() -> Doubles:
 
 
 def _street() -> Doubles:
-    """What is outside: sky with clouds over two rows of facades, trees and a road; relative radiance.
+    """Draw what is outside: sky with clouds over two rows of facades, trees and a road; relative radiance.
 
     The relative scale is that of a sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07,
     foliage 0.03 (no source; sensible defaults).
@@ -158,11 +158,14 @@ def _street() -> Doubles:
     n = 480
     y, x = np.indices((n, n)) / n
     rng = np.random.default_rng(21)
-    cloud = np.clip((zoom(_noise(160, (5, 12, 26), 22), 3, order=1) - 0.5) * 3.2, 0, 1)
+    billows: Doubles = np.asarray(zoom(_noise(160, (5, 12, 26), 22), 3, order=1))
+    cloud = np.clip((billows - 0.5) * 3.2, 0, 1)
     image = 0.5 + 0.25 * (1 - y) + 0.55 * cloud
     image += 1.2 * np.exp(-((x - 0.16) ** 2 + (y - 0.93) ** 2) / 0.012)
 
-    def facade(left: float, right: float, top: float, tone: float, glass: float, floors: int, axes: int) -> None:
+    def facade(
+        left: float, right: float, top: float, tone: float, glass: float, floors: int, axes: int
+    ) -> None:
         here = (x >= left) & (x < right) & (y < top)
         image[here] = tone * (0.94 + 0.12 * rng.random(here.sum()))
         a, b = (x - left) / (right - left) * axes % 1, y / top * floors % 1
@@ -175,7 +178,7 @@ def _street() -> Doubles:
     facade(0.30, 0.62, 0.50, 0.34, 0.04, 5, 5)
     facade(0.62, 0.80, 0.68, 0.13, 0.03, 8, 3)
     facade(0.80, 1.00, 0.46, 0.42, 0.05, 5, 3)
-    foliage = zoom(_noise(160, (1.5, 4), 23), 3, order=1)
+    foliage: Doubles = np.asarray(zoom(_noise(160, (1.5, 4), 23), 3, order=1))
     for center, radius in ((0.22, 0.15), (0.66, 0.12), (0.96, 0.14)):
         crown = np.hypot(x - center, (y - 0.2) * 0.9) < radius * (0.75 + 0.5 * foliage)
         image[crown] = 0.015 + 0.07 * foliage[crown] ** 2

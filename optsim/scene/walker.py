@@ -66,7 +66,7 @@ class Walker(Part):
         return self._posed(time_s).vertices_m
 
     def _posed(self, time_s: float) -> Mesh:
-        """The body in its own frame (x forward, y left, z up), then scaled, turned and placed."""
+        """Pose the body in its own frame (x forward, y left, z up), then scaled, turned and placed."""
         phase = 2 * np.pi * self.steps_hz * (time_s + self.phase_s)
         sway = self.sway_m / 1.75 * self.height_m
         trunk = np.array([0.0, sway * np.sin(phase), sway * np.cos(2 * phase)])
@@ -79,19 +79,21 @@ class Walker(Part):
         twist = 0.1 * np.sin(phase)
         shoulders = np.array([-np.sin(twist), np.cos(twist), 0.0])
         hips = np.array([np.sin(twist), np.cos(twist), 0.0])
-        pelvis, chest = trunk + (0, 0, 0.95), trunk + (0.02, 0, 1.34)
-        head = chest + (0.025, 0, 0.27)
+        pelvis, chest = trunk + _at(0, 0, 0.95), trunk + _at(0.02, 0, 1.34)
+        head = chest + _at(0.025, 0, 0.27)
         return [
             geometry.limb(
-                pelvis, pelvis + (0.01, 0, 0.12), 0.165, 0.15, side=hips, flatness=0.72, band=_TROUSERS
+                pelvis, pelvis + _at(0.01, 0, 0.12), 0.165, 0.15, side=hips, flatness=0.72, band=_TROUSERS
             ),
             geometry.limb(
-                pelvis + (0.01, 0, 0.13), chest, 0.15, 0.2, side=shoulders, flatness=0.6, band=_SHIRT
+                pelvis + _at(0.01, 0, 0.13), chest, 0.15, 0.2, side=shoulders, flatness=0.6, band=_SHIRT
             ),
-            geometry.limb(chest + (0, 0, 0.14), head - (0, 0, 0.06), 0.055, 0.052, side=shoulders, band=_SKIN),
             geometry.limb(
-                head - (0, 0, 0.035),
-                head + (0, 0, 0.05),
+                chest + _at(0, 0, 0.14), head - _at(0, 0, 0.06), 0.055, 0.052, side=shoulders, band=_SKIN
+            ),
+            geometry.limb(
+                head - _at(0, 0, 0.035),
+                head + _at(0, 0, 0.05),
                 0.085,
                 0.098,
                 side=shoulders,
@@ -99,8 +101,8 @@ class Walker(Part):
                 band=_SKIN,
             ),
             geometry.limb(
-                head + (-0.035, 0, 0.045),
-                head + (-0.015, 0, 0.085),
+                head + _at(-0.035, 0, 0.045),
+                head + _at(-0.015, 0, 0.085),
                 0.098,
                 0.09,
                 side=shoulders,
@@ -113,7 +115,7 @@ class Walker(Part):
         limbs: list[Mesh] = []
         for sign, leg in ((1.0, phase), (-1.0, phase + np.pi)):
             left = np.array([0.0, 1.0, 0.0])
-            hip = trunk + (0.0, sign * 0.095, 0.93)
+            hip = trunk + _at(0.0, sign * 0.095, 0.93)
             thigh = 0.06 + self.stride_rad * np.sin(leg)
             # The knee bends most while the thigh swings forward (its derivative is largest).
             bend = 0.08 + self.knee_rad * (0.5 + 0.5 * np.cos(leg + 0.35)) ** 2
@@ -133,7 +135,7 @@ class Walker(Part):
                     band=_SHOES,
                 ),
             ]
-            shoulder = trunk + (0.02, sign * 0.235, 1.42)
+            shoulder = trunk + _at(0.02, sign * 0.235, 1.42)
             swing = -self.arm_rad * np.sin(leg)
             fold = 0.35 + 0.3 * (0.5 - 0.5 * np.sin(leg))
             elbow = shoulder + 0.29 * _swung(swing, sign * 0.12)
@@ -147,8 +149,13 @@ class Walker(Part):
         return limbs
 
 
+def _at(x: float, y: float, z: float) -> Doubles:
+    """Offset in the body's frame."""
+    return np.array([x, y, z])
+
+
 def _swung(angle_rad: float, outward_rad: float = 0.0) -> Doubles:
-    """Unit vector that hangs down, swung forward by an angle and outward (to +y) by another."""
+    """Return the unit vector that hangs down, swung forward by an angle and outward (to +y) by another."""
     return np.array(
         [
             np.sin(angle_rad) * np.cos(outward_rad),

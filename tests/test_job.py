@@ -1,0 +1,112 @@
+"""A whole run on disk, tiny: every file is there, means what it says, and a second run finds the truth."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from optsim import job
+from optsim.errors import StorageError
+from optsim.experiment import Experiment, load_experiment
+from optsim.files import read_exr, read_json, read_png16
+from optsim.report.schema import check_results
+
+SMALL = [
+    "n_frames=6",
+    "camera.panel_rows=16",
+    "camera.panel_cols=20",
+    "camera.sensor.rows=56",
+    "camera.sensor.cols=68",
+    "camera.objective.focal_length_m='0.4167 mm'",
+    "render.static_samples=16",
+    "render.key_samples=2",
+    "render.mover_samples=2",
+    "render.max_step_px=8",
+    "render.slots_per_segment=36",
+    "calibration=true",
+]
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return load_experiment("demo", SMALL)
+
+
+@pytest.fixture(scope="module")
+def folder(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    where = tmp_path_factory.mktemp("run") / "demo"
+    job.execute(experiment, where, command="optsim run demo", export_truth=True)
+    return where
+
+
+def test_results_follow_their_schema_and_hold_no_nan(folder: Path) -> None:
+    text = (folder / "results.json").read_text()
+    results = check_results(json.loads(text))
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert {s["stage"] for s in results["timings"]} >= {"render", "calibrate", "capture", "decode and score"}
+    assert {s["method"] for s in results["scores"]} == {"adaptive", "normal", "hdr_mosaic", "random"}
+    assert {s["phase"] for s in results["scores"]} == {"warm-up", "merging", "steady"}
+    assert results["latency"]["hypothetical"]
+    assert results["noise_ceiling"]
+
+
+def test_every_frame_code_and_mask_is_written(folder: Path, experiment: Experiment) -> None:
+    for method in experiment.methods:
+        for index in range(6):
+            dn = read_png16(folder / "frames" / method.name / f"{index:06d}.png")
+            assert dn.shape == (56, 68)
+            assert dn.max() < 2**14
+            levels, said = read_exr(folder / "codes" / method.name / f"{index:06d}.exr")
+            assert len(levels) == 36
+            assert set(np.unique(levels["slot00"])) <= {0.0, 255.0}
+            assert said["unit"].startswith("drive level")
+
+
+def test_reconstructions_are_radiance_of_the_truth_s_order(folder: Path) -> None:
+    video, said = read_exr(folder / "reconstructions" / "adaptive" / "000005.exr")
+    truth, _ = read_exr(folder / "truth" / "000005.exr")
+    assert said["unit"].startswith("W m^-2 sr^-1")
+    assert len(video) == len(truth) == 36
+    ratio = np.median(video["slot10"]) / np.median(truth["slot10"])
+    assert 0.5 < ratio < 2, "two units would differ by far more"
+
+
+def test_report_opens_without_a_network(folder: Path) -> None:
+    html = (folder / "report.html").read_text()
+    assert "http://" not in html
+    assert "https://" not in html
+    for picture in read_json(folder / "results.json")["pictures"]:
+        assert (folder / picture["file"]).stat().st_size > 0
+
+
+def test_the_same_folder_takes_the_same_experiment_only(folder: Path, experiment: Experiment) -> None:
+    assert job.run_folder(experiment, folder) == folder
+    with pytest.raises(StorageError, match="another experiment"):
+        job.run_folder(load_experiment("demo", [*SMALL, "seed=2"]), folder)
+
+
+def test_a_second_run_finds_the_truth_and_gives_the_same_scores(
+    folder: Path, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from optsim.render.stage import Stage
+
+    def rendering(*_: object, **__: object) -> None:
+        pytest.fail("rendered again what the cache holds")
+
+    monkeypatch.setattr(Stage, "radiance", rendering)
+    again = job.execute(experiment, tmp_path / "again")
+    assert again["scores"] == read_json(folder / "results.json")["scores"]
+
+
+def test_not_enough_disk_is_said_before_anything_starts(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import shutil
+    from collections import namedtuple
+
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10, 10, 0))
+    with pytest.raises(StorageError, match=r"needs about .* MB, free are 0 MB"):
+        job.check(experiment, tmp_path / "new", None)

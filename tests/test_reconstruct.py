@@ -1,0 +1,316 @@
+"""Decoders: unbiased, causal, never fooled by saturation, and of one mind where nothing moves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ideal_camera import BLACK_DN, KERNEL, SLOTS, film, ideal_calibration, still_light
+from pydantic import TypeAdapter
+
+from optsim.calibrate.sample import noise_variance, separate, separated_variance, take
+from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
+from optsim.errors import ConfigError
+from optsim.quantities import CodedFrame, ExposureCode
+from optsim.reconstruct import ALL, Decoder, HdrMerge, SparseCoding, Union
+from optsim.reconstruct.dictionary import Dictionary, save_dictionary, unit
+
+ROWS, COLS = 32, 40
+NATURAL = {HdrMerge: HdrMosaic(), SparseCoding: RandomExposure(), Union: MotionAdaptive()}
+
+
+def last(decoder, frames, calibration):
+    *_, result = decoder.decode(frames, calibration)
+    return result
+
+
+def crossing(n):
+    """A dim wall with a bright bar that crosses it."""
+    light = np.full((n * SLOTS, ROWS, COLS), 0.2, np.float32)
+    u = np.arange(COLS)
+    for slot in range(n * SLOTS):
+        light[slot, 8:20] += np.clip(1 - np.abs(u - 6 - 0.15 * slot) / 4, 0, 1).astype(np.float32)
+    return list(light.reshape(n, SLOTS, ROWS, COLS))
+
+
+@pytest.mark.parametrize("kind", ALL)
+@pytest.mark.parametrize("irradiance", [0.05, 0.6])
+def test_uniform_still_light_comes_back(kind, irradiance):
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01, tau_s=0.5e-3, crosstalk=KERNEL)
+    light = still_light(np.full((ROWS, COLS), irradiance))
+    frames = film(calibration, NATURAL[kind], [light] * 6, np.random.default_rng(7))
+    result = last(kind(), frames, calibration)
+    assert result.valid.all()
+    assert not result.interpolated.any()
+    error = result.irradiance_w_m2.mean(axis=0) / irradiance - 1
+    exposure = 13 if kind is HdrMerge or kind is Union else 3.3
+    n_frames = 1 if kind is SparseCoding else 4
+    electrons = irradiance * 270 * exposure * n_frames
+    one_pixel = np.sqrt(electrons + 9 * n_frames) / electrons
+    # Neighbours share patches and crosstalk, so 64 pixels count as one; 3 standard errors, and half a DN of
+    # rounding per sample does not average away in the dimmest.
+    assert abs(error.mean()) < 3 * one_pixel / np.sqrt(ROWS * COLS / 64) + 1e-3
+    assert error.std() < 1.3 * one_pixel + 1e-3
+
+
+def test_branches_agree_on_a_constant_still_scene():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    light = still_light(np.full((ROWS, COLS), 0.5))
+    frames = film(calibration, RandomExposure(), [light] * 4, None)
+    still = last(HdrMerge(), frames, calibration).irradiance_w_m2
+    video = last(SparseCoding(noise_gain=0), frames, calibration).irradiance_w_m2
+    # Without noise: half a DN of rounding of 440 is 0.1 %; the constant atom leaves 8-bit rounding, 0.4 %.
+    np.testing.assert_allclose(still, 0.5, rtol=2e-3)
+    np.testing.assert_allclose(video, 0.5, rtol=1e-2)
+    assert still.shape == video.shape == (SLOTS, ROWS, COLS)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_output_never_depends_on_later_frames(kind):
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, NATURAL[kind], crossing(5), np.random.default_rng(1))
+    poisoned = [*frames[:3], *(replace(f, dn=np.full_like(f.dn, 12_345)) for f in frames[3:])]
+    for index, (a, b) in enumerate(
+        zip(kind().decode(frames, calibration), kind().decode(poisoned, calibration), strict=True)
+    ):
+        assert a.index == index
+        assert np.array_equal(a.irradiance_w_m2, b.irradiance_w_m2) == (index < 3)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_decoders_are_lazy_and_deterministic(kind):
+    calibration = ideal_calibration(ROWS, COLS)
+    frames = film(calibration, NATURAL[kind], crossing(3), np.random.default_rng(1))
+    taken = []
+
+    def feed():
+        for frame in frames:
+            taken.append(frame.index)
+            yield frame
+
+    stream = kind().decode(feed(), calibration)
+    first = next(stream)
+    assert taken == [0], "frame 0 is decoded before frame 1 is asked for"
+    again = next(kind().decode(frames, calibration))
+    np.testing.assert_array_equal(first.irradiance_w_m2, again.irradiance_w_m2)
+
+
+def test_four_mosaic_frames_are_all_four_exposures():
+    calibration = ideal_calibration(ROWS, COLS)
+    image = np.random.default_rng(0).uniform(0.3, 1.2, (ROWS, COLS))
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
+    result = last(HdrMerge(), frames, calibration)
+    # 51 slots of at least 80 DN each, four roundings of at most half a DN.
+    np.testing.assert_allclose(result.irradiance_w_m2[0], image, rtol=2 / (51 * 80))
+
+
+@pytest.mark.parametrize("electrons", [20, 60, 200, 2000])
+def test_merge_is_unbiased_down_to_20_electrons(electrons):
+    calibration = ideal_calibration(160, 160)
+    irradiance = electrons / (270 * 51)
+    light = still_light(np.full((160, 160), irradiance))
+    frames = film(calibration, HdrMosaic(), [light] * 4, np.random.default_rng(electrons))
+    found = last(HdrMerge(threshold_sigma=6), frames, calibration).irradiance_w_m2[0]
+    one = np.sqrt(electrons + 4 * 9) / electrons
+    # The estimate is clipped at zero: at 20 electrons 0.4 % of the pixels, 0.1 % of the mean.
+    assert found.mean() / irradiance == pytest.approx(1, abs=0.01)
+    assert found.mean() / irradiance == pytest.approx(1, abs=4 * one / 160 + 1.5e-3)
+
+
+def test_saturated_samples_are_never_used():
+    calibration = ideal_calibration(ROWS, COLS)
+    light = still_light(np.full((ROWS, COLS), 10.0))
+    frames = film(calibration, HdrMosaic(), [light] * 4, np.random.default_rng(1))
+    result = last(HdrMerge(), frames, calibration)
+    assert result.irradiance_w_m2[0].mean() == pytest.approx(10, rel=0.005)
+    # Whatever a saturated sample says above the threshold changes nothing.
+    shaken = [
+        replace(f, dn=np.where(f.dn >= 15_000, np.uint16(15_001 + 300 * i), f.dn))
+        for i, f in enumerate(frames)
+    ]
+    again = last(HdrMerge(), shaken, calibration)
+    np.testing.assert_array_equal(result.irradiance_w_m2, again.irradiance_w_m2)
+    literal = last(HdrMerge(paper_literal=True), frames, calibration)
+    assert literal.irradiance_w_m2[0].mean() < 7, "equation 7 as printed averages saturated samples in"
+
+
+def test_all_saturated_is_filled_and_said_so():
+    calibration = ideal_calibration(ROWS, COLS)
+    image = np.full((ROWS, COLS), 1.0, np.float32)
+    image[10:14, 20:24] = 5.0
+    result = last(HdrMerge(), film(calibration, NormalPhotography(), [still_light(image)], None), calibration)
+    np.testing.assert_array_equal(result.interpolated, image == 5.0)
+    # No less than the sample says: 15 000 DN or more, all open.
+    assert (result.irradiance_w_m2[0][image == 5] > (15_000 - BLACK_DN) / (270 * 36)).all()
+    assert result.valid.all()
+
+
+def test_change_restarts_the_merge():
+    calibration = ideal_calibration(ROWS, COLS)
+    lights = [still_light(np.full((ROWS, COLS), e)) for e in (0.2, 0.2, 0.2, 1.0, 1.0)]
+    frames = film(calibration, HdrMosaic(), lights, np.random.default_rng(0))
+    results = [r.irradiance_w_m2[0] for r in HdrMerge().decode(frames, calibration)]
+    assert np.median(results[2]) == pytest.approx(0.2, rel=0.01)
+    assert np.median(results[3]) == pytest.approx(1.0, rel=0.02)
+    assert results[4].mean() == pytest.approx(1.0, rel=0.01)
+
+
+def test_undone_crosstalk_beats_row_sums_at_an_edge():
+    image = np.full((ROWS, COLS), 0.1, np.float32)
+    image[:, 20:] = 10.0
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01, crosstalk=KERNEL)
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(0))
+
+    def stops(**options):
+        found = last(HdrMerge(**options), frames, calibration).irradiance_w_m2[0]
+        return np.sqrt((np.log2(np.maximum(found, 1e-4) / image)[:, 18:22] ** 2).mean())
+
+    # Beside light that is 100 times brighter, 1.4 % of it is more than the pixel's own.
+    assert stops(crosstalk="row_summed") > 1.0
+    assert stops() < 0.25
+
+
+@settings(deadline=None)
+@given(st.floats(0.55, 1.0), st.integers(0, 2**32 - 1))
+def test_separation_inverts_the_kernel(centre, seed):
+    rng = np.random.default_rng(seed)
+    kernel = rng.random((3, 3)).astype(np.float32)
+    kernel[1, 1] = 0
+    kernel *= (1 - centre) / kernel.sum()
+    kernel[1, 1] = centre
+    calibration = ideal_calibration(12, 14, crosstalk=kernel)
+    image = rng.uniform(0, 0.8, (12, 14)).astype(np.float32)
+    frame = film(calibration, HdrMosaic(), [still_light(image)], None)[0]
+    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    # Half a DN of rounding, blown up by at most 1 / (2 centre - 1).
+    np.testing.assert_allclose(
+        sample.signal, image * sample.exposure, atol=0.02 / 270 * 36 / (2 * centre - 1)
+    )
+
+
+def test_separated_variance_is_the_variance_found():
+    calibration = ideal_calibration(128, 128, crosstalk=KERNEL)
+    light = still_light(np.full((128, 128), 0.5))
+    frame = film(calibration, HdrMosaic(), [light], np.random.default_rng(3))[0]
+    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    predicted = separated_variance(
+        calibration, noise_variance(calibration, calibration.spread(0.5 * sample.exposure[None])[0])
+    )
+    for n_open in (1, 3, 11, 36):
+        of = np.isclose(sample.exposure, n_open)
+        ratio = ((sample.signal - 0.5 * sample.exposure)[of] ** 2 / predicted[of]).mean()
+        # 4096 pixels: the variance is known to 2.2 %; five of these, one false alarm in a million.
+        assert ratio == pytest.approx(1, abs=0.11)
+
+
+def test_wide_kernels_are_refused_with_a_cure():
+    calibration = ideal_calibration(8, 8, crosstalk=np.full((3, 3), 1 / 9, np.float32))
+    frame = film(calibration, HdrMosaic(), [still_light(np.ones((8, 8)))], None)[0]
+    with pytest.raises(ConfigError, match="row_summed"):
+        next(HdrMerge().decode([frame], calibration))
+    assert next(HdrMerge(crosstalk="row_summed").decode([frame], calibration)).valid.all()
+
+
+def test_saturated_neighbours_taint_unless_known():
+    calibration = ideal_calibration(8, 8, crosstalk=KERNEL)
+    image = np.full((8, 8), 0.01, np.float32)
+    image[4, 4] = 50
+    frame = film(calibration, NormalPhotography(), [still_light(image)], None)[0]
+    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    assert sample.tainted[3:6, 3:6].sum() == 8
+    assert sample.tainted.sum() == 8
+    known = separate(calibration, sample, image)
+    assert not known.tainted.any()
+    np.testing.assert_allclose(known.signal[3:6, 3:6], image[3:6, 3:6] * 36, rtol=0.02)
+    result = last(HdrMerge(), [frame], calibration)
+    assert not result.valid[3, 4], "unknown light of the neighbour outweighs its own"
+    assert result.valid[0, 0]
+
+
+def test_video_beats_the_blur_and_moves_the_right_way():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(2)
+    frames = film(calibration, RandomExposure(), lights, np.random.default_rng(1))
+    video = last(SparseCoding(), frames, calibration).irradiance_w_m2
+    blur = lights[1].mean(axis=0)
+    error = ((video - lights[1]) ** 2).mean()
+    # 5 dB: less than any published dictionary gains over a long exposure on simple motion.
+    assert error < 0.3 * ((blur - lights[1]) ** 2).mean()
+    centre = (video[:, 8:20].mean(axis=1) - 0.2) @ np.arange(COLS)
+    mass = (video[:, 8:20].mean(axis=1) - 0.2).sum(axis=1)
+    path = centre / mass
+    assert path[-4:].mean() - path[:4].mean() == pytest.approx(0.15 * 32, abs=1.0)
+
+
+def test_own_matrices_equal_shared_ones_and_survive_dead_pixels():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(1)
+    frames = film(calibration, RandomExposure(), lights, np.random.default_rng(1))
+    shared = last(SparseCoding(), frames, calibration)
+    # A tile of 7 fits nothing of an 8-periodic code, so all patches take the slow path.
+    own = last(SparseCoding(tile_px=7), frames, calibration)
+    difference = np.sqrt(((own.irradiance_w_m2 - shared.irradiance_w_m2) ** 2).mean())
+    assert difference < 0.01 * np.sqrt((shared.irradiance_w_m2**2).mean())
+    valid = calibration.valid.copy()
+    valid[12, 12] = False
+    broken = replace(calibration, valid=valid)
+    frames[0] = replace(frames[0], dn=np.where(valid, frames[0].dn, 0).astype(np.uint16))
+    result = last(SparseCoding(), frames, broken)
+    assert not result.valid[12, 12]
+    around = np.abs(result.irradiance_w_m2 - shared.irradiance_w_m2)[:, 10:15, 10:15]
+    assert around.mean() < 0.1, "a dead pixel's zero is left out, not believed"
+
+
+def test_union_takes_each_branch_in_its_place():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(6)
+    frames = film(calibration, MotionAdaptive(), lights, np.random.default_rng(1))
+    *_, joined = Union().decode(frames, calibration)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, video = SparseCoding().decode(frames, calibration)
+    moving = frames[-1].code.moving
+    assert moving.any()
+    assert not moving.all()
+    np.testing.assert_array_equal(joined.moving, moving)
+    np.testing.assert_allclose(joined.irradiance_w_m2[:, moving], video.irradiance_w_m2[:, moving], atol=1e-6)
+    far = ~np.pad(moving, 8, mode="edge")
+    far = np.lib.stride_tricks.sliding_window_view(far, (17, 17)).all(axis=(2, 3))
+    assert far.any()
+    np.testing.assert_array_equal(joined.irradiance_w_m2[:, far], still.irradiance_w_m2[:, far])
+    steps = np.abs(np.diff(joined.irradiance_w_m2.mean(axis=0), axis=1))
+    assert steps.max() < 1.0
+
+
+def test_nothing_moving_costs_no_patches():
+    calibration = ideal_calibration(ROWS, COLS)
+    frame = film(calibration, HdrMosaic(), [still_light(np.ones((ROWS, COLS)))], None)[0]
+    result = last(SparseCoding(), [frame], calibration)
+    assert not result.valid.any()
+    assert not result.irradiance_w_m2.any()
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(ALL))
+def test_any_code_and_any_counts_give_a_valid_reconstruction(seed, kind):
+    rng = np.random.default_rng(seed)
+    calibration = ideal_calibration(12, 13, leak=0.01, crosstalk=KERNEL)
+    frames = []
+    for index in range(3):
+        levels = rng.integers(0, 256, (SLOTS, 12, 13), dtype=np.uint8)
+        code = ExposureCode(levels, rng.random((12, 13)) < rng.random())
+        frames.append(CodedFrame(index, rng.integers(0, 16_384, (12, 13)).astype(np.uint16), code))
+    for result in kind().decode(frames, calibration):
+        assert result.irradiance_w_m2.shape == (SLOTS, 12, 13)
+
+
+def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):
+    adapter: TypeAdapter = TypeAdapter(Decoder)
+    decoder = adapter.validate_python({"kind": "union", "moving": {"stride_px": 2}})
+    assert decoder == Union(moving=SparseCoding(stride_px=2))
+    atoms = unit(np.ones((3, 8, 8, 12), np.float32))
+    save_dictionary(tmp_path / "short.npz", Dictionary(atoms))
+    calibration = ideal_calibration(16, 16)
+    frame = film(calibration, RandomExposure(), [still_light(np.ones((16, 16)))], None)[0]
+    with pytest.raises(ConfigError, match="12 slots"):
+        next(SparseCoding(dictionary=str(tmp_path / "short.npz")).decode([frame], calibration))
