@@ -272,3 +272,16 @@ def test_effective_weights_predict_a_coded_frame_of_uniform_light(
 def test_images_that_cannot_identify_a_parameter_are_refused(bench: Bench, change, message: str) -> None:
     with pytest.raises(BenchError, match=message):
         calibrate_from(replace(bench, **change(bench)))
+
+
+def test_a_flash_that_lights_a_part_of_the_panel_is_enough(camera: Camera, bench: Bench) -> None:
+    middle = np.zeros(camera.ccd, bool)
+    middle[60:100, 80:130] = True
+    # Elsewhere the short exposures have another black level than the long darks.
+    steps = tuple(
+        replace(s, dn=np.where(middle, s.dn, bench.darks[:1] + 30).astype(np.uint16)) for s in bench.steps
+    )
+    response = calibrate_from(replace(bench, steps=steps)).response
+    # A thirteenth of the pixels: 3.6 times the spread over 20 benches.
+    assert response.tau_on_s == pytest.approx(camera.tau_on_s, abs=5 * 3.6 * 1.3e-7)
+    assert response.tau_off_s == pytest.approx(camera.tau_off_s, abs=5 * 3.6 * 1.3e-7)

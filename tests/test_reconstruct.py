@@ -190,7 +190,8 @@ def test_separation_inverts_the_kernel(centre, seed):
 
 
 def test_separated_variance_is_the_variance_found():
-    calibration = ideal_calibration(128, 128, crosstalk=KERNEL)
+    kernel = np.array([[0, 0.05, 0], [0.05, 0.8, 0.05], [0, 0.05, 0]], np.float32)
+    calibration = ideal_calibration(128, 128, crosstalk=kernel)
     light = still_light(np.full((128, 128), 0.5))
     frame = film(calibration, HdrMosaic(), [light], np.random.default_rng(3))[0]
     sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
@@ -314,3 +315,21 @@ def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):
     frame = film(calibration, RandomExposure(), [still_light(np.ones((16, 16)))], None)[0]
     with pytest.raises(ConfigError, match="12 slots"):
         next(SparseCoding(dictionary=str(tmp_path / "short.npz")).decode([frame], calibration))
+
+
+def test_single_alarms_are_not_believed_and_regions_are():
+    calibration = ideal_calibration(ROWS, COLS)
+    light = still_light(np.full((ROWS, COLS), 0.5))
+    frames = film(calibration, HdrMosaic(), [light] * 4, None)
+    dn = frames[3].dn.copy()
+    dn[10, 10] += 3000
+    dn[20:24, 20:24] += 3000
+    frames[3] = replace(frames[3], dn=dn)
+    panel = calibration.panel_at_rest()
+    alone, _ = take(calibration, frames[3], panel, "undone")
+    newest = alone.signal / alone.exposure
+    found = last(HdrMerge(), frames, calibration).irradiance_w_m2[0]
+    np.testing.assert_allclose(found[20:24, 20:24], newest[20:24, 20:24], rtol=1e-4)
+    assert abs(found[10, 10] - newest[10, 10]) > 0.05
+    believed = last(HdrMerge(speck_px=1), frames, calibration).irradiance_w_m2[0]
+    assert believed[10, 10] == pytest.approx(newest[10, 10], rel=1e-4)

@@ -1,11 +1,14 @@
 """Scenes: movers are pure, continuous functions of time with a fixed topology; bad input is named."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from optsim.errors import ConfigError
 from optsim.scene import list_scenes, load_scene
 from optsim.scene.geometry import ball, box, limb, wall
+from optsim.scene.scene import scenes_folder
 
 SCENES = [(name, variation) for name, variations in list_scenes().items() for variation in variations]
 LAMP = """
@@ -44,6 +47,7 @@ def test_shipped_scenes_load_and_carry_a_readme(name, variation):
     assert scene.variation == variation
     assert scene.singles()
     assert scene.still_meshes()
+    assert (scenes_folder() / name / "README.md").is_file()
 
 
 @pytest.mark.parametrize(("name", "variation"), SCENES)
@@ -54,7 +58,7 @@ def test_movers_are_pure_continuous_and_keep_their_topology(name, variation):
         assert rest.faces.max() == len(rest.vertices_m) - 1, key
         assert len(rest.uv) == len(rest.vertices_m), key
         np.testing.assert_array_equal(mover.vertices(0.0), rest.vertices_m)
-        for time_s in (0.11, 0.5, 1.7):
+        for time_s in (0.0, 0.11, 0.5, 1.7):
             now, soon = mover.vertices(time_s), mover.vertices(time_s + 1e-5)
             assert now.shape == rest.vertices_m.shape
             # 10 m/s is faster than any point of these movers; a facet that pops moves a centimetre at once.
@@ -87,7 +91,7 @@ def test_torso_stays_within_15_panel_pixels_a_coded_frame():
     walker = scene.singles()["walker"]
     trunk = slice(0, 2 * len(limb((0, 0, 0), (0, 0, 1), 0.1, 0.1).vertices_m))  # pelvis and chest
     places = [project(walker.vertices(0.2 * f)[trunk], scene.camera, view)[:, :2] for f in range(12)]
-    moved = [np.hypot(*(b - a).T).max() for a, b in zip(places, places[1:], strict=False)]
+    moved = [np.hypot(*(b - a).T).max() for a, b in pairwise(places)]
     assert 0.5 < max(moved) < 15
 
 
@@ -101,7 +105,7 @@ def test_closed_meshes_face_outward_and_have_the_right_volume():
     # Polyhedra inscribed in round bodies: a few per cent too small with these many facets, never too large.
     assert 0.9 < _volume(ball((5, 0, 0), 1.0)) / (4 * np.pi / 3) < 1
     capsule = np.pi * 0.1**2 * 1.0 + 4 * np.pi / 3 * 0.1**3
-    assert 0.9 < abs(_volume(limb((0, 0, 0), (0, 0, 1), 0.1, 0.1))) / capsule < 1
+    assert 0.9 < _volume(limb((0, 0, 0), (0, 0, 1), 0.1, 0.1)) / capsule < 1
 
 
 def test_a_wall_has_its_holes():

@@ -20,7 +20,7 @@ def prototype_relay() -> Relay:
         # No source; between 2 um in the centre and 5 um in the corner of usual achromats.
         aberration_m=3e-6,
         # No source; sensible default for coated achromats and a cube.
-        glare_share=0.005,
+        glare_share=0.0025,
     )
 
 

@@ -34,7 +34,7 @@ class Objective(Part):
     aberration_m : float
         Standard deviation of the aberrations' Gaussian on the modulator; 3 um has no source.
     glare_share : float
-        Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.5 % has no source.
+        Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.25 % has no source.
     natural_vignetting : bool
         Whether irradiance falls with cos^4 of the field angle.
     wing_share : float
@@ -47,7 +47,7 @@ class Objective(Part):
     transmission: float = Field(default=0.9, gt=0, le=1)
     nd_transmission: float = Field(default=1.0, gt=0, le=1)
     aberration_m: float = Field(default=3e-6, ge=0)
-    glare_share: float = Field(default=0.005, ge=0, lt=1)
+    glare_share: float = Field(default=0.0025, ge=0, lt=1)
     natural_vignetting: bool = True
     wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
 

@@ -22,7 +22,7 @@ from optsim.calibrate.sample import (
     take,
 )
 from optsim.config import Part
-from optsim.forward.motion import Bounds, changed
+from optsim.forward.motion import Bounds, changed, without_specks
 from optsim.quantities import Bools, CodedFrame, Floats, Reconstruction
 from optsim.reconstruct.layer import Layer
 
@@ -46,6 +46,9 @@ class HdrMerge(Part):
         Frames looked back, the present one included; 4 is the period of the mosaic.
     threshold_sigma : float
         A frame that differs from newer ones by more is not merged, nor any before it.
+    speck_px : int
+        Differing regions of fewer pixels are taken for noise. A false alarm may leave a dark pixel nothing
+        but its shortest exposure, so single pixels are not believed.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the frames or added to the weights.
     taint_tolerance : float
@@ -59,6 +62,7 @@ class HdrMerge(Part):
     kind: Literal["hdr_merge"] = "hdr_merge"
     n_frames: int = Field(default=4, ge=1, le=16)
     threshold_sigma: float = Field(default=4.0, gt=0)
+    speck_px: int = Field(default=2, ge=1)
     crosstalk: Crosstalk = "undone"
     taint_tolerance: float = Field(default=0.005, ge=0)
     paper_literal: bool = False
@@ -81,7 +85,7 @@ class HdrMerge(Part):
                 mean, found = _literal(samples)
                 valid = sample.valid
             else:
-                alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma)
+                alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
                 mean, found, tainted = _merged(calibration, samples, alive, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
             mean = _filled(mean, found, sample)
@@ -102,14 +106,14 @@ class _Kept:
     bounds: Bounds
 
 
-def _unchanged(recent: Sequence[Bounds], threshold_sigma: float) -> list[Bools]:
+def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) -> list[Bools]:
     """Which pixels of each frame, newest first, agree with all that is known of them since."""
     newest = recent[0]
     alive = np.ones_like(newest.valid)
     result = [alive]
     for older in recent[1:]:
         moved, _ = changed(newest, older, threshold_sigma)
-        alive = alive & ~moved
+        alive = alive & ~without_specks(moved, speck_px)
         result.append(alive)
         # Where the newest is only a bound, the newest real sample is the better judge of older ones.
         better = alive & older.valid & np.isfinite(older.high) & np.isfinite(older.low)

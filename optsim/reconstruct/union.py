@@ -37,7 +37,8 @@ class Union(Part):
             self.static.layers(first, calibration), self.moving.layers(second, calibration), strict=True
         )
         for still, video in branches:
-            share = np.where(video.moving | ~still.valid, np.sign(video.opacity), video.opacity)
+            # Inside the mask all patches are there, so the opacity is 1.
+            share = np.where(still.valid, video.opacity, np.sign(video.opacity))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
             yield Reconstruction(
                 still.index,

@@ -27,7 +27,9 @@ from optsim.files import read_json, write_json
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
 OLDEST_LLVM = 17
-_LLVM_CURE = "cure: install karellen-llvm-core (x86-64 Linux), or a system LLVM >= 17, and set DRJIT_LIBLLVM_PATH to it"
+_LLVM_CURE = (
+    "cure: install karellen-llvm-core (x86-64 Linux), or a system LLVM >= 17 and set DRJIT_LIBLLVM_PATH to it"
+)
 _MARK = "PROBE"
 _PROBE = """
 import json, sys

@@ -159,8 +159,8 @@ class BouncingBall(Part):
     def vertices(self, time_s: float) -> Doubles:
         """Positions (n, 3), m."""
         half = np.sqrt(2 * self.height_m / 9.81)
-        fall = (time_s + half) % (2 * half) - half  # time from the last apex, -half .. half
-        rise = self.height_m - 9.81 / 2 * fall**2 if time_s % (2 * half) else 0.0
+        fall = time_s % (2 * half) - half  # time from the nearest apex
+        rise = self.height_m - 9.81 / 2 * fall**2
         drift = np.asarray(self.velocity_m_s) * (1, 1, 0) * time_s
         place = np.asarray(self.floor_m) + drift + np.array([0, 0, self.radius_m + rise])
         shape = geometry.ball((0, 0, 0), self.radius_m).vertices_m
