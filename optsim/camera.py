@@ -299,13 +299,14 @@ class CodedCamera(Part):
     # -- calibrations that no bench measured --------------------------------------------------------------
 
     def true_calibration(self) -> Calibration:
-        """Calibration copied from the parts; what it cannot hold is non-linearity and the relay's veil."""
+        """Calibration copied from the parts; what it cannot hold is non-linearity."""
         row, col, on_ccd = self._relay_geometry(SAMPLES_PER_PITCH).picks(SAMPLES_PER_PITCH)
         view, sensor = self.view, self.sensor
         shading = self.objective.shading(view.rows, view.cols, self.modulator.pitch_m / SAMPLES_PER_PITCH)
         gain = self._panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
         operator = self.relay_operator()
-        flat_e = self._photon_electrons(operator.apply(shading * gain * self.slot_s))
+        image = operator.apply(shading * gain * self.slot_s)
+        flat_e = self._photon_electrons(image)
         offset_e = sensor.dark_signal_e(self.serial_number).astype(np.float64) + self._dark_e
         return known_calibration(
             "true",
@@ -318,10 +319,12 @@ class CodedCamera(Part):
             offset_e=offset_e[row, col],
             full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
             crosstalk=crosstalk_kernel(operator, SAMPLES_PER_PITCH, row, col),
+            # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+            veil=self.relay.glare_share * float(image.mean() / image[row, col].mean()),
         )
 
     def ideal_calibration(self) -> Calibration:
-        """Put the paper's equations: instantaneous panel, no leak, no crosstalk, nominal map and response."""
+        """Put the paper's equations: instantaneous panel, no leak, crosstalk or veil, nominal map and response."""
         aligned = self.relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0})
         nominal = self.model_copy(update={"relay": aligned})
         electrons = {row.stage: row.value for row in self.ledger(1.0)}["electrons a slot"]
@@ -339,6 +342,7 @@ class CodedCamera(Part):
             offset_e=np.zeros(shape),
             full_well_e=self.sensor.full_well_e,
             crosstalk=np.ones((1, 1)),
+            veil=0.0,
         )
 
     # -- small shared pieces ------------------------------------------------------------------------------

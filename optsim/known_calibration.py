@@ -24,6 +24,7 @@ def known_calibration(
     offset_e: Doubles,
     full_well_e: float,
     crosstalk: Doubles,
+    veil: float,
 ) -> Calibration:
     """Make a calibration from electrons rather than from images.
 
@@ -49,6 +50,8 @@ def known_calibration(
         Signal at which a pixel clips, electrons after the non-linearity.
     crosstalk : ndarray of shape (k, k), float64
         Sums to 1.
+    veil : float
+        Share of the light that is spread evenly.
     """
     read_noise_dn = float(np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5))
     black_dn = sensor.black_dn + offset_e / sensor.gain_e
@@ -73,4 +76,5 @@ def known_calibration(
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,
         map_residual_px=0.0,
+        veil=veil,
     )

@@ -46,6 +46,7 @@ _FLASHES_PER_SLOT = 10
 _DELAYS = range(-5, 20)
 _STEP_SLOTS = 4
 _SPOT_PX = 48
+_LEAST_GLARE_PX = 24
 
 
 def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
@@ -68,6 +69,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
     rows, cols = lab.panel
     corners = ((rows // 4, cols // 4), (rows // 4, 3 * cols // 4), (3 * rows // 4, cols // 4))
     shifts = (3, 3 + _DOT_SPACING // 2)
+    half = min(rows, cols) // 2
     return Bench(
         slot_s=camera.slot_s,
         slots_per_frame=camera.slots_per_frame,
@@ -84,6 +86,10 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
             for v in shifts
             for u in shifts
         ),
+        # On a small panel no place is far enough from a patch to tell its veil from its blur.
+        glare=tuple(lab.patches((v,), (u,), half, brightest) for v, u in ((0, 0), (rows - half, cols - half)))
+        if half >= _LEAST_GLARE_PX
+        else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
     )
 

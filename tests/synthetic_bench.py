@@ -44,6 +44,7 @@ class Camera:
     read_e: float = 9.4
     full_well_e: float = 15770.0
     black: float = 200.0
+    veil: float = 0.0
     dead_ccd: Sequence[tuple[int, int]] = field(default_factory=list)
     stuck: Sequence[tuple[int, int, float]] = field(default_factory=list)
     electrons_per_w: float = 12600.0 / 36  # electrons per slot at 1 W m^-2, centre, all on
@@ -99,6 +100,7 @@ class Camera:
     def electrons(self, weight_slots: np.ndarray, irradiance: float) -> np.ndarray:
         """Mean electrons on the CCD from the sum over slots of weight x irradiance."""
         image = (self.relay @ weight_slots.ravel()).reshape(self.ccd)
+        image = (1 - self.veil) * image + self.veil * image.mean()
         return image * self.response * irradiance * self.electrons_per_w
 
     def frames(self, mean_e: np.ndarray, n: int) -> np.ndarray:
@@ -148,5 +150,6 @@ class Camera:
                 for i in (0, 5)
                 for j in (0, 5)
             ),
+            glare=tuple(self.patches([r], [c], v // 2) for r, c in ((0, 0), (v - v // 2, u - v // 2))),
             steps=tuple(self.step(*ends, d) for ends in ((0, 255), (255, 0)) for d in delays),
         )

@@ -61,7 +61,20 @@ SIBLINGS: dict[str, set[str]] = {
 }
 # The truth wall: what must never see a true parameter, a scene or a renderer.
 BEHIND_THE_WALL = {"coding", "reconstruct", "calibrate"}
-TRUTH = {"camera", "ledger", "geometry", "known_calibration", "laboratory", "optics", "sensor", "hardware", "scene", "render", "loop", "truth"}
+TRUTH = {
+    "camera",
+    "ledger",
+    "geometry",
+    "known_calibration",
+    "laboratory",
+    "optics",
+    "sensor",
+    "hardware",
+    "scene",
+    "render",
+    "loop",
+    "truth",
+}
 
 
 def imports(path: Path) -> set[str]:

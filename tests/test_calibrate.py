@@ -285,3 +285,29 @@ def test_a_flash_that_lights_a_part_of_the_panel_is_enough(camera: Camera, bench
     # A thirteenth of the pixels: 3.6 times the spread over 20 benches.
     assert response.tau_on_s == pytest.approx(camera.tau_on_s, abs=5 * 3.6 * 1.3e-7)
     assert response.tau_off_s == pytest.approx(camera.tau_off_s, abs=5 * 3.6 * 1.3e-7)
+
+
+@pytest.mark.parametrize("true_veil", [0.0, 0.003, 0.02])
+def test_veil_is_found(true_veil: float) -> None:
+    """Within a tenth of itself and 2e-4: half the picture at 9000 DN gives 5 DN a promille, averaged over 1000
+    pixels with 0.01 DN of noise; the tenth is what the veil's own share in the responsivity is neglected for."""
+    camera = Camera(veil=true_veil)
+    found = calibrate_from(camera.bench()).veil
+    # The camera spreads a share of the CCD's mean, a calibration counts in means over the panel.
+    covered = camera.panel[0] * camera.panel[1] * (camera.ratio * camera.magnification) ** 2
+    expected = true_veil * covered / (camera.ccd[0] * camera.ccd[1])
+    assert found == pytest.approx(expected, rel=0.1, abs=2e-4)
+
+
+def test_mixing_keeps_uniform_light_and_spreads_a_bright_corner(calibration: Calibration) -> None:
+    veiled = replace(calibration, veil=0.01)
+    uniform = np.full(veiled.shape, 2.0, np.float32)
+    np.testing.assert_allclose(
+        np.mean(veiled.mix(uniform) * veiled.responsivity_dn),
+        np.mean(uniform * veiled.responsivity_dn),
+        rtol=1e-5,
+    )
+    corner = np.zeros(veiled.shape, np.float32)
+    corner[:10, :10] = 1
+    far = veiled.mix(corner)[-8:, -8:] * veiled.responsivity_dn[-8:, -8:]
+    np.testing.assert_allclose(far, 0.01 * np.mean(corner * veiled.responsivity_dn), rtol=1e-4)

@@ -51,7 +51,7 @@ def test_any_image_survives_the_disk(
     dn = rng.integers(0, 65536, (2, height, width), np.uint16)
     flat = Flat(255, float(rng.random()), dn)
     patches = Patches((1, 2), (3,), 1, 1.0, dn)
-    bench = Bench(0.005, 36, 28, (4, 5), dn, (flat,), flat, (), flat, (patches,) * 3, (patches,), ())
+    bench = Bench(0.005, 36, 28, (4, 5), dn, (flat,), flat, (), flat, (patches,) * 3, (patches,), (), ())
     path = tmp_path_factory.mktemp("any")
     bench.write(path)
     back = Bench.read(path)

@@ -11,8 +11,9 @@ from optsim.cache import Cache
 from optsim.quantities import Timing, View
 from optsim.render import RenderSettings, render_truth
 from optsim.scene import load_scene
-video = render_truth(load_scene("window_room"), View(18, 24, 3, 0.32), Timing(1 / 180, 2, 1),
-                     RenderSettings(slots_per_segment=2), cache=Cache(Path(sys.argv[1])), backend="scalar_rgb")
+settings, cache = RenderSettings(slots_per_segment=2), Cache(Path(sys.argv[1]))
+video = render_truth(load_scene("window_room"), View(18, 24, 3, 0.32), Timing(1 / 180, 2, 1), settings,
+                     cache=cache, backend="scalar_rgb")
 image = video.load(1).instant(0)
 assert image.shape == (18, 24) and np.isfinite(image).all()
 window, room = image[video.outside], image[~video.outside]

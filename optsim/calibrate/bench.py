@@ -15,6 +15,8 @@ greys         the same, held at levels in between (may be empty: the exponent th
 saturated     held at 255, at least 3 times the light that fills the wells; at least 2 frames
 anchors       three single bright patches on black, well inside the picture and not in one line
 dots          lattices of single bright pixels on black
+glare         a bright patch of a fifth of the picture or so on black, more than 16 panel pixels from much of
+              the rest; in two corners in turn (may be empty: veiling glare then counts as none)
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
               both directions, from half a slot before to two slots after; it may light a part of the panel
 ============  ==========================================================================================
@@ -129,11 +131,20 @@ class Bench:
         Panel pixels used (v, u).
     darks : ndarray of shape (frame, y, x), uint16
         Frames without light.
-    flats, off, greys, saturated, anchors, dots, steps
+    flats, off, greys, saturated, anchors, dots, glare, steps
         See the module's table.
     """
 
-    FILES: ClassVar[tuple[str, ...]] = ("flats", "off", "greys", "saturated", "anchors", "dots", "steps")
+    FILES: ClassVar[tuple[str, ...]] = (
+        "flats",
+        "off",
+        "greys",
+        "saturated",
+        "anchors",
+        "dots",
+        "glare",
+        "steps",
+    )
     slot_s: float
     slots_per_frame: int
     coded_slots: int
@@ -145,6 +156,7 @@ class Bench:
     saturated: Flat
     anchors: tuple[Patches, ...]
     dots: tuple[Patches, ...]
+    glare: tuple[Patches, ...]
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
@@ -225,6 +237,7 @@ class Bench:
             saturated=_flat(table.table("saturated")),
             anchors=tuple(_patches(t) for t in table.tables("anchors")),
             dots=tuple(_patches(t) for t in table.tables("dots")),
+            glare=tuple(_patches(t) for t in table.tables("glare")),
             steps=tuple(_step(t) for t in table.tables("steps")),
         )
 

@@ -41,8 +41,9 @@ class Observation:
 class Calibration:
     """A camera as the bench knows it, on the panel grid.
 
-    ``measured = crosstalk (*) (sum over slots of weight x irradiance)``: the weights are those of each
-    panel pixel alone, the kernel says how much of its neighbours' light the picked CCD pixel sees.
+    With ``light = sum over slots of weight x irradiance``, a frame measures :meth:`mix` of it: the
+    weights are those of each panel pixel alone, the crosstalk kernel says how much of its neighbours'
+    light the picked CCD pixel sees, and the veil how much of everybody's.
     Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
 
     Parameters
@@ -75,6 +76,8 @@ class Calibration:
         Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
     map_residual_px : float
         Rms distance between the fitted map and the measured dots, panel pixels.
+    veil : float
+        Share of the light that the relay's veiling glare spreads evenly over the CCD.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -94,6 +97,7 @@ class Calibration:
     gain_uncertainty: float
     leak_uncertainty: float
     map_residual_px: float
+    veil: float = 0.0
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (
@@ -111,6 +115,10 @@ class Calibration:
                 )
         if float(self.responsivity_dn.min()) <= 0:
             raise ValueCheckError("calibration.responsivity_dn: got a value <= 0, expected > 0 everywhere")
+        if not 0 <= self.veil < 1:
+            raise ValueCheckError(
+                f"calibration.veil: got {self.veil:.3g}, expected a share from 0 to below 1"
+            )
         kernel = self.crosstalk
         checked(
             "calibration.crosstalk", kernel, axes=("v", "u"), dtype=np.float32, unit="1", nonnegative=False
@@ -172,6 +180,20 @@ class Calibration:
         """
         weights, panel = self.weights(code, panel)
         return self.spread(weights), panel
+
+    def mix(self, light: Floats) -> Floats:
+        """Mix each pixel's own light as a frame does, by crosstalk and veil: array (v, u), float32.
+
+        Parameters
+        ----------
+        light : ndarray of shape (v, u), float32
+            Sum over slots of weight x irradiance, W m^-2 slots.
+        """
+        mixed = self.spread(light[None])[0]
+        if self.veil == 0:
+            return mixed
+        evenly = np.mean(light * self.responsivity_dn, dtype=np.float64) / self.responsivity_dn
+        return ((1 - self.veil) * mixed + self.veil * evenly).astype(np.float32)
 
     def spread(self, stack: Floats) -> Floats:
         """Convolve images of shape (n, v, u), float32, with the crosstalk kernel."""

@@ -8,7 +8,7 @@ from optsim.calibrate.bench import Bench
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.pixel_map import map_pixels
 from optsim.calibrate.sensor_noise import photon_transfer, saturation_threshold
-from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading
+from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading, veil
 from optsim.calibrate.step_response import response_times
 from optsim.errors import BenchError
 
@@ -82,4 +82,5 @@ def calibrate_from(bench: Bench) -> Calibration:
         gain_uncertainty=flat.gain_uncertainty,
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,
+        veil=veil(bench.glare, picker, flat),
     )

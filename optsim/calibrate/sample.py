@@ -101,7 +101,7 @@ def take(
 
 
 def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) -> Sample:
-    """Take the neighbours' light out of ``measured``: solve ``crosstalk (*) signal = measured``.
+    """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
 
     Saturated pixels give what ``estimate`` says they did, but no less than they were measured to give.
     Pixels that are not valid are taken to look like the nearest valid one.
@@ -124,10 +124,11 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
     if estimate is not None:
         pins = np.where(known, np.maximum(estimate * sample.exposure, pins), pins)
     rate = (1 - centre) / centre
+    rate = max(rate, calibration.veil)
     steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))
     signal = np.where(pinned, pins, sample.measured)
     for _ in range(steps):
-        signal += (sample.measured - calibration.spread(signal[None])[0]) / np.float32(centre)
+        signal += (sample.measured - calibration.mix(signal)) / np.float32(centre)
         signal[pinned] = pins[pinned]
     loud = (sample.saturated & ~known).astype(np.float32)
     tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated

@@ -24,6 +24,8 @@ _REACH = 3
 # No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
 # still reads its neighbours' 0.2 to 0.4), and stuck on above this share of its own light when told off.
 _DEAD, _STUCK = 0.5, 0.5
+# Farther than this from a bright patch, panel pixels, what is seen of it is veil and no blur.
+_FAR = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +162,32 @@ def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading) -> Floats:
         raise BenchError("bench dots: none lies among valid panel pixels; take a denser or shifted lattice")
     kernel = near / full
     return (kernel / kernel.sum()).astype(np.float32)
+
+
+def veil(glare: Sequence[Patches], picker: Picker, flat: Shading) -> float:
+    """Share of the light that is spread evenly, from what dark places see of a distant bright patch.
+
+    The light there exceeds the panel's own leak by veil x (mean light of the pattern); 0 without images.
+
+    Raises
+    ------
+    BenchError
+        When no valid pixel is far enough from a patch.
+    """
+    excess, light = 0.0, 0.0
+    for pattern in glare:
+        lit = pattern.levels((flat.valid.shape[0], flat.valid.shape[1])) > 0
+        far = flat.valid & ~np.asarray(binary_dilation(lit, iterations=_FAR), np.bool_)
+        if not far.any():
+            raise BenchError(
+                f"bench glare: no panel pixel is {_FAR} pixels from the patch; use a smaller patch, or leave "
+                "the list empty on a panel too small for it"
+            )
+        rate, _ = picker.rate((pattern,))
+        mean = float(np.where(lit, flat.responsivity_dn, flat.off_dn).mean())
+        excess += float((rate - flat.off_dn)[far].sum())
+        light += float((mean - flat.off_dn)[far].sum())
+    return float(np.clip(excess / light, 0, 0.5)) if light else 0.0
 
 
 def drive_exponent(greys: Sequence[Flat], picker: Picker, flat: Shading) -> float | None:

@@ -146,7 +146,7 @@ def _merged(
         for sample in samples:
             expected = np.maximum(mean, 0) * sample.exposure
             if crosstalk == "undone":
-                measured = calibration.spread(expected[None])[0]
+                measured = calibration.mix(expected)
                 variance = separated_variance(calibration, noise_variance(calibration, measured))
             else:
                 variance = noise_variance(calibration, expected)
