@@ -24,7 +24,8 @@ class SparseCoding(Part):
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
     pixel gains are divided out first, crosstalk is undone (or added to the weights), and the weights of a
-    repeated tile are shared: see ``weight_tolerance``. Saturated pixels are left out of their patches.
+    repeated tile are shared: see ``weight_tolerance``. A saturated pixel counts with its bound, the least
+    light that it may have had: without it a patch in the sun would be black.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class SparseCoding(Part):
 
     def _layer(self, index: int, sample: Sample, moving: Bools, coder: PatchCoder) -> Layer:
         patch, slots = coder.atoms.shape[1], coder.atoms.shape[3]
-        usable = sample.valid & ~sample.saturated
+        usable = sample.valid
         image = CodedImage(
             np.where(usable, sample.signal, 0).astype(np.float32),
             np.where(usable, sample.variance, 0).astype(np.float32),
