@@ -64,7 +64,7 @@ class Experiment(Part):
     seed: int = Field(default=1, ge=0, lt=2**32)
     n_frames: int = Field(default=10, ge=1, le=10_000)
     scene: SceneChoice
-    render: RenderSettings = RenderSettings()
+    render: RenderSettings = RenderSettings.model_validate({})
     camera: CodedCamera
     methods: tuple[Method, ...] = Field(min_length=1)
     calibration: Literal["bench", "true", "ideal"] = "bench"

@@ -289,8 +289,11 @@ def test_a_flash_that_lights_a_part_of_the_panel_is_enough(camera: Camera, bench
 
 @pytest.mark.parametrize("true_veil", [0.0, 0.003, 0.02])
 def test_veil_is_found(true_veil: float) -> None:
-    """Within a tenth of itself and 2e-4: half the picture at 9000 DN gives 5 DN a promille, averaged over 1000
-    pixels with 0.01 DN of noise; the tenth is what the veil's own share in the responsivity is neglected for."""
+    """Within a tenth of itself and 2e-4.
+
+    A fifth of the picture at 9000 DN gives 2 DN a promille, averaged over 1000 pixels with noise of some DN;
+    the tenth allows for the veil's own share in the responsivity, which is neglected.
+    """
     camera = Camera(veil=true_veil)
     found = calibrate_from(camera.bench()).veil
     # The camera spreads a share of the CCD's mean, a calibration counts in means over the panel.

@@ -12,7 +12,7 @@ ROWS, COLS, FRAMES = 24, 32, 6
 
 
 def scene(seed: int = 0) -> np.ndarray:
-    """A static texture with a bright patch swinging over it, out of step with the frames (period 50 slots)."""
+    """A static texture with a bright patch swinging over it, out of step with the frames."""
     rng = np.random.default_rng(seed)
     texture = np.kron(rng.uniform(0.02, 0.15, (ROWS // 2, COLS // 2)), np.ones((6, 6))).astype(np.float32)
     frames = np.repeat(texture[None], FRAMES * 36, 0)
