@@ -324,7 +324,7 @@ class CodedCamera(Part):
         )
 
     def ideal_calibration(self) -> Calibration:
-        """Hold the paper's equations: an instantaneous panel without leak, crosstalk, veil or misalignment."""
+        """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil."""
         aligned = self.relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0})
         nominal = self.model_copy(update={"relay": aligned})
         electrons = {row.stage: row.value for row in self.ledger(1.0)}["electrons a slot"]

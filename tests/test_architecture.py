@@ -52,13 +52,10 @@ TOP = {
     "catalogue",
 }
 
-# Rooms of variants: files in them don't import each other, except these shared ones.
-SIBLINGS: dict[str, set[str]] = {
-    "coding": {"motion_adaptive"},
-    "reconstruct": set(),
-    "optics": set(),
-    "metrics": set(),
-}
+# Rooms of variants (files that define a class with a ``kind``): these don't import each other. A wrapper is
+# made of others and may.
+ROOMS_OF_VARIANTS = ("coding", "reconstruct", "optics", "metrics", "sensor")
+WRAPPERS = {"coding.motion_adaptive", "reconstruct.union"}
 # The truth wall: what must never see a true parameter, a scene or a renderer.
 BEHIND_THE_WALL = {"coding", "reconstruct", "calibrate"}
 TRUTH = {
@@ -138,6 +135,28 @@ def test_the_resolver_sees_every_form_of_import(tmp_path: Path, monkeypatch: pyt
         sneaky = tmp_path / "reconstruct" / "sneaky.py"
         sneaky.write_text(text)
         assert rooms_of(imports(sneaky)) == {"camera"}, text
+
+
+def is_variant(path: Path) -> bool:
+    classes = [
+        n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ClassDef)
+    ]
+    fields = [f for c in classes for f in c.body if isinstance(f, ast.AnnAssign)]
+    return any(isinstance(f.target, ast.Name) and f.target.id == "kind" for f in fields)
+
+
+@pytest.mark.parametrize("name", ROOMS_OF_VARIANTS)
+def test_siblings_do_not_know_each_other(name: str) -> None:
+    variants = {f"{name}.{p.stem}": p for p in (PACKAGE / name).glob("*.py") if is_variant(p)}
+    for module, path in variants.items():
+        if module not in WRAPPERS:
+            known = {n.removeprefix("optsim.") for n in imports(path)}
+            assert not [s for s in variants if s != module and any(k.startswith(s) for k in known)], module
+
+
+def test_the_sibling_check_sees_the_variants() -> None:
+    found = {p.stem for room_ in ROOMS_OF_VARIANTS for p in (PACKAGE / room_).glob("*.py") if is_variant(p)}
+    assert found >= {"hdr_mosaic", "random_exposure", "normal_photography", "hdr_merge", "sparse_coding"}
 
 
 def test_no_circles_between_rooms() -> None:
