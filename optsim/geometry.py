@@ -105,8 +105,9 @@ def geometry_report(
 ) -> GeometryReport:
     """Compute where the panel's image lies; pairs are (rows, columns)."""
     c, s = math.cos(rotation_rad), abs(math.sin(rotation_rad))
-    height = ratio * (panel[0] * c + panel[1] * s)
-    width = ratio * (panel[1] * c + panel[0] * s)
+    # A billionth of a pixel is rounding: 2.88 x 500 is 1440, without margin and without overlap.
+    height = round(ratio * (panel[0] * c + panel[1] * s), 9)
+    width = round(ratio * (panel[1] * c + panel[0] * s), 9)
     off = abs(ratio - round(ratio))
     return GeometryReport(
         *panel,
