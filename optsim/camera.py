@@ -13,7 +13,7 @@ from pydantic import Field
 from optsim.calibrate import Calibration
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
-from optsim.forward.crosstalk import crosstalk_kernel
+from optsim.forward.crosstalk import REACH, crosstalk_kernels, true_dots
 from optsim.forward.integrate import integrate_exposure, slot_means
 from optsim.forward.panel import PanelResponse, slot_weights
 from optsim.forward.radiometry import photons_per_joule
@@ -300,7 +300,9 @@ class CodedCamera(Part):
 
     def true_calibration(self) -> Calibration:
         """Calibration copied from the parts; what it cannot hold is non-linearity."""
-        row, col, on_ccd = self._relay_geometry(SAMPLES_PER_PITCH).picks(SAMPLES_PER_PITCH)
+        geometry = self._relay_geometry(SAMPLES_PER_PITCH)
+        row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH)
+        reach = min(REACH, (min(self.panel_rows, self.panel_cols) - 1) // 2)
         view, sensor = self.view, self.sensor
         shading = self.objective.shading(view.rows, view.cols, self.modulator.pitch_m / SAMPLES_PER_PITCH)
         gain = self._panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
@@ -318,7 +320,12 @@ class CodedCamera(Part):
             responsivity_e=np.maximum(flat_e[row, col], 1e-30),
             offset_e=offset_e[row, col],
             full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
-            crosstalk=crosstalk_kernel(operator, SAMPLES_PER_PITCH, row, col),
+            crosstalk=crosstalk_kernels(
+                [true_dots(operator, SAMPLES_PER_PITCH, row, col, reach)],
+                geometry.pick_offsets_px(SAMPLES_PER_PITCH),
+                on_ccd,
+                reach,
+            ),
             # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
             veil=self.relay.glare_share * float(image.mean() / image[row, col].mean()),
         )
@@ -341,7 +348,7 @@ class CodedCamera(Part):
             responsivity_e=np.full(shape, electrons / self.irradiance_per_radiance),
             offset_e=np.zeros(shape),
             full_well_e=self.sensor.full_well_e,
-            crosstalk=np.ones((1, 1)),
+            crosstalk=np.ones((*shape, 1, 1), np.float32),
             veil=0.0,
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from optsim.calibrate import Calibration
 from optsim.forward.panel import PanelResponse
-from optsim.quantities import Bools, Doubles, Ints, Timing
+from optsim.quantities import Bools, Doubles, Floats, Ints, Timing
 from optsim.sensor import Ccd
 
 
@@ -23,7 +23,7 @@ def known_calibration(
     responsivity_e: Doubles,
     offset_e: Doubles,
     full_well_e: float,
-    crosstalk: Doubles,
+    crosstalk: Floats,
     veil: float,
 ) -> Calibration:
     """Make a calibration from electrons rather than from images.
@@ -48,8 +48,8 @@ def known_calibration(
         Signal in the dark above the black level, electrons.
     full_well_e : float
         Signal at which a pixel clips, electrons after the non-linearity.
-    crosstalk : ndarray of shape (k, k), float64
-        Sums to 1.
+    crosstalk : ndarray of shape (v, u, k, k), float32
+        Kernel of each panel pixel; each sums to 1.
     veil : float
         Share of the light that is spread evenly.
     """
@@ -72,7 +72,7 @@ def known_calibration(
         saturation_dn=(clip_dn - 4 * read_noise_dn).astype(np.float32),
         read_noise_dn=read_noise_dn,
         dn_per_e=1 / sensor.gain_e,
-        crosstalk=crosstalk.astype(np.float32),
+        crosstalk=crosstalk,
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,
         map_residual_px=0.0,

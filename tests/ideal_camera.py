@@ -44,7 +44,13 @@ def ideal_calibration(
         "leak_uncertainty": 0.0,
         "map_residual_px": 0.0,
     }
-    return Calibration(**{**fields, **changes})
+    fields |= changes
+    return Calibration(**{**fields, "crosstalk": everywhere(fields["crosstalk"], rows, cols)})
+
+
+def everywhere(kernel: Floats, rows: int, cols: int) -> Floats:
+    """The same crosstalk kernel, (k, k), at every panel pixel."""
+    return np.ascontiguousarray(np.broadcast_to(kernel, (rows, cols, *kernel.shape)), np.float32)
 
 
 def expose(

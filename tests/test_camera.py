@@ -176,7 +176,7 @@ def test_the_ideal_calibration_holds_the_papers_equations():
     weights, _ = calibration.weights(uniform(255), calibration.panel_at_rest())
     assert weights.min() == 1
     assert calibration.weights(uniform(0), calibration.panel_at_rest())[0].max() < 1e-9
-    assert calibration.crosstalk.shape == (1, 1)
+    assert calibration.crosstalk.shape == (V, U, 1, 1)
     assert np.ptp(calibration.responsivity_dn) == 0
     true = small().true_calibration().responsivity_dn[V // 2, U // 2]
     assert calibration.responsivity_dn[0, 0] == pytest.approx(true, rel=5e-3)

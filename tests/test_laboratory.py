@@ -104,9 +104,11 @@ def test_responsivity_is_the_true_one_within_its_stated_uncertainty(
 
 def test_crosstalk_is_that_of_the_true_operator(camera: CodedCamera, found: Calibration) -> None:
     true = camera.true_calibration().crosstalk
-    # Both average over the phases of the two grids at different dots.
-    np.testing.assert_allclose(found.crosstalk, true, atol=0.012)
-    assert found.crosstalk.sum() == pytest.approx(1, abs=1e-5)
+    inner = (slice(4, -4), slice(4, -4))
+    error = found.crosstalk[inner] - true[inner]
+    # Noise of the dots over 21 coefficients, and picks that differ where a centre lies on a border.
+    assert np.sqrt(np.mean(error**2)) < 0.004
+    np.testing.assert_allclose(found.crosstalk.sum(axis=(2, 3)), 1, atol=1e-5)
 
 
 def test_a_coded_frame_of_uniform_light_is_predicted(camera: CodedCamera, found: Calibration) -> None:

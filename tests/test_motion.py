@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ideal_camera import KERNEL, expose, film, ideal_calibration, still_light
+from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, still_light
 
 from optsim.calibrate.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, RandomExposure
@@ -74,7 +74,8 @@ def test_static_edges_do_not_move_when_the_map_is_uncertain():
     image[:, COLS // 2 :] = 1.0
     sharp = ideal_calibration(ROWS, COLS)
     # The panel is really shifted by a tenth of a pixel against what the calibration believes.
-    real = replace(sharp, crosstalk=np.array([[0, 0, 0], [0, 0.9, 0.1], [0, 0, 0]], np.float32))
+    shifted = np.array([[0, 0, 0], [0, 0.9, 0.1], [0, 0, 0]], np.float32)
+    real = replace(sharp, crosstalk=everywhere(shifted, ROWS, COLS))
     shot = film(real, HdrMosaic(), [still_light(image)] * 2, np.random.default_rng(2))
 
     def alarms(calibration):

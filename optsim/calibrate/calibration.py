@@ -70,8 +70,9 @@ class Calibration:
         Temporal noise in the dark, quantisation included, DN.
     dn_per_e : float
         System gain, DN per electron.
-    crosstalk : ndarray of shape (k, k), float32
-        Image of a single bright panel pixel in the picked pixels around it; k is odd, the sum is 1.
+    crosstalk : ndarray of shape (v, u, k, k), float32
+        What each picked pixel sees of the panel pixels around its own: element (k // 2 + dv, k // 2 + du)
+        is its share of the light of pixel (v + dv, u + du). k is odd, each kernel sums to 1.
     gain_uncertainty, leak_uncertainty : float
         Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
     map_residual_px : float
@@ -121,16 +122,23 @@ class Calibration:
             )
         kernel = self.crosstalk
         checked(
-            "calibration.crosstalk", kernel, axes=("v", "u"), dtype=np.float32, unit="1", nonnegative=False
+            "calibration.crosstalk",
+            kernel,
+            axes=("v", "u", "dv", "du"),
+            dtype=np.float32,
+            unit="1",
+            nonnegative=False,
         )
+        off = np.abs(kernel.sum(axis=(2, 3)) - 1).max()
         if (
-            kernel.shape[0] != kernel.shape[1]
-            or kernel.shape[0] % 2 == 0
-            or abs(float(kernel.sum()) - 1) > 1e-4
+            kernel.shape[:2] != self.valid.shape
+            or kernel.shape[2] != kernel.shape[3]
+            or kernel.shape[2] % 2 == 0
+            or off > 1e-4
         ):
             raise ValueCheckError(
-                f"calibration.crosstalk: got shape {kernel.shape} and sum {float(kernel.sum()):.6g}, "
-                "expected (k, k) with odd k and sum 1"
+                f"calibration.crosstalk: got shape {kernel.shape} and sums up to {off:.3g} off 1, expected "
+                f"{(*self.valid.shape, 'k', 'k')} with odd k and sums of 1"
             )
 
     @property
@@ -196,14 +204,21 @@ class Calibration:
         return ((1 - self.veil) * mixed + self.veil * evenly).astype(np.float32)
 
     def spread(self, stack: Floats) -> Floats:
-        """Convolve images of shape (n, v, u), float32, with the crosstalk kernel."""
-        reach = self.crosstalk.shape[0] // 2
-        if reach == 0:
-            return stack
-        out = np.zeros_like(stack)
-        for image, target in zip(stack, out, strict=True):
-            _convolve(np.pad(image, reach, mode="edge"), self.crosstalk, target)
-        return out
+        """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
+        return self._gather(stack, self.crosstalk)
+
+    def spread_variance(self, variance: Floats) -> Floats:
+        """Gather independent noise: an image of shape (v, u) by the squared kernels, own pixel left out."""
+        squared = self.crosstalk**2
+        centre = squared.shape[2] // 2
+        squared[:, :, centre, centre] = 0
+        return self._gather(variance[None], squared)[0]
+
+    @property
+    def own_share(self) -> Floats:
+        """What each pixel keeps of its own light: the centres of the kernels, array (v, u)."""
+        centre = self.crosstalk.shape[2] // 2
+        return self.crosstalk[:, :, centre, centre]
 
     def observe(self, frame: CodedFrame) -> Observation:
         """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted."""
@@ -218,14 +233,22 @@ class Calibration:
         variance /= self.responsivity_dn
         return Observation(raw, variance, saturated, self.valid)
 
+    def _gather(self, stack: Floats, kernels: Floats) -> Floats:
+        reach = kernels.shape[2] // 2
+        out = np.empty_like(stack)
+        for image, target in zip(stack, out, strict=True):
+            _gather(np.pad(image, reach, mode="edge"), kernels, target)
+        return out
 
-@njit(nogil=True, cache=True)
-def _convolve(padded: Floats, kernel: Floats, out: Floats) -> None:
-    size = kernel.shape[0]
+
+@njit(nogil=True, cache=True, fastmath=True)
+def _gather(padded: Floats, kernels: Floats, out: Floats) -> None:
+    size = kernels.shape[2]
     rows, cols = out.shape
     for v in range(rows):
-        for i in range(size):
-            for j in range(size):
-                tap = kernel[size - 1 - i, size - 1 - j]
-                for u in range(cols):
-                    out[v, u] += tap * padded[v + i, u + j]
+        for u in range(cols):
+            total = np.float32(0)
+            for i in range(size):
+                for j in range(size):
+                    total += kernels[v, u, i, j] * padded[v + i, u + j]
+            out[v, u] = total

@@ -78,7 +78,7 @@ def calibrate_from(bench: Bench) -> Calibration:
         saturation_dn=saturation_dn.astype(np.float32),
         read_noise_dn=noise.read_noise_dn,
         dn_per_e=noise.dn_per_e,
-        crosstalk=crosstalk(bench.dots, picker, flat),
+        crosstalk=crosstalk(bench.dots, picker, flat, pixel_map.pick_offsets_px(row, col)),
         gain_uncertainty=flat.gain_uncertainty,
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,

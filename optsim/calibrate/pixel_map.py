@@ -53,6 +53,17 @@ class PixelMap:
         pick: Ints = np.floor(self.on_ccd(centres)).astype(np.int64)
         return pick[:, 0].reshape(self.panel_shape), pick[:, 1].reshape(self.panel_shape)
 
+    def pick_offsets_px(self, row: Ints, col: Ints) -> Doubles:
+        """Centre of each picked CCD pixel less that of its panel pixel, along v and u: array (v, u, 2).
+
+        In panel pixels, through the inverse of the map's slope there: right for mirrored and turned cameras.
+        """
+        centres = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
+        apart = np.stack([row.ravel() + 0.5, col.ravel() + 0.5], axis=1) - self.on_ccd(centres)
+        slopes = [self.on_ccd(centres + step) - self.on_ccd(centres - step) for step in np.eye(2) / 2]
+        offsets = np.linalg.solve(np.stack(slopes, axis=-1), apart[..., None])
+        return offsets.reshape(*self.panel_shape, 2).astype(np.float64)
+
 
 def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
     """Fit the map from the bench's anchors and dots.

@@ -115,7 +115,7 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
     estimate : ndarray of shape (v, u), float32, or None
         Irradiance of the pixels from elsewhere, W m^-2; NaN where unknown.
     """
-    centre = _centre(calibration)
+    centre = _own_share(calibration)
     known = np.zeros_like(sample.saturated) if estimate is None else np.isfinite(estimate)
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
@@ -123,13 +123,16 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
         pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest(sample.valid)] * sample.exposure
     if estimate is not None:
         pins = np.where(known, np.maximum(estimate * sample.exposure, pins), pins)
-    rate = (1 - centre) / centre
-    rate = max(rate, calibration.veil)
+    rate = max(float(((1 - centre) / centre).max()), calibration.veil)
     steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))
-    signal = np.where(pinned, pins, sample.measured)
+    # The signal of an earlier call is a good start; at first it is what was measured.
+    signal = np.where(pinned, pins, sample.signal)
     for _ in range(steps):
-        signal += (sample.measured - calibration.mix(signal)) / np.float32(centre)
-        signal[pinned] = pins[pinned]
+        change = (sample.measured - calibration.mix(signal)) / centre
+        change[pinned] = 0
+        signal += change
+        if np.abs(change).max() <= _REMAINDER * np.abs(signal).max():
+            break
     loud = (sample.saturated & ~known).astype(np.float32)
     tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
     return replace(sample, signal=signal, tainted=tainted)
@@ -137,10 +140,8 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
 
 def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
     """Noise variance after crosstalk was undone: own noise and, to first order, that of the neighbours."""
-    centre = np.float32(_centre(calibration))
-    neighbours = calibration.crosstalk**2
-    neighbours[neighbours.shape[0] // 2, neighbours.shape[1] // 2] = 0
-    around = cast("Callable[..., Floats]", ndimage.convolve)(variance, neighbours, mode="nearest")
+    centre = _own_share(calibration)
+    around = calibration.spread_variance(variance)
     return ((variance + around / centre**2) / centre**2).astype(np.float32)
 
 
@@ -175,12 +176,12 @@ def nearest(found: Bools) -> tuple[Ints, Ints]:
     return rows, cols
 
 
-def _centre(calibration: Calibration) -> float:
-    reach = calibration.crosstalk.shape[0] // 2
-    centre = float(calibration.crosstalk[reach, reach])
-    if centre <= 0.5:
+def _own_share(calibration: Calibration) -> Floats:
+    share = calibration.own_share
+    least = float(share.min())
+    if least <= 0.5:
         raise ConfigError(
-            f"crosstalk: a pixel keeps only {centre:.2f} of its light; expected more than 0.5 to undo it; "
+            f"crosstalk: a pixel keeps only {least:.2f} of its light; expected more than 0.5 to undo it; "
             "cure: a sharper relay, or crosstalk = 'row_summed'"
         )
-    return centre
+    return share

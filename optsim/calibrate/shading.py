@@ -17,10 +17,9 @@ from scipy.ndimage import binary_dilation, median_filter
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.errors import BenchError
+from optsim.forward.crosstalk import Dots, crosstalk_kernels
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
-# Farthest neighbours that the kernel holds, panel pixels: diffraction wings reach 1e-4 of the light there.
-_REACH = 3
 # No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
 # still reads its neighbours' 0.2 to 0.4), and stuck on above this share of its own light when told off.
 _DEAD, _STUCK = 0.5, 0.5
@@ -136,32 +135,31 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
     return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error))
 
 
-def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading) -> Floats:
-    """Image of one bright panel pixel in the picks around it: array of shape (k, k), float32, of sum 1.
+def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading, offset_px: Doubles) -> Floats:
+    """Crosstalk kernel of every panel pixel: array of shape (v, u, k, k), float32, each of sum 1.
 
-    Averaged over the dots, so over the phases between the two pixel grids; what little lies beyond the
-    kernel are shared out in proportion.
+    Parameters
+    ----------
+    dots : sequence of Patches
+        Lattices of single bright pixels.
+    picker, flat : Picker, Shading
+        What is known by now.
+    offset_px : ndarray of shape (v, u, 2), float64
+        Centre of each picked CCD pixel less that of its panel pixel, panel pixels.
 
     Raises
     ------
     BenchError
         When no dot lies among valid pixels.
     """
-    span = np.arange(-_REACH, _REACH + 1)
-    near, full = np.zeros((len(span), len(span))), 0.0
-    rows, cols = flat.valid.shape
-    for pattern in dots:
-        rate, _ = picker.rate((pattern,))
-        v, u = (axis.ravel() for axis in np.meshgrid(pattern.rows, pattern.cols, indexing="ij"))
-        inside = (v >= _REACH) & (v < rows - _REACH) & (u >= _REACH) & (u < cols - _REACH)
-        v, u = (axis[inside, None, None] + shift for axis, shift in ((v, span[:, None]), (u, span)))
-        good = flat.valid[v, u].all(axis=(1, 2))
-        near += (rate - flat.off_dn)[v[good], u[good]].sum(axis=0)
-        full = full + (flat.responsivity_dn - flat.off_dn)[v[good], u[good]].sum(axis=0)
-    if not np.all(full > 0):
-        raise BenchError("bench dots: none lies among valid panel pixels; take a denser or shifted lattice")
-    kernel = near / full
-    return (kernel / kernel.sum()).astype(np.float32)
+    full = np.where(flat.valid, flat.responsivity_dn - flat.off_dn, np.inf)
+    lattices = [
+        Dots(np.array(p.rows), np.array(p.cols), (picker.rate((p,))[0] - flat.off_dn) / full) for p in dots
+    ]
+    try:
+        return crosstalk_kernels(lattices, offset_px, flat.valid)
+    except ValueError as error:
+        raise BenchError(f"bench dots: {error}; take a denser or shifted lattice") from None
 
 
 def veil(glare: Sequence[Patches], picker: Picker, flat: Shading) -> float:

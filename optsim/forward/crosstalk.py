@@ -1,20 +1,103 @@
-"""What the picked CCD pixel of a panel pixel sees of that pixel's neighbours, by the true relay operator."""
+"""What the picked CCD pixel of each panel pixel sees of the pixels around it.
+
+A picked pixel lies up to half a CCD pixel beside the centre of its panel pixel, and at ratios such as 2.88
+by another amount at every panel pixel; its share of the neighbours' light varies with that by several times.
+So there is a kernel for every panel pixel, a smooth function of the offset of its pick, fitted to
+isolated bright dots: by the laboratory's images in a calibration, by the true operator in the simulator.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from optsim.forward.relay import RelayOperator
-from optsim.quantities import Doubles, Ints
+from optsim.quantities import Bools, Doubles, Floats, Ints
 
-# Farthest neighbours, in panel pixels, that the kernel keeps; what lies beyond is spread over it.
-_REACH = 3
-# Distance of the lit dots: at any ratio it shifts their phase on the CCD's pixels from dot to dot.
+# Farthest neighbours that a kernel holds, panel pixels: diffraction wings reach 1e-4 of the light there.
+REACH = 3
+# Distance of the lit dots of the true operator: no kernel reaches from one to another.
 _SPACING = 13
+# Polynomial in the offset, which is at most half a CCD pixel or a sixth of a panel pixel; scaled to about 1.
+# On the prototype a fifth order leaves 0.1 slots of a neighbourhood of 1 : 36 exposures, a third order 0.15.
+_ORDER = 5
+_POWERS = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
+_SCALE = 6.0
+# Ridge, relative to the weight of the data: offsets that never occur (an integer ratio) stay out of the fit.
+_RIDGE = 1e-4
 
 
-def crosstalk_kernel(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints) -> Doubles:
-    """Mean image of a single bright panel pixel in the picked pixels around it, veil left out.
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Answer of all picked pixels to a lattice of single bright panel pixels.
+
+    Parameters
+    ----------
+    rows, cols : ndarray of shape (n,), int64
+        Lit rows and columns; the lattice is their product.
+    seen : ndarray of shape (v, u), float64
+        Light at the picks over that of the whole panel lit, leak taken out.
+    """
+
+    rows: Ints
+    cols: Ints
+    seen: Doubles
+
+
+def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, reach: int = REACH) -> Floats:
+    """Kernel of every panel pixel, by least squares over all dots.
+
+    Parameters
+    ----------
+    dots : sequence of Dots
+        Lattices, wider than the kernel.
+    offset_px : ndarray of shape (v, u, 2), float64
+        Centre of the picked CCD pixel less that of the panel pixel, along v and u, panel pixels.
+    good : ndarray of shape (v, u), bool
+        Pixels whose picks can be believed.
+    reach : int
+        Farthest neighbours; the kernel is 2 reach + 1 wide.
+
+    Returns
+    -------
+    ndarray of shape (v, u, k, k), float32
+        Element (reach + dv, reach + du) of pixel (v, u) is its share of the light of (v + dv, u + du);
+        each kernel sums to 1, as the answer to a flat does.
+
+    Raises
+    ------
+    ValueError
+        When a neighbour has no usable dot.
+    """
+    terms = _terms(offset_px)
+    rows, cols = good.shape
+    n = len(_POWERS)
+    coefficients = np.empty((n, 2 * reach + 1, 2 * reach + 1))
+    for dv in range(-reach, reach + 1):
+        for du in range(-reach, reach + 1):
+            left, right = np.zeros((n, n)), np.zeros(n)
+            for lattice in dots:
+                v, u = (a.ravel() for a in np.meshgrid(lattice.rows - dv, lattice.cols - du, indexing="ij"))
+                inside = (v >= 0) & (v < rows) & (u >= 0) & (u < cols)
+                v, u = v[inside], u[inside]
+                believed = good[v, u] & good[v + dv, u + du]
+                v, u = v[believed], u[believed]
+                left += terms[v, u].T @ terms[v, u]
+                right += terms[v, u].T @ lattice.seen[v, u]
+            if left[0, 0] == 0:
+                raise ValueError(f"no dot shows the neighbour at ({dv}, {du}) of any believable pixel")
+            ridge = _RIDGE * left[0, 0] * np.eye(n)
+            ridge[0, 0] = 0
+            coefficients[:, reach + dv, reach + du] = np.linalg.solve(left + ridge, right)
+    kernels = np.tensordot(terms, coefficients, axes=1)
+    kernels /= kernels.sum(axis=(2, 3), keepdims=True)
+    return kernels.astype(np.float32)
+
+
+def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints, reach: int) -> Dots:
+    """Answer of the true operator, blur and overlap without veil, to a lattice of dots.
 
     Parameters
     ----------
@@ -23,26 +106,28 @@ def crosstalk_kernel(operator: RelayOperator, pitch: int, pick_row: Ints, pick_c
     pitch : int
         Fine cells to a panel pixel.
     pick_row, pick_col : ndarray of shape (v, u), int64
-        CCD pixel at the centre of each panel pixel.
-
-    Returns
-    -------
-    ndarray of shape (k, k), float64
-        Sums to 1; element (reach + dv, reach + du) is what pixel (v + dv, u + du) sees of pixel (v, u).
-        Averaged over the phases between the two grids. k is 7, or less on a panel too small for that.
+        Picked CCD pixels.
+    reach : int
+        Farthest neighbour that a dot must have on the panel.
     """
     rows, cols = pick_row.shape
-    reach = min(_REACH, (min(rows, cols) - 1) // 2)
-    v, u = _dots(rows, reach), _dots(cols, reach)
-    dots = np.zeros((rows, cols))
-    dots[np.ix_(v, u)] = 1
-    light = operator.blur.apply(dots.repeat(pitch, axis=0).repeat(pitch, axis=1))
-    seen = operator.project(light)[pick_row, pick_col]
-    shifts = range(-reach, reach + 1)
-    kernel = np.array([[seen[np.ix_(v + dv, u + du)].mean() for du in shifts] for dv in shifts])
-    return kernel / kernel.sum()
+    v, u = _places(rows, reach), _places(cols, reach)
+    lit = np.zeros((rows, cols))
+    lit[np.ix_(v, u)] = 1
+
+    def at_picks(panel: Doubles) -> Doubles:
+        fine = panel.repeat(pitch, axis=0).repeat(pitch, axis=1)
+        return operator.project(operator.blur.apply(fine))[pick_row, pick_col]
+
+    flat = at_picks(np.ones((rows, cols)))
+    return Dots(v, u, at_picks(lit) / np.maximum(flat, 1e-30))
 
 
-def _dots(n: int, reach: int) -> Ints:
+def _terms(offset_px: Doubles) -> Doubles:
+    scaled = offset_px * _SCALE
+    return np.stack([scaled[..., 0] ** i * scaled[..., 1] ** j for i, j in _POWERS], axis=-1)
+
+
+def _places(n: int, reach: int) -> Ints:
     """Places of the dots along an axis, as near to the middle as they come."""
     return np.arange(reach + (n - 2 * reach) % _SPACING // 2, n - reach, _SPACING)

@@ -90,6 +90,14 @@ class RelayGeometry:
         on_ccd = (row >= 0) & (row < self.ccd_rows) & (col >= 0) & (col < self.ccd_cols)
         return row.clip(0, self.ccd_rows - 1), col.clip(0, self.ccd_cols - 1), on_ccd
 
+    def pick_offsets_px(self, pitch: int) -> Doubles:
+        """Centre of each picked CCD pixel less that of its panel pixel: array (v, u, 2), panel pixels."""
+        v = (np.arange(self.rows // pitch) + 0.5)[:, None] * pitch
+        u = (np.arange(self.cols // pitch) + 0.5) * pitch
+        row, col, _ = self.picks(pitch)
+        y, x = self.place(v + 0 * u, u + 0 * v)
+        return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
+
 
 def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
     """Sparse operator from radiant exposure on the panel to radiant exposure on the CCD.

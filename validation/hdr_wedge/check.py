@@ -106,7 +106,7 @@ def _calibration(leak: float) -> Calibration:
         saturation_dn=flat(clip - 4 * _READ_E * _DN_PER_E),
         read_noise_dn=_READ_E * _DN_PER_E,
         dn_per_e=_DN_PER_E,
-        crosstalk=kernel,
+        crosstalk=np.ascontiguousarray(np.broadcast_to(kernel, (_ROWS, _COLS, *kernel.shape))),
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,
         map_residual_px=0.0,
