@@ -321,7 +321,7 @@ class CodedCamera(Part):
             offset_e=offset_e[row, col],
             full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
             crosstalk=crosstalk_kernels(
-                [true_dots(operator, SAMPLES_PER_PITCH, row, col, reach)],
+                true_dots(operator, SAMPLES_PER_PITCH, row, col, reach),
                 geometry.pick_offsets_px(SAMPLES_PER_PITCH),
                 on_ccd,
                 reach,

@@ -1,6 +1,7 @@
 """The closed loop: codes are chosen from frames that have arrived, frames are taken, then decoded.
 
-All methods see the same truth, light and camera; each has its own stream of photons.
+All methods see the same truth, light and camera and draw the same random code; each has its own stream of
+photons.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class LightLevel:
 def set_light(
     experiment: Experiment, radiance: RadianceVideo, calibration: Calibration
 ) -> tuple[CodedCamera, LightLevel]:
-    """Choose the neutral density by the experiment's rule, from the truth without movers at time 0.
+    """Choose the neutral density by the experiment's rule, from the truth at time 0.
 
     Returns
     -------
@@ -129,7 +130,8 @@ def capture(
     """
     frames: dict[str, list[CodedFrame]] = {m.name: [] for m in experiment.methods}
     states: dict[str, Any] = {
-        m.name: m.scheme.init(calibration, stream(experiment.seed, "code", m.name))
+        # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
+        m.name: m.scheme.init(calibration, stream(experiment.seed, "code"))
         for m in experiment.methods
     }
     panels = {m.name: camera.panel_at_rest() for m in experiment.methods}

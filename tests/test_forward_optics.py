@@ -150,9 +150,9 @@ def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
     )
     offset, good = geometry.pick_offsets_px(3), np.ones(row.shape, np.bool_)
     np.testing.assert_allclose(offset, 0, atol=1e-9)
-    kernel = crosstalk_kernels([true_dots(sharp, 3, row, col, 3)], offset, good)
+    kernel = crosstalk_kernels(true_dots(sharp, 3, row, col, 3), offset, good)
     np.testing.assert_allclose(kernel[:, :, 3, 3], 1, atol=1e-6)
-    blurred = crosstalk_kernels([true_dots(operator(geometry), 3, row, col, 3)], offset, good)[10, 10]
+    blurred = crosstalk_kernels(true_dots(operator(geometry), 3, row, col, 3), offset, good)[10, 10]
     assert blurred.sum() == pytest.approx(1)
     assert 0.8 < blurred[3, 3] < 0.99
     np.testing.assert_allclose(blurred, blurred.T, atol=1e-5)
@@ -162,7 +162,7 @@ def test_crosstalk_predicts_a_random_mosaic_at_a_ratio_that_shifts_every_pick():
     """Exposures 1 : 36 side by side at 2.88 CCD pixels: one kernel for all is off by whole slots."""
     geometry = RelayGeometry(300, 330, 300, 330, 0.96, 0.654)
     relay, (row, col, on_ccd) = operator(geometry), geometry.picks(3)
-    kernels = crosstalk_kernels([true_dots(relay, 3, row, col, 3)], geometry.pick_offsets_px(3), on_ccd)
+    kernels = crosstalk_kernels(true_dots(relay, 3, row, col, 3), geometry.pick_offsets_px(3), on_ccd)
     light = np.random.default_rng(4).choice([1.36, 3.3, 11.2, 36], row.shape)
 
     def at_picks(panel):

@@ -25,6 +25,8 @@ _SPACING = 13
 _ORDER = 5
 _POWERS = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
 _SCALE = 6.0
+# Dots a term of the fit, where the panel has room for so many.
+_ENOUGH = 20
 # Ridge, relative to the weight of the data: offsets that never occur (an integer ratio) stay out of the fit.
 _RIDGE = 1e-4
 
@@ -96,8 +98,8 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
     return kernels.astype(np.float32)
 
 
-def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints, reach: int) -> Dots:
-    """Answer of the true operator, blur and overlap without veil, to a lattice of dots.
+def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints, reach: int) -> list[Dots]:
+    """Answer of the true operator, blur and overlap without veil, to lattices of dots: enough for a fit.
 
     Parameters
     ----------
@@ -111,16 +113,25 @@ def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Int
         Farthest neighbour that a dot must have on the panel.
     """
     rows, cols = pick_row.shape
-    v, u = _places(rows, reach), _places(cols, reach)
-    lit = np.zeros((rows, cols))
-    lit[np.ix_(v, u)] = 1
 
     def at_picks(panel: Doubles) -> Doubles:
         fine = panel.repeat(pitch, axis=0).repeat(pitch, axis=1)
         return operator.project(operator.blur.apply(fine))[pick_row, pick_col]
 
-    flat = at_picks(np.ones((rows, cols)))
-    return Dots(v, u, at_picks(lit) / np.maximum(flat, 1e-30))
+    flat = np.maximum(at_picks(np.ones((rows, cols))), 1e-30)
+    found: list[Dots] = []
+    n_dots = 0
+    # One lattice is plenty on a large panel; on a small one it has fewer dots than the fit has terms.
+    for shift in range(_SPACING**2):
+        v, u = _places(rows, reach, shift // _SPACING), _places(cols, reach, shift % _SPACING)
+        if v.size and u.size:
+            lit = np.zeros((rows, cols))
+            lit[np.ix_(v, u)] = 1
+            found.append(Dots(v, u, at_picks(lit) / flat))
+            n_dots += v.size * u.size
+        if n_dots >= _ENOUGH * len(_POWERS):
+            break
+    return found
 
 
 def _terms(offset_px: Doubles) -> Doubles:
@@ -128,6 +139,7 @@ def _terms(offset_px: Doubles) -> Doubles:
     return np.stack([scaled[..., 0] ** i * scaled[..., 1] ** j for i, j in _POWERS], axis=-1)
 
 
-def _places(n: int, reach: int) -> Ints:
-    """Places of the dots along an axis, as near to the middle as they come."""
-    return np.arange(reach + (n - 2 * reach) % _SPACING // 2, n - reach, _SPACING)
+def _places(n: int, reach: int, shift: int) -> Ints:
+    """Places of the dots along an axis; the first lattice is as near to the middle as it comes."""
+    first = ((n - 2 * reach) % _SPACING // 2 + shift) % _SPACING
+    return np.arange(reach + first, n - reach, _SPACING)

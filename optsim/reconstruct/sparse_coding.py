@@ -56,7 +56,7 @@ class SparseCoding(Part):
     crosstalk: Crosstalk = "undone"
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame; each result depends on its own frame and the codes before it.
+        """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
 
         Raises
         ------
