@@ -157,15 +157,14 @@ def execute(
     gallery = Gallery(experiment, scorer, float(np.median(calibration.saturation_dn)))
     decode_s = {method.name: 0.0 for method in experiment.methods}
     with watch.stage("decode and score"):
-        total = experiment.n_frames * len(experiment.methods)
-        decoded = decode(experiment.methods, frames, calibration)
-        for done, (name, reconstruction, seconds) in enumerate(decoded):
-            decode_s[name] += seconds
-            scorer.add(name, reconstruction)
-            gallery.add(name, reconstruction, frames[name][reconstruction.index])
-            if name in experiment.save_reconstructions:
-                _write_reconstruction(folder, name, reconstruction, camera.irradiance_per_radiance)
-            progress("decode", done + 1, total)
+        for decoded in decode(experiment.methods, frames, calibration):
+            scorer.add(decoded.videos)
+            for name, video in decoded.videos.items():
+                decode_s[name] += decoded.seconds[name]
+                gallery.add(name, video, frames[name][decoded.index])
+                if name in experiment.save_reconstructions:
+                    _write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+            progress("decode", decoded.index + 1, experiment.n_frames)
     with watch.stage("noise ceiling"):
         ceiling = scorer.noise_ceiling(progress)
     if export_truth:

@@ -147,26 +147,36 @@ def capture(
     return {name: tuple(taken) for name, taken in frames.items()}
 
 
-def decode(
-    methods: Sequence[Method], frames: Frames, calibration: Calibration
-) -> Iterator[tuple[str, Reconstruction, float]]:
-    """Decode all methods frame by frame, in the order of the frames; causal, and never sees the truth.
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """One coded frame, decoded by all methods.
 
-    Yields
-    ------
-    name : str
-        The method.
-    reconstruction : Reconstruction
-        Of its next frame.
-    seconds : float
-        Wall time that it took.
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    videos : dict
+        Method name -> its reconstruction.
+    seconds : dict
+        Method name -> wall time of its decoder, s.
     """
+
+    index: int
+    videos: dict[str, Reconstruction]
+    seconds: dict[str, float]
+
+
+def decode(methods: Sequence[Method], frames: Frames, calibration: Calibration) -> Iterator[Decoded]:
+    """Decode frame by frame, in their order; causal, and never sees the truth."""
     running = {m.name: m.decoder.decode(frames[m.name], calibration) for m in methods}
-    for _ in range(len(next(iter(frames.values())))):
+    for index in range(len(next(iter(frames.values())))):
+        videos: dict[str, Reconstruction] = {}
+        seconds: dict[str, float] = {}
         for name, decoder in running.items():
             start = time.perf_counter()
-            reconstruction = next(decoder)
-            yield name, reconstruction, time.perf_counter() - start
+            videos[name] = next(decoder)
+            seconds[name] = time.perf_counter() - start
+        yield Decoded(index, videos, seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,9 +244,10 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, calibration, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
-    for name, reconstruction, _ in decode(experiment.methods, frames, calibration):
-        videos[name].append(reconstruction)
-        progress("decode", sum(map(len, videos.values())), experiment.n_frames * len(videos))
+    for decoded in decode(experiment.methods, frames, calibration):
+        for name, video in decoded.videos.items():
+            videos[name].append(video)
+        progress("decode", decoded.index + 1, experiment.n_frames)
     return Result(
         experiment,
         camera,

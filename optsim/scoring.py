@@ -78,12 +78,12 @@ class Scorer:
         sigma_dn = np.sqrt(pixel.dn_per_e * signal_dn + pixel.read_noise_dn**2)
         return (sigma_dn / pixel.responsivity_dn).astype(np.float32)
 
-    def add(self, method: str, reconstruction: Reconstruction) -> None:
-        """Score one reconstruction."""
-        index = reconstruction.index
-        self.tallies.append(
-            self.board.tally(method, reconstruction, self.reference(index), self.moving(index))
-        )
+    def add(self, videos: dict[str, Reconstruction]) -> None:
+        """Score one coded frame of all methods, on the pixels that all of them hold valid."""
+        scored = np.logical_and.reduce([video.valid for video in videos.values()])
+        for method, video in videos.items():
+            reference, moving = self.reference(video.index), self.moving(video.index)
+            self.tallies.append(self.board.tally(method, video, reference, moving, scored))
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
@@ -147,6 +147,7 @@ class Scorer:
                     "mean_e": float(electrons.mean(dtype=np.float64)),
                     "dark_e": float(np.percentile(electrons, 5)),
                     "saturated_share": float((raw >= pixel.saturation_dn[pixel.valid]).mean()),
+                    "negative_light": sum(f.negative_light for f in taken),
                 }
             )
         return rows
@@ -179,8 +180,7 @@ def score(result: Result) -> list[ScoreRecord]:
     """
     scorer = Scorer(result.experiment, result.camera, result.truth, result.radiance)
     for index in range(result.experiment.n_frames):
-        for name, video in result.reconstructions.items():
-            scorer.add(name, video[index])
+        scorer.add({name: video[index] for name, video in result.reconstructions.items()})
     return scorer.board.records(scorer.tallies)
 
 

@@ -147,7 +147,13 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             "saturation_dn": 15551.0,
         },
         "photons": [
-            {"method": m, "mean_e": 5000.5 + i, "dark_e": 210.25, "saturated_share": 0.03125}
+            {
+                "method": m,
+                "mean_e": 5000.5 + i,
+                "dark_e": 210.25,
+                "saturated_share": 0.03125,
+                "negative_light": i,
+            }
             for i, m in enumerate(METHODS)
         ],
         "ledgers": [

@@ -8,7 +8,7 @@ import pytest
 from optsim.experiment import Experiment, load_experiment
 from optsim.loop import calibrate, capture, set_light, stream
 from optsim.metrics import luminous_efficacy_lm_w
-from optsim.quantities import ExposureCode, PanelState, RadianceVideo
+from optsim.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
 from optsim.reconstruct import HdrMerge
 from optsim.scene.footage import footage, still
 from optsim.scoring import Scorer
@@ -182,3 +182,26 @@ def test_a_uniform_static_scene_reads_back_through_the_mosaic_at_any_ratio(ratio
     quotient = (last.irradiance_w_m2[0] / camera.reference(truth, 3)[0])[middle][last.valid[middle]]
     assert quotient.mean() == pytest.approx(1, abs=0.02)
     assert quotient.std() < 0.05
+
+
+def test_all_methods_are_scored_on_the_pixels_that_all_hold_valid() -> None:
+    """A method that gives up what is hard for others too must not gain, nor must it lose its own coverage."""
+    experiment = small(n_frames=1)
+    judge = scorer(experiment, flat(experiment, 0.1))
+    truth = judge.reference(0)
+    everywhere, nowhere = np.ones((ROWS, COLS), np.bool_), np.zeros((ROWS, COLS), np.bool_)
+    bold = truth.copy()
+    bold[:, :4] *= 3
+    timid_valid = everywhere.copy()
+    timid_valid[:4] = False
+    judge.add(
+        {
+            "bold": Reconstruction(0, bold, everywhere, nowhere, nowhere),
+            "timid": Reconstruction(0, truth * np.float32(1.01), timid_valid, nowhere, nowhere),
+        }
+    )
+    scores = {r["method"]: r for r in judge.board.records(judge.tallies) if r["region"] == "all"}
+    assert scores["bold"]["n"] == scores["timid"]["n"] == 36 * (ROWS - 4) * COLS
+    assert scores["bold"]["flag"] == "identical"
+    held = {c["method"]: c["valid"] for c in judge.board.coverage(judge.tallies) if c["region"] == "all"}
+    assert held == {"bold": 1.0, "timid": pytest.approx(1 - 4 / ROWS)}

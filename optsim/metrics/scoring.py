@@ -73,8 +73,9 @@ class FrameTally:
         Coded-frame index.
     sums : ndarray of shape (metric, region, slot), float64
         Sums of squared errors.
-    counts, interpolated, samples : ndarray of shape (region, slot), int64
-        Samples scored, those of them filled from neighbours, and samples there are.
+    counts, covered, interpolated, samples : ndarray of shape (region, slot), int64
+        Samples scored, samples the method itself holds valid, those of them filled from neighbours,
+        and samples there are.
     clamped : ndarray of shape (metric, region), int64
         Scored samples whose reference lies outside the metric's range.
     """
@@ -83,6 +84,7 @@ class FrameTally:
     index: int
     sums: Doubles
     counts: Ints
+    covered: Ints
     interpolated: Ints
     samples: Ints
     clamped: Ints
@@ -116,7 +118,12 @@ class ScoreBoard:
         return "merging" if index < self.latency_frames + 4 else "steady"
 
     def tally(
-        self, method: str, reconstruction: Reconstruction, reference_w_m2: Floats, moving: Bools
+        self,
+        method: str,
+        reconstruction: Reconstruction,
+        reference_w_m2: Floats,
+        moving: Bools,
+        scored: Bools | None = None,
     ) -> FrameTally:
         """Sum the errors of one reconstruction.
 
@@ -130,10 +137,20 @@ class ScoreBoard:
             Truth of the same coded frame, W/m^2.
         moving : ndarray of shape (v, u), bool
             The oracle's mask: the same for all methods.
+        scored : ndarray of shape (v, u), bool, optional
+            Pixels to score, for example those that all methods hold valid: a method must not gain by
+            giving up hard ones. By default those that this method holds valid.
         """
         r = reconstruction
         return self._tally(
-            method, r.index, r.irradiance_w_m2, reference_w_m2, moving, r.valid, r.interpolated
+            method,
+            r.index,
+            r.irradiance_w_m2,
+            reference_w_m2,
+            moving,
+            r.valid,
+            r.valid if scored is None else r.valid & scored,
+            r.interpolated,
         )
 
     def tally_noise(
@@ -154,7 +171,7 @@ class ScoreBoard:
         """
         noisy = (reference_w_m2 + half_difference_w_m2).astype(np.float32)
         everywhere, nowhere = np.ones(moving.shape, np.bool_), np.zeros(moving.shape, np.bool_)
-        return self._tally(TRUTH_NOISE, index, noisy, reference_w_m2, moving, everywhere, nowhere)
+        return self._tally(TRUTH_NOISE, index, noisy, reference_w_m2, moving, everywhere, everywhere, nowhere)
 
     def _tally(
         self,
@@ -164,6 +181,7 @@ class ScoreBoard:
         reference_w_m2: Floats,
         moving: Bools,
         valid: Bools,
+        scored: Bools,
         interpolated: Bools,
     ) -> FrameTally:
         slots = reference_w_m2.shape[0]
@@ -175,10 +193,11 @@ class ScoreBoard:
         regions = (moving, ~moving)
         sums = np.zeros((len(self.metrics), 2, slots))
         clamped = np.zeros((len(self.metrics), 2), np.int64)
-        counts, interpolated_counts, samples = (np.zeros((2, slots), np.int64) for _ in range(3))
+        counts, covered, interpolated_counts, samples = (np.zeros((2, slots), np.int64) for _ in range(4))
         for r, region in enumerate(regions):
             samples[r] = np.count_nonzero(region)
-            counts[r, : self.coded_slots] = np.count_nonzero(region & valid)
+            counts[r, : self.coded_slots] = np.count_nonzero(region & scored)
+            covered[r, : self.coded_slots] = np.count_nonzero(region & valid)
             interpolated_counts[r, : self.coded_slots] = np.count_nonzero(region & valid & interpolated)
         white = self.scale.white_cd_m2
         for slot in range(min(slots, self.coded_slots)):
@@ -186,12 +205,12 @@ class ScoreBoard:
             estimate = self.scale.luminance_cd_m2(estimate_w_m2[slot : slot + 1])
             reference = self.scale.luminance_cd_m2(reference_w_m2[slot : slot + 1])
             for r, region in enumerate(regions):
-                where = region & valid
-                scored = reference[0][where].astype(np.float64)
+                where = region & scored
+                theirs = reference[0][where].astype(np.float64)
                 for m, metric in enumerate(self.metrics):
                     sums[m, r, slot] = metric.sum_errors(estimate, reference, where, white)[0]
-                    clamped[m, r] += metric.clamped(scored)
-        return FrameTally(method, index, sums, counts, interpolated_counts, samples, clamped)
+                    clamped[m, r] += metric.clamped(theirs)
+        return FrameTally(method, index, sums, counts, covered, interpolated_counts, samples, clamped)
 
     def records(self, tallies: Iterable[FrameTally]) -> list[ScoreRecord]:
         """Scores by method, phase, metric and region, JSON-able; phases without frames are left out."""
@@ -225,7 +244,7 @@ class ScoreBoard:
                 rows = _rows(region)
                 samples, counts, filled = (
                     sum(int(getattr(t, name)[rows].sum()) for t in group)
-                    for name in ("samples", "counts", "interpolated")
+                    for name in ("samples", "covered", "interpolated")
                 )
                 found.append(
                     {

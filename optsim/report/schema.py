@@ -47,12 +47,16 @@ class LightRule(TypedDict):
 
 @with_config(_STRICT)
 class Photons(TypedDict):
-    """Light that a method used: mean and 5th percentile of photoelectrons a CCD pixel and coded frame."""
+    """Light that a method used: mean and 5th percentile of photoelectrons a CCD pixel and coded frame.
+
+    ``negative_light``: CCD pixels, over all frames, whose unbiased light fell below zero and was clipped.
+    """
 
     method: str
     mean_e: float
     dark_e: float
     saturated_share: float
+    negative_light: int
 
 
 @with_config(_STRICT)
