@@ -4,14 +4,17 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: demo test setup bench validate lint types architecture requirements clean help
+.PHONY: force demo test setup bench validate lint types architecture requirements clean help
+
+force:
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
 
 setup: $(STAMP) ## create .venv with the pinned dependencies and optsim itself
 
-$(STAMP): requirements.txt pyproject.toml .ci/setup.sh
+# Naming an interpreter means wanting it: an environment of another one is made anew.
+$(STAMP): requirements.txt pyproject.toml .ci/setup.sh $(if $(PYTHON),force)
 	@PYTHON="$(PYTHON)" VENV="$(VENV)" sh .ci/setup.sh
 	@touch $@
 

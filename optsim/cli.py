@@ -77,7 +77,7 @@ def run(
 ) -> None:
     """Render, expose, decode and score an experiment; write a run folder with report.html."""
     from optsim import job
-    from optsim.console import people, progress_bars
+    from optsim.console import page, people, progress_bars
     from optsim.experiment import load_experiment
 
     loaded = load_experiment(experiment, assignments or [], seed=seed)
@@ -97,8 +97,8 @@ def run(
     if as_json:
         _print(results)
     else:
-        people.print(job.summary(results))
-        people.print(f"Report: {folder / 'report.html'}")
+        page.print(job.summary(results))
+        page.print(f"Report: {folder / 'report.html'}")
 
 
 @app.command()
@@ -131,17 +131,17 @@ def doctor(as_json: Json = False) -> None:
     from dataclasses import asdict
 
     from optsim import doctor as physician
-    from optsim.console import people, table
+    from optsim.console import page, table
 
     findings = physician.diagnose()
     if as_json:
         _print([asdict(f) for f in findings])
     else:
         for f in findings:
-            people.print(f"[{'green' if f.ok else 'red'}]{'ok ' if f.ok else 'BAD'}[/] {f.what}: {f.found}")
+            page.print(f"[{'green' if f.ok else 'red'}]{'ok ' if f.ok else 'BAD'}[/] {f.what}: {f.found}")
             if f.cure and not f.ok:
-                people.print(f"    cure: {f.cure}")
-        people.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
+                page.print(f"    cure: {f.cure}")
+        page.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
     if not all(f.ok for f in findings):
         raise typer.Exit(1)
 
@@ -149,7 +149,7 @@ def doctor(as_json: Json = False) -> None:
 @app.command()
 def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json = False) -> None:
     """Geometry fit, photon ledger and physical latency, without rendering."""
-    from optsim.console import people
+    from optsim.console import page
     from optsim.experiment import experiment_path
     from optsim.explain import explanation, show
 
@@ -159,7 +159,7 @@ def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json =
         _print(record)
     else:
         for item in show(record):
-            people.print(item)
+            page.print(item)
     if not record["geometry"]["fits"]:
         raise typer.Exit(2)
 
@@ -184,7 +184,7 @@ def train(
 def bench(names: Names = None, as_json: Json = False) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer."""
     from optsim import benchmark
-    from optsim.console import people, progress_bars, table
+    from optsim.console import page, progress_bars, table
 
     with progress_bars(quiet=as_json) as progress:
         found = benchmark.measure_all(names or [], progress)
@@ -192,7 +192,7 @@ def bench(names: Names = None, as_json: Json = False) -> None:
         _print(found)
     else:
         keys = ("name", "value", "unit", "peer", "peer_value", "ratio")
-        people.print(table("benchmarks", keys, [[r[k] for k in keys] for r in found]))
+        page.print(table("benchmarks", keys, [[r[k] for k in keys] for r in found]))
 
 
 @app.command()
@@ -205,7 +205,7 @@ def validate(
     from dataclasses import asdict
 
     from optsim import evidence
-    from optsim.console import people, progress_bars, table
+    from optsim.console import page, progress_bars, table
 
     with progress_bars(quiet=as_json) as progress:
         found = evidence.measure_all(names or [], write=write, progress=progress)
@@ -213,7 +213,7 @@ def validate(
         _print([asdict(e) for e in found])
     else:
         rows = [(e.effect, e.measured, e.tolerance, e.perturbed, e.passed, e.oracle) for e in found]
-        people.print(table("", ("effect", "measured", "tolerance", "broken", "passed", "oracle"), rows))
+        page.print(table("", ("effect", "measured", "tolerance", "broken", "passed", "oracle"), rows))
     if not all(e.passed for e in found):
         raise typer.Exit(1)
 
@@ -252,7 +252,7 @@ def init(
     if target.exists():
         raise StorageError(f"{target} exists already; choose another name with --out, or move it away")
     write_text(target, experiment_path(preset).read_text(encoding="utf-8"))
-    typer.echo(f"Wrote {target}. Run it with: optsim run ./{target}" if not target.is_absolute() else target)
+    typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
 
 
 @config_app.command("show")

@@ -119,31 +119,41 @@ def _explain(part: type[BaseModel], item: dict[str, Any]) -> str:
     key = ".".join(location)
     message = cast("str", item["msg"]).removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
-        valid = sorted(_field_names(part))
-        near = difflib.get_close_matches(location[-1], valid, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else "remove it."
+        paths = _field_paths(part)
+        near = difflib.get_close_matches(location[-1], sorted(paths), n=1, cutoff=0.5)
+        # A right name in the wrong table: only the whole key says what to do.
+        meant = paths[near[0]] if near and near[0] == location[-1] else near
+        hint = f"did you mean {' or '.join(repr(m) for m in meant)}?" if near else "remove it."
         return f"{key}: unknown key; {hint}"
-    got = repr(item["input"])
+    if item["type"] == "missing":
+        return f"{key}: missing; every experiment needs it"
+    if isinstance(item["input"], Mapping) and item["type"] == "value_error":
+        # The message names the key inside the table and what it got; the whole table only hides it.
+        return f"{key}: {message}" if key else message
+    got = repr(cast("object", item["input"]))
     got = got if len(got) < 80 else got[:77] + "..."
     return f"{key}: got {got}; {message}"
 
 
-def _field_names(part: type[BaseModel]) -> set[str]:
-    """All field names in a part and the parts inside it, for near-match hints."""
-    names: set[str] = set()
-    todo: list[object] = [part]
-    seen: set[object] = set()
+def _field_paths(part: type[BaseModel]) -> dict[str, list[str]]:
+    """Whole keys by field name, of a part and the parts inside it, for hints."""
+    paths: dict[str, list[str]] = {}
+    todo: list[tuple[str, object]] = [("", part)]
+    seen: set[tuple[str, object]] = set()
     while todo:
-        item = todo.pop()
-        if item in seen:
+        prefix, item = todo.pop()
+        if (prefix, item) in seen:
             continue
-        seen.add(item)
+        seen.add((prefix, item))
         if isinstance(item, type) and issubclass(item, BaseModel):
-            names |= set(item.model_fields)
-            todo += [info.annotation for info in item.model_fields.values()]
+            for name, info in item.model_fields.items():
+                if prefix + name not in paths.setdefault(name, []):
+                    paths[name].append(prefix + name)
+                todo.append((f"{prefix}{name}.", info.annotation))
         else:
-            todo += list(cast("tuple[object, ...]", getattr(item, "__args__", ())))  # pyright: ignore[reportUnknownArgumentType]
-    return names
+            inside = cast("tuple[object, ...]", getattr(item, "__args__", ()))  # pyright: ignore[reportUnknownArgumentType]
+            todo += [(prefix, one) for one in inside]
+    return paths
 
 
 def read_toml(path: Path) -> Table:

@@ -1,4 +1,4 @@
-"""What people see on a terminal: progress bars with a time estimate, tables; all on stderr."""
+"""What people see on a terminal: results on stdout, progress bars and remarks on stderr."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rich.table import Table
 from optsim.progress import Progress
 
 people = Console(stderr=True, highlight=False, soft_wrap=True)
+page = Console(highlight=False, soft_wrap=True)
 
 
 @contextlib.contextmanager

@@ -18,11 +18,12 @@ import numpy as np
 
 from optsim import __version__, evidence
 from optsim.camera import NOT_MODELLED, CodedCamera
-from optsim.errors import StorageError
+from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import Gallery
+from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
@@ -79,6 +80,14 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     from optsim.cache import Cache
 
     scene.load_scene(experiment.scene.name, experiment.scene.variation)
+    if experiment.calibration == "bench":
+        check_panel(experiment.camera)
+    ideal = experiment.camera.ideal_calibration()
+    for method in experiment.methods:
+        try:
+            method.scheme.init(ideal, np.random.default_rng(0))
+        except ConfigError as error:
+            raise ConfigError(f"methods, {method.name!r}: {error}") from None
     view, timing = experiment.camera.view, experiment.timing
     # Two halves of float32 keys, and about as much again for the movers' own pixels.
     keys = timing.n_slots // experiment.render.slots_per_segment + 2
@@ -96,6 +105,8 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
                 f"not enough disk for the {what} at {place}: needs about {need_mb:.0f} MB, free are "
                 f"{free_mb:.0f} MB. Cure: free some, 'optsim cache clear', or set OPTSIM_CACHE or --out"
             )
+        if not existing.is_dir():
+            raise StorageError(f"{existing} is a file, expected a folder ({what}); set OPTSIM_CACHE or --out")
         if not os.access(existing, os.W_OK):
             raise StorageError(f"{existing} is not writable ({what}); set OPTSIM_CACHE or --out")
     report = render.choose_backend(backend)
@@ -223,6 +234,8 @@ def versions() -> dict[str, str]:
 def summary(results: Results) -> str:
     """Steady-phase scores as a few lines for the terminal."""
     steady = [r for r in results["scores"] if r["phase"] == "steady" and r["value"] is not None]
+    if not steady:
+        return f"{results['title']}: too short to reach the steady phase; the report shows the phases it has"
     names = list(results["methods"])
     lines = [f"{results['title']}: steady phase", f"{'':46}" + "".join(f"{name:>12}" for name in names)]
     for metric, region in dict.fromkeys((r["metric"], r["region"]) for r in steady):

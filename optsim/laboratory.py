@@ -19,6 +19,7 @@ from numpy.random import Generator
 
 from optsim.calibrate import Bench, Flat, Patches, Step
 from optsim.camera import CodedCamera
+from optsim.errors import ConfigError
 from optsim.forward.panel import settled_retardance
 from optsim.quantities import (
     Block,
@@ -47,6 +48,8 @@ _DELAYS = range(-5, 20)
 _STEP_SLOTS = 4
 _SPOT_PX = 48
 _LEAST_GLARE_PX = 24
+LEAST_PANEL_PX = 24
+"""Panel pixels each way below which the dots are too few for a map."""
 
 
 def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
@@ -55,7 +58,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
     Parameters
     ----------
     camera : CodedCamera
-        The camera, with its true parameters; at least 24 panel pixels each way, for enough dots.
+        The camera, with its true parameters; at least LEAST_PANEL_PX panel pixels each way.
     rng : Generator
         Of all shot and read noise on the bench.
 
@@ -64,6 +67,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
     Bench
         Images and stated settings; no true parameter is in it.
     """
+    check_panel(camera)
     lab = _Laboratory(camera, rng)
     brightest = lab.irradiance(_FLAT_SHARES[-1])
     rows, cols = lab.panel
@@ -92,6 +96,22 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
     )
+
+
+def check_panel(camera: CodedCamera) -> None:
+    """Refuse a panel on which the bench finds too few dots for its map.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    least = min(camera.panel_rows, camera.panel_cols)
+    if least < LEAST_PANEL_PX:
+        raise ConfigError(
+            f"calibration = 'bench' needs at least {LEAST_PANEL_PX} panel pixels each way, got {least}; "
+            "raise camera.panel_rows and camera.panel_cols, or set calibration=ideal"
+        )
 
 
 class _Laboratory:

@@ -44,6 +44,12 @@ def cli(capsys, monkeypatch, tmp_path):
         (("run", "paper_prototype", "--dry-run", "--set", "camera.relay.magnification=0.681"), "fit"),
         (("run", "demo", "--dry-run", "--backend", "llvm_ad_bogus"), "llvm_ad_bogus"),
         (("run", "demo", "--dry-run", "--set", "camera.hardware=dmeo"), "did you mean 'demo'"),
+        (("run", "demo", "--dry-run", "--set", "overlap=false"), "did you mean 'camera.overlap'"),
+        (
+            ("run", "demo", "--dry-run", "--set", "camera.panel_rows=8", "--set", "camera.panel_cols=8"),
+            "at least 24 panel pixels",
+        ),
+        (("run", "demo", "--dry-run", "--set", "methods.1.scheme.open_slots=99"), "'normal'"),
         (("list", "scenez"), "scenes"),
         (("bench", "omp.k2"), "omp.k2000"),
         (("init", "demo2"), "demo"),
@@ -79,9 +85,9 @@ def test_explain_prints_geometry_ledger_and_latency(cli) -> None:
 
 
 def test_explain_shows_what_does_not_fit(cli) -> None:
-    code, out, err = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
+    code, out, _ = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
     assert code == 2
-    assert "does not fit" in out + err
+    assert "does not fit" in out
 
 
 def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None:
@@ -134,3 +140,13 @@ def test_interruption_is_a_clean_message(cli, monkeypatch: pytest.MonkeyPatch) -
     assert code == 130
     assert "cache" in err
     assert "Traceback" not in err
+
+
+def test_a_cache_folder_that_is_a_file_is_no_traceback(cli, tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path / "file"))
+    _, out, err = cli("doctor")
+    assert "Traceback" not in out + err
+    code, _, err = cli("run", "demo", "--dry-run")
+    assert code == 2
+    assert "is a file, expected a folder" in err

@@ -113,3 +113,7 @@ def test_not_enough_disk_is_said_before_anything_starts(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10, 10, 0))
     with pytest.raises(StorageError, match=r"needs about .* MB, free are 0 MB"):
         job.check(experiment, tmp_path / "new", None)
+
+
+def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
+    assert "too short" in job.summary({"title": "demo", "methods": {"adaptive": {}}, "scores": []})

@@ -142,7 +142,8 @@ def render_pictures(
     e_cd_m2 : float
         Offset of the error maps, that of the scored log error.
     """
-    at = f"Coded frame {moment.index}, slot {moment.slot}; {tone.caption}."
+    when = f"Coded frame {moment.index}, slot {moment.slot}"
+    at = f"{when}; {tone.caption}."
     truth = moment.reference_cd_m2[moment.slot]
     views = {"truth": truth, **{n: s.estimate_cd_m2[moment.slot] for n, s in moment.shots.items()}}
     toned = {name: tone.apply(view) for name, view in views.items()}
@@ -167,7 +168,7 @@ def render_pictures(
     for name, shot in moment.shots.items():
         found += _capture(sheet, moment, name, shot, toned["truth"], crops[0] if crops else None)
         error = draw.error_picture(views[name], truth, shot.valid, e_cd_m2=e_cd_m2, limit_stops=LIMIT_STOPS)
-        caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {at}"
+        caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {when}."
         scale = draw.error_scale(LIMIT_STOPS)
         found.append(sheet.save(f"error_{name}", error, "errors", caption, "error", name, scale=scale))
     return found
