@@ -25,8 +25,11 @@ class Modulator(Part):
         Pixels of the whole panel.
     field_rate_hz : float
         Patterns a second: one slot lasts one field.
-    reflectivity : float
-        Of a whole pitch cell, gaps included.
+    mirror_reflectivity : float
+        Of the pixels' mirrors.
+    fill_factor : float
+        Share of a pitch cell that its mirror covers. The gaps reflect nothing; the fine grid is too coarse to
+        show them, so their loss is spread evenly.
     tau_on_s, tau_off_s : float
         Time constants towards larger and smaller retardance.
     drive_exponent : float
@@ -43,13 +46,19 @@ class Modulator(Part):
     rows: int = Field(ge=1)
     cols: int = Field(ge=1)
     field_rate_hz: float = Field(gt=0)
-    reflectivity: float = Field(gt=0, le=1)
+    mirror_reflectivity: float = Field(gt=0, le=1)
+    fill_factor: float = Field(gt=0, le=1)
     tau_on_s: float = Field(ge=0)
     tau_off_s: float = Field(ge=0)
     drive_exponent: float = Field(gt=0)
     depolarised_share: float = Field(ge=0, le=1)
     nonuniformity_rms: float = Field(ge=0, le=0.2)
     stuck_share: float = Field(ge=0, le=1)
+
+    @property
+    def reflectivity(self) -> float:
+        """Of a whole pitch cell."""
+        return self.mirror_reflectivity * self.fill_factor
 
     def mueller(self, retardance_rad: float) -> Doubles:
         """Mueller matrix of the panel in reflection, the mirror's flip included once.
