@@ -14,8 +14,8 @@ def lcr720() -> Modulator:
         cols=1280,
         # Nagahara et al., "Space-Time-Brightness Sampling Using an Adaptive Pixel-Wise Coded Exposure".
         field_rate_hz=180.0,
-        # Same note as the pitch: fill factor 92 %, reflectivity about 70 % in the visible, taken to be that of
-        # the whole cell, gaps included (the note doesn't say).
+        # Same note as the pitch: fill factor 92 %, reflectivity about 70 % in the visible, taken to be that
+        # of the whole cell, gaps included (the note doesn't say).
         mirror_reflectivity=0.70 / 0.92,
         fill_factor=0.92,
         # No source for the split. The same note says "< 3 ms" without defining it; 10-90 % times of
