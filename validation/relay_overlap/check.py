@@ -9,8 +9,8 @@ from optsim.forward.relay import RelayGeometry, overlap_operator
 CLAIM = "each fine cell's energy lands on the CCD pixels that its warped square covers"
 ORACLE = "240 x 240 points a cell, each carried by the similarity and counted in its CCD pixel; numpy only"
 SOURCE = "area overlap of rotated squares; the operator overlaps upright boxes at the turned centres"
-# At 2 mrad a corner of a box moves by 0.1 % of its side: shares within 2e-3. Points on a grid miss a border by
-# half of 1/240 of a side along each of two borders: 4e-3.
+# At 2 mrad a corner of a box moves by 0.1 % of its side: shares within 2e-3. Points on a grid miss a
+# border by half of 1/240 of a side, along each of two borders: 4e-3.
 TOLERANCE = 0.006
 FILES = ("optsim/forward/relay.py",)
 
