@@ -18,7 +18,6 @@ from optsim.report.sheet import Moment, Shot, choose_crops, render_pictures
 from optsim.scoring import Scorer
 
 _MOVING_FRAMES = 2
-_MOVING_STRIDE = 1
 # Share of the panel's height and width: large enough to know the place, small enough to see pixels.
 _CROP_SHARE = 0.3
 
@@ -47,7 +46,7 @@ class Gallery:
                     scale.luminance_cd_m2(video.irradiance_w_m2[slot]),
                     scale.luminance_cd_m2(np.maximum(reference[slot], 0)),
                 )
-                for slot in range(0, self.experiment.camera.coded_slots, _MOVING_STRIDE)
+                for slot in range(self.experiment.camera.coded_slots)
             ]
         if video.index == last:
             self._shots[name] = Shot(
@@ -88,7 +87,7 @@ class Gallery:
                 self._moving,
                 tone,
                 method=self.experiment.methods[0].name,
-                instant_s=timing.slot_s * _MOVING_STRIDE,
+                instant_s=timing.slot_s,
             )
         )
         return pictures

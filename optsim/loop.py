@@ -19,6 +19,7 @@ from optsim.calibrate import Calibration, calibrate_from
 from optsim.camera import CodedCamera
 from optsim.errors import ConfigError
 from optsim.experiment import Experiment, Method
+from optsim.forward.integrate import cell_means
 from optsim.laboratory import measure_bench
 from optsim.progress import Progress, silent
 from optsim.quantities import CodedFrame, Floats, IrradianceVideo, RadianceVideo, Reconstruction
@@ -77,11 +78,10 @@ def set_light(
     open_camera = experiment.camera.with_nd(1.0)
     truth = open_camera.form_image(radiance)
     step = truth.samples_per_pitch
-    image = truth.load(0).start.reshape(truth.rows // step, step, truth.cols // step, step)
-    irradiance = image.mean(axis=(1, 3), dtype=np.float64)
+    irradiance = cell_means(truth.load(0).start, step)
     inside = calibration.valid.copy()
     if radiance.outside is not None:
-        inside &= ~radiance.outside.reshape(image.shape).any(axis=(1, 3))
+        inside &= cell_means(radiance.outside.astype(np.float32), step) == 0
     if not inside.any():
         raise ConfigError("light: the scene has no interior to expose for; choose a scene with one")
     # responsivity holds the shading that irradiance on the modulator already has: divide one out

@@ -81,9 +81,8 @@ def take(
         When "undone" is asked for and the kernel is too wide to invert by iteration.
     """
     seen = calibration.observe(frame)
-    weights, panel = calibration.weights(frame.code, panel)
-    if crosstalk == "row_summed":
-        weights = calibration.spread(weights)
+    weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
+    weights, panel = weigh(frame.code, panel)
     sample = Sample(
         weights,
         weights.sum(axis=0, dtype=np.float64).astype(np.float32),

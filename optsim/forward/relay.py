@@ -82,9 +82,7 @@ class RelayGeometry:
         on_ccd : ndarray, bool
             Whether they are.
         """
-        v = (np.arange(self.rows // pitch) + 0.5)[:, None] * pitch
-        u = (np.arange(self.cols // pitch) + 0.5) * pitch
-        y, x = self.place(v + 0 * u, u + 0 * v)
+        y, x = self._pixel_centres(pitch)
         # A centre on a border, or rounded to just beside it, belongs to the pixel after it.
         row, col = np.floor(y + 1e-9).astype(np.int64), np.floor(x + 1e-9).astype(np.int64)
         on_ccd = (row >= 0) & (row < self.ccd_rows) & (col >= 0) & (col < self.ccd_cols)
@@ -92,11 +90,15 @@ class RelayGeometry:
 
     def pick_offsets_px(self, pitch: int) -> Doubles:
         """Centre of each picked CCD pixel less that of its panel pixel: array (v, u, 2), panel pixels."""
+        row, col, _ = self.picks(pitch)
+        y, x = self._pixel_centres(pitch)
+        return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
+
+    def _pixel_centres(self, pitch: int) -> tuple[Doubles, Doubles]:
+        """CCD coordinates of the centres of the panel pixels, each (v, u)."""
         v = (np.arange(self.rows // pitch) + 0.5)[:, None] * pitch
         u = (np.arange(self.cols // pitch) + 0.5) * pitch
-        row, col, _ = self.picks(pitch)
-        y, x = self.place(v + 0 * u, u + 0 * v)
-        return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
+        return self.place(v + 0 * u, u + 0 * v)
 
 
 def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
