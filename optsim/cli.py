@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from optsim import __version__
-from optsim.errors import OptsimError, StorageError, unknown_name
+from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -109,6 +109,20 @@ def render(
         Path | None, typer.Option(help="Also write slot means as OpenEXR into this folder.")
     ] = None,
     backend: Backend = None,
+    passes: Annotated[
+        bool,
+        typer.Option(
+            "--passes",
+            help="Write one OpenEXR a slot into --out instead: radiance on the fine grid, depth, normals, "
+            "albedo, ids, flow, masks and poses.",
+        ),
+    ] = False,
+    slots: Annotated[
+        str | None, typer.Option(metavar="FIRST:LAST", help="With --passes: which slots, LAST not included.")
+    ] = None,
+    half: Annotated[
+        bool, typer.Option("--half", help="With --passes: radiance, normals and albedo in 16 bit.")
+    ] = False,
 ) -> None:
     """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
     from optsim import job
@@ -117,7 +131,17 @@ def render(
     from optsim.truth import render_truth
 
     loaded = load_experiment(experiment, assignments or [])
+    if (passes and out is None) or ((half or slots) and not passes):
+        raise ConfigError("--passes needs --out DIR; --slots and --half need --passes")
     job.check(loaded, out, backend)
+    if passes and out is not None:
+        from optsim.passes import export_passes, parse_slots
+
+        chosen = None if slots is None else parse_slots(slots)
+        with progress_bars() as progress:
+            export_passes(loaded, out, chosen, half=half, backend=backend, progress=progress)
+        people.print(f"The passes are in {out}; {out / 'passes.png'} shows them.")
+        return
     with progress_bars() as progress:
         radiance = render_truth(loaded, backend=backend, progress=progress)
         if out is not None:

@@ -28,6 +28,8 @@ EFFECTS: dict[str, str] = {
     "render_form_factor": "direct light from an area lamp",
     "render_furnace": "energy of multiple bounces",
     "render_halves": "difference rendering and its stated noise",
+    "stokes_malus": "polarised light through polarisers, in the Stokes pass",
+    "stokes_brewster": "polarised gloss, in the Stokes pass",
     "cos4": "radiance to irradiance, natural vignetting",
     "energy_balance": "energy through splitter, panel and relay",
     "photon_transfer": "sensor noise, gain and full well",

@@ -19,6 +19,7 @@ from optsim.errors import unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
+from optsim.scene import FootageSource
 
 
 class SceneChoice(Part):
@@ -26,6 +27,12 @@ class SceneChoice(Part):
 
     name: str
     variation: str = "main"
+
+
+class Source(Part):
+    """Where the truth comes from when it isn't rendered."""
+
+    footage: FootageSource
 
 
 class LightRule(Part):
@@ -52,6 +59,8 @@ class Experiment(Part):
 
     Parameters
     ----------
+    scene, source
+        Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
     calibration
         What decoders know of the camera: ``bench`` (estimated from the virtual laboratory's images),
         ``true`` (the simulator's own parameters) or ``ideal`` (the paper's equations).
@@ -63,7 +72,8 @@ class Experiment(Part):
     description: str = ""
     seed: int = Field(default=1, ge=0, lt=2**32)
     n_frames: int = Field(default=10, ge=1, le=10_000)
-    scene: SceneChoice
+    scene: SceneChoice | None = None
+    source: Source | None = None
     render: RenderSettings = RenderSettings.model_validate({})
     camera: CodedCamera
     methods: tuple[Method, ...] = Field(min_length=1)
@@ -76,6 +86,15 @@ class Experiment(Part):
     def _true_is_a_word(cls, value: object) -> object:
         """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
         return "true" if value is True else value
+
+    @model_validator(mode="after")
+    def _one_truth(self) -> Experiment:
+        if (self.scene is None) == (self.source is None):
+            got = "neither" if self.scene is None else "both"
+            raise ValueError(
+                f"scene, source.footage: got {got}, expected exactly one: a scene to render or a recording"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_agree(self) -> Experiment:
@@ -155,10 +174,20 @@ def load_experiment(
     if seed is not None:
         table["seed"] = seed
     table["camera"] = _on_hardware(table.get("camera", {}))
+    _find_footage(table, path.parent)
     experiment = build(Experiment, table, where=path.name)
     if check_geometry:
         experiment.camera.geometry().check()
     return experiment
+
+
+def _find_footage(table: Table, folder: Path) -> None:
+    """Take a relative ``source.footage.path`` from the experiment's own folder, wherever it is run from."""
+    source: object = table.get("source")
+    footage: object = cast("Table", source).get("footage") if isinstance(source, dict) else None
+    if isinstance(footage, dict) and isinstance(path := cast("Table", footage).get("path"), str):
+        found = str(folder / Path(path).expanduser())
+        table["source"] = _merged(cast("Table", source), {"footage": {"path": found}})
 
 
 def _on_hardware(table: object) -> object:

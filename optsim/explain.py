@@ -22,18 +22,19 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     """
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
-    from optsim.scene import load_scene
+    from optsim.truth import describe_truth
 
     try:
         experiment = load_experiment(name_or_path, assignments)
     except GeometryError:
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
-    scene = load_scene(experiment.scene.name, experiment.scene.variation)
+    truth = describe_truth(experiment)
     latency = camera.smallest_latency_frames()
-    levels = {"mid-grey": MID_GREY * scene.white_w_m2_sr, "white": scene.white_w_m2_sr}
+    levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
         "experiment": experiment.name,
+        "truth": f"{truth.name} ({truth.variation}): {truth.description}",
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
         "latency": {
             **asdict(latency),
@@ -52,6 +53,7 @@ def show(record: dict[str, Any]) -> list[object]:
     geometry = cast("dict[str, Any]", record["geometry"])
     latency = cast("dict[str, Any]", record["latency"])
     items: list[object] = [
+        record["truth"],
         table("geometry", ("quantity", "value"), [(k, v) for k, v in geometry.items()]),
         table("latency", ("quantity", "value"), [(k, v) for k, v in latency.items()]),
     ]

@@ -13,7 +13,7 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Generator, Mapping
+from collections.abc import Collection, Generator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -72,7 +72,7 @@ def write_exr(
     channels: Mapping[str, NDArray[np.generic]],
     *,
     attributes: Mapping[str, object],
-    half: bool = False,
+    half: bool | Collection[str] = False,
 ) -> None:
     """Write single-channel images of one size as an OpenEXR file (ZIP).
 
@@ -85,8 +85,8 @@ def write_exr(
     attributes : Mapping
         What the numbers mean (unit, axes, ...); stored as one JSON text, since EXR header numbers
         lose precision.
-    half : bool
-        Store floats as 16 bit; refused where a value would overflow.
+    half : bool or collection of str
+        Store floats as 16 bit, all or these channels only; refused where a value would overflow.
 
     Raises
     ------
@@ -98,6 +98,7 @@ def write_exr(
     if not channels:
         raise ValueCheckError(f"{path.name}: no channels to write")
     shape = next(iter(channels.values())).shape
+    short = (channels if half else ()) if isinstance(half, bool) else half
     out: dict[str, NDArray[np.generic]] = {}
     for name, image in channels.items():
         if image.ndim != 2 or image.shape != shape or image.size == 0:
@@ -107,10 +108,10 @@ def write_exr(
         if image.dtype == np.float32:
             if not np.isfinite(image).all():
                 raise ValueCheckError(f"{path.name}: channel {name} holds a value that is not finite")
-            if half and float(np.abs(image).max()) > _HALF_MAX:
+            if name in short and float(np.abs(image).max()) > _HALF_MAX:
                 raise ValueCheckError(f"{path.name}: channel {name} exceeds {_HALF_MAX}; write it as float32")
         out[name] = np.ascontiguousarray(
-            image, dtype=np.float16 if half and image.dtype.kind == "f" else None
+            image, dtype=np.float16 if name in short and image.dtype.kind == "f" else None
         )
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -121,13 +122,13 @@ def write_exr(
         stream.write(str(temporary))
 
 
-def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read what :func:`write_exr` wrote, or any single-part scanline EXR.
 
     Returns
     -------
     channels : dict
-        Name -> array of shape (y, x), float32.
+        Name -> array of shape (y, x): uint32 where it is stored so (ids), otherwise float32.
     attributes : dict
         The JSON attributes, empty if the file is not ours.
 
@@ -142,14 +143,16 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]
         raise StorageError(f"no such file: {path}")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as stream:
-            images = {
-                name: np.array(channel.pixels, np.float32, order="C")
-                for name, channel in stream.channels().items()
-            }
+            images = {name: _owned(channel.pixels) for name, channel in stream.channels().items()}
             text = cast("dict[str, Any]", stream.header()).get("optsim", "{}")
     except (RuntimeError, ValueError) as error:
         raise StorageError(f"{path} cannot be read as OpenEXR: {error}") from None
     return images, json.loads(text)
+
+
+def _owned(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Copy a channel; float32 has too few digits for ids above 2^24, so integers stay."""
+    return np.array(pixels, np.uint32 if pixels.dtype == np.uint32 else np.float32, order="C")
 
 
 def write_png16(path: Path, image: NDArray[np.uint16]) -> None:

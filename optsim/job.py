@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from optsim import __version__, evidence
+from optsim.cache import Cache
 from optsim.camera import NOT_MODELLED, CodedCamera
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
@@ -31,7 +32,7 @@ from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
 from optsim.scoring import Scorer
 from optsim.stopwatch import Stopwatch
-from optsim.truth import render_truth
+from optsim.truth import check_truth, describe_truth, render_truth, renderer
 
 Results = dict[str, Any]
 
@@ -76,10 +77,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     BackendError, ConfigError, StorageError
         With the cure.
     """
-    from optsim import render, scene
-    from optsim.cache import Cache
-
-    scene.load_scene(experiment.scene.name, experiment.scene.variation)
+    check_truth(experiment)
     if experiment.calibration == "bench":
         check_panel(experiment.camera)
     ideal = experiment.camera.ideal_calibration()
@@ -89,9 +87,13 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
         except ConfigError as error:
             raise ConfigError(f"methods, {method.name!r}: {error}") from None
     view, timing = experiment.camera.view, experiment.timing
-    # Two halves of float32 keys, and about as much again for the movers' own pixels.
-    keys = timing.n_slots // experiment.render.slots_per_segment + 2
-    truth_mb = 4 * view.rows * view.cols * 4 * keys / 1e6
+    if experiment.source is not None:
+        images = timing.n_slots
+    else:
+        # Two halves of keys, and about as much again for the movers' own pixels; the flow will choose the
+        # distance of keys, 9 slots is a guess.
+        images = 4 * (timing.n_slots // (experiment.render.slots_per_segment or 9) + 2)
+    truth_mb = images * view.rows * view.cols * 4 / 1e6
     panel = experiment.camera.panel_rows * experiment.camera.panel_cols
     run_mb = (len(experiment.save_reconstructions) + 1) * timing.n_slots * panel * 2 / 1e6 + 50
     needs = {"truth in the cache": (truth_mb, Cache().folder)}
@@ -109,9 +111,8 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
             raise StorageError(f"{existing} is a file, expected a folder ({what}); set OPTSIM_CACHE or --out")
         if not os.access(existing, os.W_OK):
             raise StorageError(f"{existing} is not writable ({what}); set OPTSIM_CACHE or --out")
-    report = render.choose_backend(backend)
     return {
-        "backend": report.variant,
+        "backend": renderer(experiment, backend)[0],
         "disk_needed_mb": {what: round(mb) for what, (mb, _) in needs.items()},
     }
 
@@ -147,12 +148,10 @@ def execute(
     dict
         The content of results.json.
     """
-    from optsim import render, scene
-
     watch = Stopwatch()
     resolved = experiment.model_dump(mode="json")
     write_json(folder / "experiment.json", {"fingerprint": experiment.fingerprint(), "experiment": resolved})
-    chosen = render.choose_backend(backend)
+    chosen, why = renderer(experiment, backend)
     with watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
     with watch.stage("calibrate"):
@@ -182,7 +181,7 @@ def execute(
         export_radiance(radiance, folder / "truth", experiment, progress)
     with watch.stage("pictures"):
         pictures = gallery.write(folder)
-    loaded_scene = scene.load_scene(experiment.scene.name, experiment.scene.variation)
+    origin = describe_truth(experiment, Cache())
     results: Results = {
         "schema_version": SCHEMA_VERSION,
         "title": experiment.name,
@@ -190,18 +189,18 @@ def execute(
         "command": command,
         "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
-        "backend": f"{chosen.variant}: {chosen.reason}",
+        "backend": f"{chosen}: {why}",
         "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
         "timings": watch.stages,
         "light_rule": _light(experiment, light),
         "photons": scorer.photons(frames),
-        "ledgers": _ledgers(camera, loaded_scene.white_w_m2_sr),
+        "ledgers": _ledgers(camera, radiance.white_w_m2_sr),
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
         "latency": _latency(experiment),
         "scene": {
-            "name": experiment.scene.name,
-            "variation": experiment.scene.variation,
-            "description": loaded_scene.description,
+            "name": origin.name,
+            "variation": origin.variation,
+            "description": origin.description,
             "white_w_m2_sr": radiance.white_w_m2_sr,
             "white_cd_m2": scorer.scale.white_cd_m2,
             "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),

@@ -34,6 +34,11 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
     for done, name in enumerate(names):
         progress("training footage", done, len(names))
         chosen = scene.load_scene(SCENE, name)
+        if chosen.reserved:
+            raise ConfigError(
+                f"scene {SCENE!r} is reserved for testing, so nothing may be trained on it; "
+                "cure: train on another scene"
+            )
 
         def make(chosen: Scene = chosen) -> dict[str, Floats]:
             return {

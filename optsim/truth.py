@@ -1,26 +1,51 @@
-"""From an experiment to its rendered truth, through the cache."""
+"""Where an experiment's truth comes from: a scene, rendered through the cache, or recorded footage."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 from optsim.cache import Cache
+from optsim.errors import ConfigError
 from optsim.experiment import Experiment
 from optsim.progress import Progress, silent
 from optsim.quantities import RadianceVideo
+from optsim.scene import FootageTruth, Scene, load_scene, open_footage
+
+
+@dataclass(frozen=True)
+class TruthFacts:
+    """What a report says of the truth.
+
+    Parameters
+    ----------
+    name, variation : str
+        Scene and variation, or ``footage`` and the name of its files.
+    description : str
+        A sentence or two.
+    white_w_m2_sr : float
+        Declared white, W m^-2 sr^-1.
+    """
+
+    name: str
+    variation: str
+    description: str
+    white_w_m2_sr: float
 
 
 def render_truth(
     experiment: Experiment, *, backend: str | None = None, progress: Progress = silent
 ) -> RadianceVideo:
-    """Render the HDR high-speed radiance of an experiment's scene, or find it in the cache.
+    """Render the HDR high-speed radiance of an experiment's scene, or import its footage, through the cache.
 
     Parameters
     ----------
     experiment : Experiment
-        Its scene, render settings, field of view and timing decide the truth; codes don't.
+        Its scene or footage, render settings, field of view and timing decide the truth; codes don't.
     backend : str, optional
-        Mitsuba variant to use instead of the one chosen by probing.
+        Mitsuba variant to use instead of the one chosen by probing; None for footage.
     progress : Progress
-        Told of each finished pose.
+        Told of each finished pose or slot.
 
     Returns
     -------
@@ -31,11 +56,16 @@ def render_truth(
     ------
     BackendError
         When no renderer backend works.
+    ConfigError, ValueCheckError, StorageError
+        When the footage is not what was stated of it.
     """
-    from optsim import render, scene
+    recorded = chosen_footage(experiment)
+    if recorded is not None:
+        return recorded.radiance(Cache(), progress)
+    from optsim import render
 
     return render.render_truth(
-        scene.load_scene(experiment.scene.name, experiment.scene.variation),
+        chosen_scene(experiment),
         experiment.camera.view,
         experiment.timing,
         experiment.render,
@@ -43,3 +73,67 @@ def render_truth(
         backend=backend,
         progress=progress,
     )
+
+
+def chosen_scene(experiment: Experiment) -> Scene:
+    """Load the scene of an experiment.
+
+    Raises
+    ------
+    ConfigError
+        When the truth is footage, which has no objects, depth or flow to render.
+    """
+    if experiment.scene is None:
+        raise ConfigError(
+            f"scene: {experiment.name} takes its truth from source.footage, which cannot be rendered; name "
+            "an experiment that has a [scene]"
+        )
+    return load_scene(experiment.scene.name, experiment.scene.variation)
+
+
+def chosen_footage(experiment: Experiment) -> FootageTruth | None:
+    """Open the footage of an experiment, None when it has a scene."""
+    if experiment.source is None:
+        return None
+    return open_footage(experiment.source.footage, experiment.camera.view, experiment.timing)
+
+
+def check_truth(experiment: Experiment) -> None:
+    """Find what would stop rendering or importing before it starts: unknown names, missing files, sizes."""
+    recorded = chosen_footage(experiment)
+    if recorded is None:
+        chosen_scene(experiment)
+    else:
+        recorded.check()
+
+
+def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthFacts:
+    """Say what the truth is; with the cache of an import also what the recording lost to clipping."""
+    recorded = chosen_footage(experiment)
+    if recorded is None:
+        scene = chosen_scene(experiment)
+        return TruthFacts(scene.name, scene.variation, scene.description, scene.white_w_m2_sr)
+    files = Path(recorded.source.path).name
+    return TruthFacts("footage", files, recorded.description(cache), recorded.source.white_w_m2_sr)
+
+
+def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, str]:
+    """Mitsuba variant that renders an experiment's truth, and why; ``none`` for footage.
+
+    Raises
+    ------
+    BackendError
+        When no renderer backend works.
+    ConfigError
+        When a backend is asked for and nothing is to be rendered.
+    """
+    if experiment.source is None:
+        from optsim import render
+
+        chosen = render.choose_backend(backend)
+        return chosen.variant, chosen.reason
+    if backend is not None:
+        raise ConfigError(
+            f"--backend: got {backend!r}, but this truth is footage and nothing is rendered; drop it"
+        )
+    return "none", "the truth is recorded footage"

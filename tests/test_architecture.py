@@ -42,6 +42,7 @@ TOP = {
     "truth",
     "loop",
     "job",
+    "passes",
     "scoring",
     "explain",
     "train",

@@ -9,14 +9,14 @@ from optsim.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_footage, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, path_px, project
-from optsim.render.plain import slot_image
+from optsim.render.full import slot_image
+from optsim.render.moving import hat_means
 from optsim.render.stage import Stage, outside_mask
-from optsim.render.truth import hat_means
 from optsim.scene import load_scene
 
 VIEW = View(48, 63, 3, 0.32)
 TIMING = Timing(1 / 180, 4, 2)
-SETTINGS = RenderSettings(static_samples=32, key_samples=4, mover_samples=32, slots_per_segment=4)
+SETTINGS = RenderSettings(static_error=0.2, change_error=0.2, moving_error=0.2, slots_per_segment=4)
 PIXELS = np.arange(VIEW.rows * VIEW.cols)
 
 
@@ -168,7 +168,9 @@ def test_resuming_and_longer_runs_find_the_cached_poses_bitwise(scene, truth):
     assert cache.show()["entries"] == entries
     np.testing.assert_array_equal(again.load(1).instant(1), video.load(1).instant(1))
     longer = render_truth(scene, VIEW, Timing(1 / 180, 4, 3), SETTINGS, cache=cache)
-    assert cache.show()["entries"] == entries + 3  # a key instant, its seeds' turn without movers, a segment
+    assert (
+        cache.show()["entries"] == entries + 3
+    )  # a key instant, a segment, and where movers go in a longer time
     np.testing.assert_array_equal(longer.load(0).instant(3), video.load(0).instant(3))
 
 

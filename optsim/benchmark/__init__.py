@@ -20,11 +20,14 @@ ALL: dict[str, str] = {
     "omp.k2000": "omp",
     "omp.k5000": "omp",
     "omp.k10000": "omp",
+    "render.window_room": "render",
+    "render.half_moving": "render",
+    "render.moving_camera": "render",
 }
 
 
 def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Record]:
-    """Measure the named records (all when none is named), one after the other.
+    """Measure the named records or families (all when none is named), one after the other.
 
     Returns
     -------
@@ -36,14 +39,16 @@ def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Recor
     ConfigError
         For a name that is no record.
     """
-    chosen = list(names) or list(ALL)
-    for name in chosen:
-        if name not in ALL:
+    chosen: list[str] = []
+    for name in names or ALL:
+        family = [record for record in ALL if record.startswith(f"{name}.")]
+        if name not in ALL and not family:
             raise unknown_name("benchmark", name, ALL)
+        chosen += family or [name]
     out: list[Record] = []
     for done, name in enumerate(chosen):
         progress(f"bench {name}", done, len(chosen))
         module = import_module(f"optsim.benchmark.{ALL[name]}")
-        out.append(cast("Callable[[str], Record]", module.measure)(name))
+        out.append(cast("Callable[[str, Progress], Record]", module.measure)(name, progress))
     progress("bench", len(chosen), len(chosen))
     return out

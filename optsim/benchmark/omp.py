@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from optsim.progress import Progress, silent
 from optsim.quantities import Floats, Ints
 from optsim.reconstruct.matching_pursuit import pursue
 
@@ -20,7 +21,7 @@ _ATOMS = 20
 _PATCHES = {2000: 16_384, 5000: 8192, 10_000: 4096}
 
 
-def measure(name: str) -> dict[str, Any]:
+def measure(name: str, _: Progress = silent) -> dict[str, Any]:
     """Code random patches over a random dictionary measured by a tile-periodic code.
 
     Parameters

@@ -28,6 +28,7 @@ from optsim.quantities.frames import (
     PanelState,
     Reconstruction,
 )
+from optsim.quantities.passes import Ids, ObjectPose, Passes
 from optsim.quantities.video import (
     Block,
     IrradianceVideo,
@@ -46,9 +47,12 @@ __all__ = [
     "Doubles",
     "ExposureCode",
     "Floats",
+    "Ids",
     "Ints",
     "IrradianceVideo",
+    "ObjectPose",
     "PanelState",
+    "Passes",
     "RadianceVideo",
     "Reconstruction",
     "Segment",

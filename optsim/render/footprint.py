@@ -10,11 +10,9 @@ import numpy as np
 from numba import njit
 
 from optsim.quantities import Bools, Doubles, View
+from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Faces
-from optsim.scene.parts import CameraPose
 
-# Nearer than this to the camera's plane a point has no projection worth having.
-_NEAR_M = 0.05
 # A box pixel whose centre is farther than half its diagonal from a triangle cannot see it.
 _MARGIN_PX = 0.75
 
@@ -39,7 +37,7 @@ def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward])
     across, down, depth = axes @ (points_m - origin).T
-    depth = np.where(depth < _NEAR_M, np.nan, depth)
+    depth = np.where(depth < camera.near_m, np.nan, depth)
     scale = view.cols / 2 / view.tan_half_width
     return np.stack([view.rows / 2 + scale * down / depth, view.cols / 2 + scale * across / depth, depth], -1)
 
@@ -52,7 +50,7 @@ def path_px(
     camera: CameraPose,
     view: View,
 ) -> float:
-    """Farthest way that a mover's visible point goes in a time span, fine samples.
+    """Farthest way in the picture that a mover's visible point goes in a time span, fine samples.
 
     Parameters
     ----------
@@ -64,9 +62,10 @@ def path_px(
         Straight pieces by which the way is measured.
     """
     total = 0.0
-    before = project(vertices(start_s), camera, view)
+    before = project(vertices(start_s), camera.at(start_s), view)
     for step in range(1, steps + 1):
-        after = project(vertices(start_s + (stop_s - start_s) * step / steps), camera, view)
+        time_s = start_s + (stop_s - start_s) * step / steps
+        after = project(vertices(time_s), camera.at(time_s), view)
         seen = _in_view(before, view) | _in_view(after, view)
         moved = np.hypot(*(after - before)[:, :2].T)[seen]
         moved = moved[np.isfinite(moved)]

@@ -1,6 +1,8 @@
-"""How finely the truth is rendered."""
+"""How accurately the truth is rendered."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from pydantic import Field
 
@@ -8,37 +10,61 @@ from optsim.config import Part
 
 
 class RenderSettings(Part):
-    """Sample counts and steps of the truth; the defaults are those of the demo (fine grid 480 x 360).
+    """Error targets of the truth; samples follow from them, pixel by pixel.
 
-    All sample counts are per fine sample, both halves together, so they are even; a panel pixel gets
-    ``samples_per_pitch ** 2`` times as many. Defaults are chosen so that the truth's own noise stays below
-    the decoders' errors (no source; measured by the two halves of every truth).
+    An error here is the root mean square over pixels of Monte-Carlo standard deviation divided by
+    (radiance + 1 % of the scene's white), both halves together, per fine sample; a panel pixel's is
+    ``samples_per_pitch`` times smaller. Targets are met by prediction from other random numbers; what was
+    reached is measured by the two halves of every truth. Defaults are chosen so that the truth's own
+    noise stays below the decoders' errors (no source).
 
     Parameters
     ----------
-    static_samples : int
-        Of the light without movers, once.
-    key_samples : int
+    static_error : float
+        Of the light without movers, rendered once.
+    change_error : float
         Of what the movers change elsewhere (shadows, bounce light), at each key instant.
+    moving_error : float
+        On the movers' own pixels in each slot; on the whole picture when the camera moves.
+    interpolation_error : float
+        Bound on what interpolating in time between rendered poses may add, relative like the others: it
+        decides how far apart poses and key instants are, from the measured flow.
     key_seeds : int
         Sets of random numbers that the key instants take in turn, so that their noise doesn't freeze.
-    mover_samples : int
-        On the movers' own pixels, in each slot.
-    slots_per_segment : int
-        Slots between key instants; divides the slots of a coded frame.
-    max_step_px : float
-        Farthest that any visible point of a mover moves between two poses, fine samples.
+    slots_per_segment : int, optional
+        Slots between key instants instead of those that ``interpolation_error`` allows; divides the slots
+        of a coded frame.
     instants_per_slot : int
         Truth instants a slot; poses are integrated over an instant exactly, so few are enough.
+    noise_share : float, optional
+        Stop sampling a pixel where the camera couldn't tell: when its Monte-Carlo error is below this share
+        of the camera's own noise in a slot there. Unset: sample to the targets alone.
     seed : int
         Of all random numbers.
     """
 
-    static_samples: int = Field(256, ge=2, le=65536, multiple_of=2)
-    key_samples: int = Field(6, ge=2, le=1024, multiple_of=2)
+    static_error: float = Field(0.05, gt=0.0005, le=2)
+    change_error: float = Field(0.12, gt=0.001, le=2)
+    moving_error: float = Field(0.3, gt=0.001, le=2)
+    interpolation_error: float = Field(0.03, gt=0.0005, le=1)
     key_seeds: int = Field(4, ge=1, le=64)
-    mover_samples: int = Field(10, ge=2, le=4096, multiple_of=2)
-    slots_per_segment: int = Field(9, ge=1, le=36)
-    max_step_px: float = Field(2.0, gt=0.05, le=50)
+    slots_per_segment: int | None = Field(None, ge=1, le=36)
     instants_per_slot: int = Field(1, ge=1, le=32)
+    noise_share: float | None = Field(None, gt=0, le=10)
     seed: int = Field(0, ge=0)
+
+
+@dataclass(frozen=True)
+class CameraNoise:
+    """What the camera's noise is for a radiance, in one slot and one fine sample.
+
+    Parameters
+    ----------
+    electrons : float
+        Photo-electrons per W m^-2 sr^-1.
+    read_noise_e : float
+        Standard deviation of the noise that doesn't depend on light, electrons.
+    """
+
+    electrons: float
+    read_noise_e: float

@@ -8,13 +8,14 @@ All mesh parameters are behind :func:`_write_vertices`: Mitsuba 3.10 renames the
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
-from optsim.render.describe import describe
+from optsim.render.describe import camera_to_world, describe, unit_m
+from optsim.render.nearby import Boxes, glowing
 from optsim.render.sampler import pixel_sampler
 from optsim.scene.scene import Scene
 
@@ -33,81 +34,127 @@ class Stage:
         Fine grid and field of view.
     movers : bool
         Whether the movers are on stage; without them the rest is exactly the same.
+    boxes : Boxes, optional
+        Boxes around the movers, for comparing paths with those of another stage.
+    glow : bool
+        Whether they stand there, glowing, for every path to see.
     """
 
-    def __init__(self, scene: Scene, view: View, *, movers: bool = True) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        view: View,
+        *,
+        movers: bool = True,
+        boxes: Boxes | None = None,
+        glow: bool = False,
+    ) -> None:
         import mitsuba as mi
 
         self.scene, self.view = scene, view
         self._vectorised = not str(mi.variant()).startswith("scalar")
         self._movers = scene.singles() if movers else {}
         content = describe(mi, scene, view, movers=movers)
+        if boxes is not None:
+            content["near"] = glowing(mi, boxes, unit_m(scene), shown=glow)
         self._loaded: Any = mi.load_dict(content, optimize=False)
         self._parameters: Any = mi.traverse(self._loaded)
         self._time_s = 0.0
 
+    @property
+    def loaded(self) -> Any:
+        """Mitsuba's scene, for rays of one's own; to be looked at, not changed."""
+        return self._loaded
+
     def pose(self, time_s: float) -> None:
-        """Put all movers where they are at a time."""
-        if self._movers and time_s != self._time_s:
-            for name, mover in self._movers.items():
-                _write_vertices(self._parameters, f"mover_{name}", mover.vertices(time_s))
-            self._parameters.update()
-            self._time_s = time_s
+        """Put the camera and all movers where they are at a time."""
+        if time_s == self._time_s or not (self._movers or self.scene.camera.moves):
+            return
+        import mitsuba as mi
+
+        unit = unit_m(self.scene)
+        for name, mover in self._movers.items():
+            _write_vertices(self._parameters, f"mover_{name}", mover.vertices(time_s) / unit)
+        if self.scene.camera.moves:
+            self._parameters["sensor.to_world"] = mi.Transform4f(
+                camera_to_world(mi, self.scene.camera.at(time_s), unit).matrix
+            )
+        self._parameters.update()
+        self._time_s = time_s
 
     def radiance(
         self, pixels: Ints, samples: int | Ints, seeds: tuple[int, ...], first_sample: int = 0
     ) -> Doubles:
-        """Mean of samples in some pixels, bitwise the same whichever other pixels are asked for.
+        """Mean of samples in some pixels, one independent estimate for each seed.
+
+        Returns
+        -------
+        ndarray of shape (seed, n), float64
+            As :meth:`paths` does, the same pixels for every seed.
+        """
+        counts = np.broadcast_to(np.asarray(samples, np.int64), pixels.shape)
+        turns = np.repeat(np.asarray(seeds, np.int64), len(pixels))
+        found = self.paths(np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample)
+        return found.reshape(len(seeds), len(pixels))
+
+    def paths(self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0) -> Doubles:
+        """Mean radiance over random paths, bitwise the same whatever else is asked for in the same call.
 
         The scalar fallback knows only whole pictures, with Mitsuba's own sampler.
 
         Parameters
         ----------
         pixels : ndarray of shape (n,), int64
-            Flat indices into the fine grid, row-major.
-        samples : int or ndarray of shape (n,)
-            Samples a pixel and seed.
-        seeds : tuple of int
-            One independent estimate for each.
-        first_sample : int
-            Number of the first sample: passes that continue each other stratify as one.
+            Flat indices into the fine grid, row-major; a pixel may occur more than once.
+        samples : ndarray of shape (n,), int64
+            Paths of each, at least 1.
+        seeds : ndarray of shape (n,), int64
+            Seed of each.
+        first_sample : int or ndarray of shape (n,)
+            Number of the first path: calls that continue each other stratify as one.
 
         Returns
         -------
-        ndarray of shape (seed, n), float64
-            Mean radiance over the pixel and over these samples, W m^-2 sr^-1.
+        ndarray of shape (n,), float64
+            Mean radiance over the pixel and over these paths, W m^-2 sr^-1.
         """
-        counts = np.broadcast_to(np.asarray(samples, np.int64), pixels.shape)
         if not self._vectorised:
-            whole = [self.picture(int(counts.max()), seed).ravel()[pixels] for seed in seeds]
-            return np.stack(whole).astype(np.float64)
-        step = max(1, _MAX_LANES // (int(counts.max()) * len(seeds)))
-        result = np.empty((len(seeds), len(pixels)))
-        for low in range(0, len(pixels), step):
-            part = slice(low, low + step)
-            result[:, part] = self._sums(pixels[part], counts[part], seeds, first_sample)
-        return result / counts
+            whole = {seed: self.picture(int(samples.max()), int(seed)).ravel() for seed in np.unique(seeds)}
+            return np.array([whole[s][p] for s, p in zip(seeds, pixels, strict=True)], np.float64)
+        if not len(pixels):
+            return np.zeros(0)
+        first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
+        result = np.empty(len(pixels))
+        # Pieces of about equal work, so that one launch never needs more than its share of memory.
+        pieces = np.unique((np.cumsum(samples) - samples) // _MAX_LANES, return_index=True)[1]
+        for low, high in pairwise([*pieces.tolist(), len(pixels)]):
+            part = slice(low, high)
+            result[part] = self._sums(pixels[part], samples[part], seeds[part], first[part])
+        return result / samples
 
-    def _sums(self, pixels: Ints, counts: Ints, seeds: tuple[int, ...], first_sample: int) -> Doubles:
-        """Launch once, one lane a sample; summed in float64, as float32 sums of many samples lose digits."""
-        starts = np.cumsum(counts) - counts
-        index = np.arange(counts.sum()) - np.repeat(starts, counts) + first_sample
-        values = self._trace(
-            np.tile(np.repeat(pixels, counts), len(seeds)),
-            np.tile(index, len(seeds)),
-            np.repeat(np.asarray(seeds, np.uint32), len(index)),
-        )
-        return np.add.reduceat(values.reshape(len(seeds), -1), starts, axis=1, dtype=np.float64)
+    def _sums(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> Doubles:
+        """Launch once, one lane a path; summed in float64, as float32 sums of many paths lose digits."""
+        import drjit as dr
+        import mitsuba as mi
 
-    def _trace(self, pixels: Ints, indices: Ints, seeds: NDArray[np.uint32]) -> Floats:
+        starts = np.cumsum(samples) - samples
+        lane = dr.arange(mi.UInt32, int(samples.sum()))
+        place = mi.UInt32(np.repeat(np.arange(len(pixels), dtype=np.uint32), samples))
+
+        def each(values: Ints) -> Any:
+            return dr.gather(mi.UInt32, mi.UInt32(values.astype(np.uint32)), place)
+
+        values = self._trace(each(pixels), lane - each(starts - first), each(seeds))
+        return np.add.reduceat(values, starts, dtype=np.float64)
+
+    def _trace(self, pixel: Any, index: Any, seed: Any) -> Floats:
         """Radiance along one random path for each (pixel, sample number, seed)."""
         import drjit as dr
         import mitsuba as mi
 
-        pixel = mi.UInt32(pixels.astype(np.uint32))
         sampler: Any = pixel_sampler(mi, dr)()
-        sampler.start(mi.UInt32(seeds), pixel, mi.UInt32(indices.astype(np.uint32)))
-        row = pixel // self.view.cols
+        sampler.start(seed, pixel, index)
+        row = pixel // dr.opaque(mi.UInt32, self.view.cols)
         corner = mi.Point2f(mi.Float(pixel - row * self.view.cols), mi.Float(row))
         position = (corner + sampler.next_2d()) / mi.Point2f(self.view.cols, self.view.rows)
         ray, weight = self._loaded.sensors()[0].sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
@@ -117,7 +164,7 @@ class Stage:
         return np.asarray(values.numpy(), np.float32)
 
     def picture(self, samples: int, seed: int) -> Floats:
-        """Render the whole fine grid by Mitsuba's own loop, in any variant: (y, x), float32."""
+        """Render the whole fine grid by Mitsuba's own loop and sampler, in any variant: (y, x), float32."""
         import mitsuba as mi
 
         image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
@@ -136,7 +183,7 @@ def outside_mask(scene: Scene, view: View) -> Bools:
     if not pictures:
         return np.zeros((view.rows, view.cols), np.bool_)
     # Without other lamps and without bounces, only what emits a picture is not black.
-    alone = scene.model_copy(update={"lamps": pictures, "max_depth": 1})
+    alone = scene.only_lamps(tuple(pictures)).model_copy(update={"max_depth": 1})
     return Stage(alone, view, movers=False).picture(1, 0) > 0
 
 

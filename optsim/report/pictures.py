@@ -86,7 +86,7 @@ def error_picture(
     """
     ratio = (np.maximum(estimate_cd_m2, 0) + e_cd_m2) / (np.maximum(reference_cd_m2, 0) + e_cd_m2)
     position = np.clip(np.log2(ratio) / (2 * limit_stops) + 0.5, 0, 1)
-    return _chequered(_ramp(_STOPS, position), valid)
+    return _chequered(ramp(_STOPS, position), valid)
 
 
 def error_scale(limit_stops: float) -> ColourScale:
@@ -100,7 +100,7 @@ def start_picture(levels: Bytes) -> Bytes:
     """Slot in which each pixel of a code (slot, v, u) first opens, in colour; a chequer if it never does."""
     opened = levels > 0
     first = cast("Doubles", np.argmax(opened, axis=0) / max(len(levels) - 1, 1))
-    return _chequered(_ramp(_TIME, first), cast("Bools", opened.any(axis=0)))
+    return _chequered(ramp(_TIME, first), cast("Bools", opened.any(axis=0)))
 
 
 def start_scale(slots: int) -> ColourScale:
@@ -145,7 +145,7 @@ def _channels(colour: str) -> Colour:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
-def _ramp(anchors: tuple[str, ...], position: Doubles | Floats) -> Bytes:
+def ramp(anchors: tuple[str, ...], position: Doubles | Floats) -> Bytes:
     """Colours at positions 0..1 between evenly spaced anchors."""
     table = np.asarray([_channels(anchor) for anchor in anchors], np.float64)
     at = np.linspace(0, 1, len(anchors))

@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from optsim.config import Part
+from optsim.scene.fields import Positive
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
-from optsim.scene.parts import Positive
+from optsim.scene.vehicle import CarBody, Wheel
 from optsim.scene.walker import Walker
 
-Single = Walker | Fan | Pendulum | BouncingBall | Card
+Single = Walker | Fan | Pendulum | BouncingBall | Card | Wheel | CarBody
 
 
 class Crowd(Part):

@@ -206,6 +206,32 @@ def ball(center_m: ArrayLike, radius_m: float, *, around: int = 32, along: int =
     return Mesh(vertices, _grid_faces(along, around + 1), uv.reshape(-1, 2))
 
 
+def ring(
+    radius_m: float, thick_m: float, *, band: tuple[float, float] = (0.0, 1.0), around: int = 48
+) -> Mesh:
+    """Torus about the z axis, centred at the origin.
+
+    Parameters
+    ----------
+    radius_m, thick_m : float
+        Radius of its centre line, and of its round cross-section.
+    band : (float, float)
+        Range of texture v round the cross-section, from the inner side on; u goes round the axis.
+    around : int
+        Vertices round the axis.
+    """
+    angle = np.linspace(0, 2 * np.pi, around + 1)
+    turn_of_section = np.linspace(0, 2 * np.pi, 11)
+    reach = radius_m - thick_m * np.cos(turn_of_section)[:, None]
+    height = np.broadcast_to(-thick_m * np.sin(turn_of_section)[:, None], (11, around + 1))
+    vertices = np.stack([reach * np.cos(angle), reach * np.sin(angle), height], axis=-1)
+    share = turn_of_section[:, None] / (2 * np.pi)
+    uv = np.stack(
+        np.broadcast_arrays(angle[None] / (2 * np.pi), band[0] + (band[1] - band[0]) * share), axis=-1
+    )
+    return Mesh(vertices.reshape(-1, 3), _grid_faces(11, around + 1), uv.reshape(-1, 2))
+
+
 def sheet(n_u: int, n_v: int) -> Mesh:
     """Make a unit square in the x-z plane facing -y, centred, of n_u x n_v vertices; texture 0 .. 1."""
     u, v = np.meshgrid(np.linspace(0, 1, n_u), np.linspace(0, 1, n_v))

@@ -9,13 +9,20 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from optsim.config import Part
 from optsim.quantities import Doubles
 from optsim.scene import geometry
+from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
-from optsim.scene.parts import Positive, Vector
+
+
+def a_direction(axis: Vector) -> Vector:
+    """Axes, checked while the part is built, so that the error names the key."""
+    if not np.linalg.norm(axis) > 0:
+        raise ValueError("expected a direction, not the zero vector")
+    return axis
 
 
 def frame_about(axis: Vector) -> Doubles:
@@ -52,6 +59,8 @@ class Fan(Part):
     n_blades: int = Field(4, ge=2, le=8)
     turns_hz: float = 3.0
     pitch_rad: float = 0.35
+
+    _direction = field_validator("axis")(a_direction)
 
     def rest(self) -> Mesh:
         """Mesh at time 0."""

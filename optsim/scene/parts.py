@@ -1,92 +1,25 @@
-"""What stands still in a scene: camera pose, materials, lamps and objects, as in ``scene.toml``."""
+"""What stands still in a scene: its objects, as in ``scene.toml``."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from optsim.config import Part
-from optsim.errors import ConfigError
 from optsim.scene import geometry
+from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
-from optsim.scene.textures import OUTSIDES, check_texture
-
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
 
 
-def known_texture(name: str | None) -> str | None:
-    """Texture names, checked while the part is built, so that the error names the key."""
-    try:
-        return None if name is None else check_texture(name)
-    except ConfigError as error:
-        raise ValueError(str(error)) from None
-
-
-class CameraPose(Part):
-    """Where the camera stands and looks; z is up, the picture is upright."""
-
-    position_m: Vector
-    target_m: Vector
-
-
-class Material(Part):
-    """Diffuse surface, both sides alike.
-
-    Parameters
-    ----------
-    reflectance : float
-        Hemispherical reflectance in the band; multiplies the texture where there is one.
-    texture : str or None
-        Name in :mod:`optsim.scene.textures`.
-    tile_m : float
-        Length of one texture tile along the surface, m (texture coordinates of movers count as metres).
-    """
-
-    reflectance: float = Field(0.5, ge=0, le=1)
-    texture: str | None = None
-    tile_m: Positive = 1.0
-
-    _known = field_validator("texture")(known_texture)
-
-
-class Lamp(Part):
-    """Rectangular area light facing ``edge_u x edge_v``, uniform or with an HDR picture.
-
-    Parameters
-    ----------
-    center_m, edge_u_m, edge_v_m : vector
-        Centre and full edges.
-    radiance_w_m2_sr : float
-        Radiance; of the picture's relative 1 where there is one.
-    picture : str or None
-        Name of an outside in :mod:`optsim.scene.textures`; such a lamp is a window on the bright outside.
-    sampling_weight : float
-        Share of light samples, relative to other lamps; for low noise about its share of the light.
-    """
-
-    center_m: Vector
-    edge_u_m: Vector
-    edge_v_m: Vector
-    radiance_w_m2_sr: float = Field(gt=0)
-    picture: str | None = None
-    sampling_weight: Positive = 1.0
-
-    @field_validator("picture")
-    @classmethod
-    def _known(cls, name: str | None) -> str | None:
-        if name is not None and name not in OUTSIDES:
-            raise ValueError(f"unknown outside; expected one of: {', '.join(OUTSIDES)}")
-        return name
-
-    @model_validator(mode="after")
-    def _rectangle(self) -> Lamp:
-        u, v = np.asarray(self.edge_u_m), np.asarray(self.edge_v_m)
-        if min(np.linalg.norm(u), np.linalg.norm(v)) < 1e-6 or abs(np.dot(u, v)) > 1e-6:
-            raise ValueError("edge_u_m and edge_v_m of a lamp must be orthogonal and not zero")
-        return self
+def check_edges(u_m: Vector, v_m: Vector, *, orthogonal: bool) -> None:
+    """Raise a ValueError unless two edges span an area, at right angles if need be; at any scale."""
+    u, v = np.asarray(u_m), np.asarray(v_m)
+    area = float(np.linalg.norm(u) * np.linalg.norm(v))
+    if not np.linalg.norm(np.cross(u, v)) > 1e-6 * area or (orthogonal and abs(np.dot(u, v)) > 1e-6 * area):
+        wanted = "orthogonal and not zero" if orthogonal else "neither parallel nor zero"
+        raise ValueError(f"edge_u_m and edge_v_m must be {wanted}; got {list(u_m)} and {list(v_m)}")
 
 
 class Quad(Part):
@@ -104,6 +37,11 @@ class Quad(Part):
     edge_u_m: Vector
     edge_v_m: Vector
     fit: bool = False
+
+    @model_validator(mode="after")
+    def _has_area(self) -> Quad:
+        check_edges(self.edge_u_m, self.edge_v_m, orthogonal=False)
+        return self
 
     def mesh(self) -> Mesh:
         """Make the triangles."""
@@ -136,6 +74,11 @@ class Wall(Part):
     holes_m: tuple[tuple[float, float, float, float], ...] = ()
     depth_m: Positive = 0.15
 
+    @model_validator(mode="after")
+    def _has_area(self) -> Wall:
+        check_edges(self.edge_u_m, self.edge_v_m, orthogonal=True)
+        return self
+
     def mesh(self) -> Mesh:
         """Make the triangles."""
         return geometry.wall(self.corner_m, self.edge_u_m, self.edge_v_m, self.holes_m, self.depth_m)
@@ -150,6 +93,14 @@ class Rod(Part):
     stop_m: Vector
     radius_m: Positive
     radius_stop_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _has_length(self) -> Rod:
+        if self.start_m == self.stop_m:
+            raise ValueError(
+                f"start_m and stop_m must differ; got {list(self.start_m)} twice; cure: use a globe"
+            )
+        return self
 
     def mesh(self) -> Mesh:
         """Make the triangles."""

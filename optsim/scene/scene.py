@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optsim.config import Part, Table, build, read_toml
-from optsim.errors import unknown_name
+from optsim.config import Part, build, read_toml
+from optsim.errors import ConfigError, unknown_name
+from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
+from optsim.scene.keyframed import Carried, Keyframed, carried
+from optsim.scene.lamps import Lamp, flicker_key
+from optsim.scene.materials import Diffuse, Material, Plastic
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
-from optsim.scene.parts import CameraPose, Lamp, Material, StillObject
+from optsim.scene.parts import StillObject
+from optsim.scene.static_shapes import StaticShapes, read_static
+from optsim.scene.textures import PHOTOGRAPHS, photograph
+from optsim.scene.variation import extremes, named_variations, varied
+from optsim.scene.vehicle import Car, CarBody, Wheel
 from optsim.scene.walker import Walker
 
-Mover = Annotated[Walker | Fan | Pendulum | BouncingBall | Card | Crowd, Field(discriminator="kind")]
+Mover = Annotated[
+    Walker | Fan | Pendulum | BouncingBall | Card | Wheel | CarBody | Car | Crowd | Keyframed,
+    Field(discriminator="kind"),
+]
+
+# What a renderer moves: each has ``material``, ``rest()`` and ``vertices(time_s)``.
+SingleMover = Single | Wheel | CarBody | Carried
 
 
 class Scene(Part):
@@ -33,9 +47,13 @@ class Scene(Part):
     max_depth : int
         Longest light path, in segments.
     camera : CameraPose
-        The camera's pose; its field of view is the camera's own business (``View``).
+        The camera's pose and motion; its field of view is the camera's own business (``View``).
     materials, lamps, objects, movers : dict
-        By name.
+        By name. Objects that a keyframed mover names move, all others stand still.
+    static : StaticShapes or None
+        More shapes that stand still; in ``scene.toml`` the name of a file in Mitsuba's XML beside it.
+    reserved : bool
+        Kept for testing: nothing may be trained on it.
     """
 
     name: str
@@ -48,17 +66,48 @@ class Scene(Part):
     lamps: dict[str, Lamp] = Field(min_length=1)
     objects: dict[str, StillObject] = Field(default={})
     movers: dict[str, Mover] = Field(default={})
+    static: StaticShapes | None = None
+    reserved: bool = False
 
     @field_validator("movers")
     @classmethod
     def _no_crowds_inside(cls, movers: dict[str, Mover]) -> dict[str, Mover]:
         members: dict[str, Mover] = {}
         for name, mover in movers.items():
-            if isinstance(mover, Crowd):
+            if isinstance(mover, Crowd | Car):
                 members |= {f"{name}_{key}": single for key, single in mover.members().items()}
             else:
                 members[name] = mover
         return members
+
+    @field_validator("lamps")
+    @classmethod
+    def _one_is_lit(cls, lamps: dict[str, Lamp]) -> dict[str, Lamp]:
+        if not any(lamp.lit for lamp in lamps.values()):
+            raise ValueError(
+                "no lamp is lit, so there is no light at all; cure: set lit = true for at least one"
+            )
+        return lamps
+
+    @model_validator(mode="after")
+    def _carries_what_exists(self) -> Scene:
+        owner: dict[str, str] = {}
+        for name, motion in self._motions().items():
+            for key in motion.objects:
+                if key not in self.objects:
+                    known = self.objects or ["(none declared)"]
+                    raise ValueError(f"movers.{name}.objects: {unknown_name('object', key, known)}")
+                if key in owner:
+                    raise ValueError(
+                        f"movers.{name}.objects: {key!r} is named twice, by {owner[key]!r} and {name!r}; "
+                        "cure: let one mover carry it"
+                    )
+                owner[key] = name
+            if clash := sorted(set(carried(name, motion, self.objects)) & set(self.movers)):
+                raise ValueError(
+                    f"movers.{name}: its part {clash[0]!r} has the name of another mover; cure: rename one"
+                )
+        return self
 
     @model_validator(mode="after")
     def _materials_exist(self) -> Scene:
@@ -69,14 +118,76 @@ class Scene(Part):
                 raise ValueError(f"{name}: {unknown_name('material', user.material, known)}")
         return self
 
-    def singles(self) -> dict[str, Single]:
-        """Return the movers by name, crowds resolved into their members."""
-        return {name: mover for name, mover in self.movers.items() if not isinstance(mover, Crowd)}
+    def singles(self) -> dict[str, SingleMover]:
+        """Return the movers by name, all that have several parts resolved into them."""
+        found: dict[str, SingleMover] = {}
+        for name, mover in self.movers.items():
+            if isinstance(mover, Keyframed):
+                found |= carried(name, mover, self.objects)
+            elif not isinstance(mover, Crowd | Car):
+                found[name] = mover
+        return found
+
+    def _motions(self) -> dict[str, Keyframed]:
+        return {name: mover for name, mover in self.movers.items() if isinstance(mover, Keyframed)}
+
+    def kind_of_change(self) -> Literal["static", "lamps", "movers", "camera"]:
+        """Say what changes with time, the most far-reaching first: camera, movers, lamps, or nothing.
+
+        A scene of kind ``movers`` may have flickering lamps too, and one of kind ``camera`` anything.
+        """
+        if self.camera.moves:
+            return "camera"
+        if self.singles():
+            return "movers"
+        return "lamps" if any(lamp.lit and lamp.flicker for lamp in self.lamps.values()) else "static"
+
+    def light_groups(self) -> dict[str, tuple[str, ...]]:
+        """Group the lit lamps by their flicker: all lamps of a group have the same ``gain``.
+
+        Returns
+        -------
+        dict
+            ``steady`` first where there is any, then one key a flicker, in the order of the lamps' names ->
+            names of its lamps, sorted.
+        """
+        groups: dict[str, tuple[str, ...]] = {}
+        for name, lamp in sorted(self.lamps.items(), key=lambda item: (item[1].flicker is not None, item[0])):
+            if lamp.lit:
+                key = flicker_key(lamp)
+                groups[key] = (*groups.get(key, ()), name)
+        return groups
+
+    def only_lamps(self, names: Iterable[str]) -> Scene:
+        """Return the same scene with only these lamps lit; the others stay as black rectangles.
+
+        Parameters
+        ----------
+        names : iterable of str
+            At least one lamp; one that is not lit here is lit there.
+
+        Raises
+        ------
+        ConfigError
+            For no name at all, or one of no lamp.
+        """
+        wanted = set(names)
+        if not wanted:
+            raise ConfigError(f"only_lamps: got no name, expected at least one of: {', '.join(self.lamps)}")
+        if strange := sorted(wanted - set(self.lamps)):
+            raise unknown_name("lamp", strange[0], self.lamps)
+        lamps = {name: lamp.model_copy(update={"lit": name in wanted}) for name, lamp in self.lamps.items()}
+        return self.model_copy(update={"lamps": lamps})
+
+    def still_objects(self) -> dict[str, StillObject]:
+        """Return the objects that no mover carries, in the order of the file."""
+        moving = {key for motion in self._motions().values() for key in motion.objects}
+        return {key: item for key, item in self.objects.items() if key not in moving}
 
     def still_meshes(self) -> dict[str, Mesh]:
         """One mesh a material, of all objects that never move: fewer shapes trace faster."""
         groups: dict[str, list[Mesh]] = {}
-        for item in self.objects.values():
+        for item in self.still_objects().values():
             groups.setdefault(item.material, []).append(item.mesh())
         return {material: merge(meshes) for material, meshes in groups.items()}
 
@@ -92,7 +203,7 @@ def list_scenes() -> dict[str, tuple[str, ...]]:
     """Shipped scenes and their variations, ``main`` first."""
     found: dict[str, tuple[str, ...]] = {}
     for path in sorted(scenes_folder().glob("*/scene.toml")):
-        found[path.parent.name] = ("main", *_variations(read_toml(path)))
+        found[path.parent.name] = ("main", *named_variations(read_toml(path)))
     return found
 
 
@@ -104,12 +215,15 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     name_or_path : str or Path
         Name of a shipped scene, a folder with a ``scene.toml``, or such a file.
     variation : str
-        ``main``, or a table of overrides under ``[variations.<name>]``.
+        ``main``, a table of overrides under ``[variations.<name>]``, or a whole number as text: every key
+        of ``[ranges]`` is drawn anew, by the scene's name and this number alone.
 
     Raises
     ------
     ConfigError
-        For an unknown scene, variation, key, kind, material or texture, no lamp, or a number out of range.
+        For an unknown scene, variation, key, kind, material, texture or object, a missing photograph, no
+        lamp, a bad shapes file, or a number out of range, be it at the end of a range that this variation
+        does not reach.
     """
     text = str(name_or_path)
     if "/" in text or text.endswith(".toml"):
@@ -120,27 +234,13 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     else:
         raise unknown_name("scene", text, list_scenes())
     table = read_toml(path)
-    variations = _variations(table)
-    table.pop("variations", None)
-    if variation != "main":
-        if variation not in variations:
-            raise unknown_name(f"variation of {text}", variation, ["main", *variations])
-        table = merged(table, variations[variation])
-    return build(Scene, table | {"variation": variation}, where=str(path))
-
-
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> Table:
-    """Table with nested changes laid over it; a name mapped to the empty string is removed."""
-    result = dict(table)
-    for key, value in changes.items():
-        if value == "":
-            result.pop(key, None)
-        elif isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
-            result[key] = merged(result[key], cast("Table", value))
-        else:
-            result[key] = value
-    return result
-
-
-def _variations(table: Table) -> dict[str, Table]:
-    return cast("dict[str, Table]", table.get("variations", {}))
+    static = table.get("static")
+    if isinstance(static, str):
+        table["static"] = read_static(path.parent, static)
+    for extreme in extremes(table, str(path)):
+        build(Scene, extreme, where=f"{path}, at an end of its ranges")
+    scene = build(Scene, varied(table, variation, str(path)) | {"variation": variation}, where=str(path))
+    for material in scene.materials.values():
+        if isinstance(material, Diffuse | Plastic) and material.texture in PHOTOGRAPHS:
+            photograph(material.texture)
+    return scene

@@ -11,12 +11,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
 
 from optsim.errors import ConfigError, unknown_name
 from optsim.quantities import Doubles, Floats
+from optsim.scene.charts import CHARTS
+from optsim.scene.surfaces import SURFACES
 
 PHOTOGRAPHS = {
     "astronaut": "astronaut.png",
@@ -203,6 +206,8 @@ PROCEDURAL: dict[str, Callable[[], Doubles]] = {
     "speckle": _speckle,
     "stripes": _stripes,
     "wardrobe": _wardrobe,
+    **CHARTS,
+    **SURFACES,
 }
 OUTSIDES: dict[str, Callable[[], Doubles]] = {"street": _street}
 
@@ -212,6 +217,24 @@ def check_texture(name: str) -> str:
     if name not in PHOTOGRAPHS and name not in PROCEDURAL:
         raise unknown_name("texture", name, [*PHOTOGRAPHS, *PROCEDURAL])
     return name
+
+
+def photograph(name: str) -> Traversable:
+    """Find the file of a photograph.
+
+    Raises
+    ------
+    ConfigError
+        When the installed scikit-image does not carry it.
+    """
+    path = files("skimage") / "data" / PHOTOGRAPHS[name]
+    if not path.is_file():
+        raise ConfigError(
+            f"texture {name!r}: {PHOTOGRAPHS[name]} is not in the installed scikit-image; "
+            "cure: install the scikit-image wheel from PyPI, or choose a procedural texture: "
+            + ", ".join(PROCEDURAL)
+        )
+    return path
 
 
 @functools.cache
@@ -227,14 +250,7 @@ def reflectance_map(name: str) -> Floats:
         return np.clip(PROCEDURAL[name](), 0, 0.95).astype(np.float32)
     from PIL import Image
 
-    path = files("skimage") / "data" / PHOTOGRAPHS[name]
-    if not path.is_file():
-        raise ConfigError(
-            f"texture {name!r}: {PHOTOGRAPHS[name]} is not in the installed scikit-image; "
-            "cure: install the scikit-image wheel from PyPI, or choose a procedural texture: "
-            + ", ".join(PROCEDURAL)
-        )
-    with path.open("rb") as stream, Image.open(stream) as picture:
+    with photograph(name).open("rb") as stream, Image.open(stream) as picture:
         grey = np.asarray(picture.convert("L"), np.float64)[::-1] / 255
     # Paper and paint reflect 3 to 90 %: the photograph's black and white, not the renderer's 0 and 1.
     return (0.03 + 0.87 * grey**2.2).astype(np.float32)

@@ -14,8 +14,8 @@ from pydantic import Field
 from optsim.config import Part
 from optsim.quantities import Doubles
 from optsim.scene import geometry
+from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
-from optsim.scene.parts import Positive, Vector
 
 # Bands in v of the texture "wardrobe".
 _SKIN, _SHIRT, _TROUSERS, _SHOES, _HAIR = ((i / 5 + 0.004, (i + 1) / 5 - 0.004) for i in range(5))

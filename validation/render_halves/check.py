@@ -10,7 +10,8 @@ import numpy as np
 
 from optsim.cache import Cache
 from optsim.quantities import Doubles, Timing, View
-from optsim.render import RenderSettings, render_truth, truth
+from optsim.render import RenderSettings, render_truth
+from optsim.render.plan import Plan
 from optsim.scene import load_scene
 
 CLAIM = "the mean square of half the difference of the two halves is the variance of the truth"
@@ -31,13 +32,13 @@ def measure() -> float:
 
 def perturbed() -> float:
     """With half B on the random numbers of half A for the static light."""
-    honest = truth._Plan.seeds
+    honest = Plan.seeds
 
-    def careless(plan: truth._Plan, *purpose: object) -> tuple[int, int]:
+    def careless(plan: Plan, *purpose: object) -> tuple[int, int]:
         seeds = honest(plan, *purpose)
         return (seeds[0], seeds[0]) if purpose[0] == "static" else seeds
 
-    with mock.patch.object(truth._Plan, "seeds", careless):
+    with mock.patch.object(Plan, "seeds", careless):
         return _deviation()
 
 
@@ -47,7 +48,7 @@ def _deviation() -> float:
     stated: list[Doubles] = []
     for seed in range(_TRUTHS):
         settings = RenderSettings(
-            static_samples=4, key_samples=4, mover_samples=4, slots_per_segment=2, max_step_px=4, seed=seed
+            static_error=0.5, change_error=0.5, moving_error=0.8, slots_per_segment=2, seed=seed
         )
         with tempfile.TemporaryDirectory() as folder:
             video = render_truth(scene, view, Timing(1 / 180, 2, 1), settings, cache=Cache(Path(folder)))

@@ -1,0 +1,171 @@
+"""What movers change where they are not: difference rendering with common random numbers.
+
+Control variate (J. M. Hammersley and D. C. Handscomb, "Monte Carlo Methods", Methuen 1964, ch. 5): F_n - B_n,
+the same n random paths with and without movers, has almost no noise wherever few paths meet a mover.
+Paths that never come near one (``nearby``) are not traced again: their difference is zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.quantities import Bools, Doubles, Floats, Ints
+from optsim.render.allocation import Tiles, smoothed, tally
+from optsim.render.nearby import boxes_around
+from optsim.render.plan import Plan
+from optsim.render.stage import Stage
+
+_MOST = 32
+_PILOT_SAMPLES = 2
+# What a path that needn't be traced again costs, relative to one that must: it is only looked up.
+_LOOK_UP = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class _Paths:
+    """Paths without movers: for some pixels, a stretch of each one's samples; (n, sample)."""
+
+    radiance: Floats
+    near: Bools
+
+
+class Difference:
+    """The scene with, without, and around the movers, and the paths already traced without them.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to render.
+    static : ndarray of shape (2, y, x), float32
+        Light without movers.
+
+    Attributes
+    ----------
+    moving : Stage
+        The scene with movers.
+    """
+
+    def __init__(self, plan: Plan, static: Floats) -> None:
+        times_s = np.asarray([plan.time_s(slot) for slot in range(plan.timing.n_slots + 1)])
+        boxes = boxes_around(plan.scene, times_s)
+        self.moving = Stage(plan.scene, plan.view, boxes=boxes)
+        self._plan, self._boxes, self._static = plan, boxes, static.mean(axis=0).ravel()
+        self._still = Stage(plan.scene, plan.view, movers=False, boxes=boxes)
+        self._around = Stage(plan.scene, plan.view, movers=False, boxes=boxes, glow=True)
+        # (turn, half, level) -> row of each pixel, and its paths. Only a memo: paths are keyed by pixel, so
+        # it doesn't matter when they are traced.
+        self._known: dict[tuple[object, int, int], tuple[Ints, _Paths]] = {}
+        entry = plan.cache.get(plan.key("near", plan.timing.n_slots), self._near_share)
+        self._cost = np.array(entry["share"]).ravel() + np.float32(_LOOK_UP)
+
+    def counts(self, tiles: Tiles, pixels: Ints, target: float) -> Floats:
+        """Share out samples a half over some pixels, from what other random numbers showed."""
+        cost = self._cost[pixels]
+        return self._plan.counts(tiles, pixels, self._static[pixels], target, least=1, most=_MOST, cost=cost)
+
+    def pilot(self, time_s: float, pixels: Ints) -> Tiles:
+        """Statistics at an instant from random numbers of their own."""
+        return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
+
+    def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Tiles]:
+        """Render what the movers change at an instant, in some pixels.
+
+        Parameters
+        ----------
+        time_s : float
+            The instant.
+        pixels : ndarray of shape (n,)
+            Flat indices, each once.
+        counts : ndarray of shape (n,)
+            Samples a half, powers of two.
+        turn : object
+            Which set of random numbers.
+
+        Returns
+        -------
+        change : ndarray of shape (2, n), float64
+            Estimate of each half, W m^-2 sr^-1; unbiased, of either sign.
+        tiles : Tiles
+            Statistics for the next call.
+        """
+        all_near = self._boxes is None or not self._boxes.hold(self._plan.scene, time_s)
+        levels = range(int(np.log2(counts.max(initial=1))) + 1)
+        wanted = [(half, level, np.flatnonzero(counts >= 1 << level)) for half in (0, 1) for level in levels]
+        self._trace_new(turn, [(half, level, pixels[here]) for half, level, here in wanted])
+        where: list[Ints] = []
+        first: list[Ints] = []
+        before: list[Floats] = []
+        for half, level, here in wanted:
+            rows, paths = self._known[turn, half, level]
+            at = rows[pixels[here]]
+            row, sample = np.nonzero(paths.near[at] | all_near)
+            where.append(here[row] + half * len(pixels))
+            first.append(sample + (1 << level >> 1))
+            before.append(paths.radiance[at[row], sample])
+        place = np.concatenate(where)
+        self.moving.pose(time_s)
+        seen = self.moving.paths(
+            pixels[place % len(pixels)],
+            np.ones(len(place), np.int64),
+            np.asarray(self._plan.seeds("key", turn), np.int64)[place // len(pixels)],
+            np.concatenate(first),
+        )
+        difference = seen - np.concatenate(before)
+        n, total = counts.astype(np.float64), 2 * len(pixels)
+        added = np.bincount(place, difference, total).reshape(2, -1)
+        squared = np.bincount(place, difference**2, total).reshape(2, -1).sum(axis=0)
+        variance = np.maximum(squared - added.sum(axis=0) ** 2 / (2 * n), 0) / (2 * n - 1)
+        change = added / n
+        light = self._static[pixels] + change.mean(axis=0)
+        return change, tally(self._plan.shape, pixels, variance, light)
+
+    def _trace_new(self, turn: object, wanted: list[tuple[int, int, Ints]]) -> None:
+        """Trace paths without movers that nobody asked for before: of (half, level, pixels).
+
+        Level 0 is path 0 of a pixel, 1 is path 1, 2 paths 2 and 3, 3 paths 4 to 7, ...
+        """
+        asks: list[Ints] = []
+        for half, level, pixels in wanted:
+            first, width = _stretch(level)
+            if (turn, half, level) not in self._known:
+                nothing = np.zeros((0, width), np.float32)
+                rows = np.full(len(self._static), -1, np.int64)
+                self._known[turn, half, level] = rows, _Paths(nothing, nothing.astype(np.bool_))
+            rows, paths = self._known[turn, half, level]
+            new = pixels[rows[pixels] < 0]
+            rows[new] = len(paths.radiance) + np.arange(len(new))
+            seeds = np.full(len(new) * width, self._plan.seeds("key", turn)[half])
+            asks.append(np.stack([np.repeat(new, width), seeds, np.tile(first + np.arange(width), len(new))]))
+        ask = np.concatenate(asks, axis=1)
+        if not ask.size:
+            return
+        once = np.ones(ask.shape[1], np.int64)
+        found = self._still.paths(ask[0], once, *ask[1:])
+        # What the glow changes, a mover may change: such a path meets a box.
+        near = found != self._around.paths(ask[0], once, *ask[1:]) if self._boxes else once > 0
+        ends = np.cumsum([part.shape[1] for part in asks])[:-1]
+        parts = zip(wanted, np.split(found.astype(np.float32), ends), np.split(near, ends), strict=True)
+        for (half, level, _), radiance, is_near in parts:
+            rows, paths = self._known[turn, half, level]
+            shape = -1, _stretch(level)[1]
+            self._known[turn, half, level] = (
+                rows,
+                _Paths(
+                    np.concatenate([paths.radiance, radiance.reshape(shape)]),
+                    np.concatenate([paths.near, is_near.reshape(shape)]),
+                ),
+            )
+
+    def _near_share(self) -> dict[str, Floats]:
+        """Share of the paths of each pixel that come near a mover, smoothed."""
+        pixels = self._plan.pixels
+        self._trace_new("pilot", [(0, 0, pixels), (1, 0, pixels)])
+        halves = [self._known["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
+        return {"share": smoothed(self._plan.shape, np.mean(halves, axis=0))}
+
+
+def _stretch(level: int) -> tuple[int, int]:
+    """First path of a level, and how many."""
+    return 1 << level >> 1, max(1, 1 << level >> 1)

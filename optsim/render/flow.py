@@ -1,0 +1,195 @@
+"""All passes of an instant: the first surfaces, and where their points are seen a step later and earlier.
+
+A surface point is carried along by its triangle, whose vertices at another instant are a mover's pure
+function of time; so rigid and deforming movers, a moving camera and both directions are one piece of code,
+and flow cannot disagree with poses. Whether the point is seen there is asked of the renderer, by a ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.quantities import Bools, Doubles, ObjectPose, Passes, View
+from optsim.render.backend import activate
+from optsim.render.gbuffer import Hits, ObjectIds, camera_to_world, cast, intrinsics, sample_rays
+from optsim.render.stage import Stage
+from optsim.scene.camera_pose import CameraPose
+from optsim.scene.scene import Scene
+
+# A ray meets the same surface point if it goes as far, to this share of the distance; rays and vertices are
+# float32 there (1e-7 of the distance, more on grazing surfaces).
+SAME_POINT = 2e-4
+# A mover is rigid if no vertex deviates from a rigid motion by more than this share of its size.
+_RIGID = 1e-6
+
+
+def render_passes(
+    scene: Scene, view: View, time_s: float, step_s: float, *, backend: str | None = None
+) -> Passes:
+    """Render depth, normals, albedo, ids, flow, masks and poses of one instant.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to look at.
+    view : View
+        Fine grid and field of view.
+    time_s : float
+        The instant t, s.
+    step_s : float
+        Flow goes to t + step_s and to t - step_s, s.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+
+    Raises
+    ------
+    BackendError
+        When no renderer backend works.
+    """
+    return PassRenderer(scene, view, backend=backend).at(time_s, step_s)
+
+
+class PassRenderer:
+    """A scene loaded once, for the passes of many instants.
+
+    Parameters
+    ----------
+    scene, view, backend
+        As in :func:`render_passes`.
+    """
+
+    def __init__(self, scene: Scene, view: View, *, backend: str | None = None) -> None:
+        activate(backend)
+        self._scene, self._view = scene, view
+        self._stage = Stage(scene, view)
+        self._ids = ObjectIds(scene, self._stage.loaded)
+        self._movers = scene.singles()
+        self._faces = {name: mover.rest().faces for name, mover in self._movers.items()}
+        self._rays = sample_rays(view)
+
+    def at(self, time_s: float, step_s: float) -> Passes:
+        """Render the passes of one instant; parameters as in :func:`render_passes`."""
+        view, ids = self._view, self._ids
+        now = self._moment(time_s)
+        directions = self._rays @ now.matrix[:3, :3].T
+        self._stage.pose(time_s)
+        hits = cast(self._stage, now.pose, directions)
+        numbers = ids.of(hits)
+        points = now.matrix[:3, 3] + hits.distance_m[:, None] * directions
+        # Projected back rather than taken from the grid: what rests has no flow, not even a rounded one.
+        before = self._places(points, now)
+        ends = [self._moment(time_s - step_s), self._moment(time_s + step_s)]
+        (back, lost_back), (ahead, lost_ahead) = (
+            self._flow(hits, before, self._carried(hits, points, now, end), end) for end in ends
+        )
+        moments = (ends[0], now, ends[1])
+
+        def plane(values: Doubles) -> np.ndarray:
+            return values.reshape(view.rows, view.cols, *values.shape[1:]).astype(np.float32)
+
+        def mask(values: Bools) -> Bools:
+            return values.reshape(view.rows, view.cols)
+
+        return Passes(
+            times_s=(ends[0].time_s, time_s, ends[1].time_s),
+            depth_m=plane(hits.distance_m * self._rays[:, 2]),
+            distance_m=plane(hits.distance_m),
+            normal=plane(hits.normal),
+            albedo=plane(hits.albedo),
+            ids=numbers.reshape(view.rows, view.cols),
+            moving=mask(ids.moving[numbers]),
+            flow_forward_px=plane(ahead),
+            flow_backward_px=plane(back),
+            occluded_forward=mask(lost_ahead),
+            occluded_backward=mask(lost_back),
+            id_table=ids.table,
+            intrinsics_px=intrinsics(view),
+            camera_to_world=np.stack([moment.matrix for moment in moments]),
+            object_poses={
+                f"mover/{name}": _object_pose(
+                    mover.vertices(0.0), [moment.vertices_m[name] for moment in moments]
+                )
+                for name, mover in self._movers.items()
+            },
+        )
+
+    def _moment(self, time_s: float) -> _Moment:
+        pose = self._scene.camera.at(time_s)
+        vertices = {name: mover.vertices(time_s) for name, mover in self._movers.items()}
+        return _Moment(time_s, pose, camera_to_world(pose), vertices)
+
+    def _carried(self, hits: Hits, points: Doubles, now: _Moment, end: _Moment) -> Doubles:
+        """Where surface points (n, 3) are at another instant, m."""
+        carried = points.copy()
+        for shape, name in self._ids.movers.items():
+            mine = np.flatnonzero(hits.shape == shape)
+            corners = self._faces[name][hits.face[mine]]
+            second, third = hits.weights[mine].T
+            weights = np.stack([1 - second - third, second, third], axis=-1)
+            way = end.vertices_m[name] - now.vertices_m[name]
+            carried[mine] += np.einsum("nk,nkx->nx", weights, way[corners])
+        return carried
+
+    def _places(self, points: Doubles, moment: _Moment) -> Doubles:
+        """Row, column and depth (n, 3) of points; without meaning where the depth isn't positive."""
+        there = (points - moment.matrix[:3, 3]) @ moment.matrix[:3, :3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            col, row, _ = intrinsics(self._view) @ (there / there[:, 2:]).T
+        return np.stack([row, col, there[:, 2]], axis=-1)
+
+    def _flow(self, hits: Hits, before: Doubles, carried: Doubles, end: _Moment) -> tuple[Doubles, Bools]:
+        """Flow (n, 2) from places ``before`` to where points are seen then, and which of them aren't."""
+        after = self._places(carried, end)
+        row, col, depth = after.T
+        sensible = (hits.shape >= 0) & (depth > end.pose.near_m) & (depth < end.pose.far_m)
+        flow = np.where(sensible[:, None], (after - before)[:, :2], 0.0)
+        seen = sensible & (row >= 0) & (row < self._view.rows) & (col >= 0) & (col < self._view.cols)
+        lanes = np.flatnonzero(seen)
+        ways = carried[lanes] - end.matrix[:3, 3]
+        distance = np.linalg.norm(ways, axis=1)
+        self._stage.pose(end.time_s)
+        found = cast(self._stage, end.pose, ways / distance[:, None])
+        same = self._ids.of(found) == self._ids.of(hits)[lanes]
+        seen[lanes] = same & (np.abs(found.distance_m - distance) <= SAME_POINT * distance)
+        return flow, ~seen
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """Camera and movers at an instant."""
+
+    time_s: float
+    pose: CameraPose
+    matrix: Doubles
+    vertices_m: dict[str, Doubles]
+
+
+def _object_pose(rest: Doubles, moved: list[Doubles]) -> ObjectPose:
+    """Fit a rigid motion to each of some sets of vertices, if there is one."""
+    fits = [rigid_motion(rest, vertices) for vertices in moved]
+    size = float(np.ptp(rest, axis=0).max())
+    worst = max(deviation for _, deviation in fits)
+    rigid = worst <= _RIGID * size
+    return ObjectPose(
+        matrices=np.stack([matrix for matrix, _ in fits]) if rigid else None,
+        reason="" if rigid else f"deforms: {worst:.3g} m from a rigid motion",
+        center_m=np.stack([vertices.mean(axis=0) for vertices in moved]),
+    )
+
+
+def rigid_motion(start: Doubles, stop: Doubles) -> tuple[Doubles, float]:
+    """Fit the rigid motion (4, 4) that takes points to points, and its largest deviation, m.
+
+    Least squares by a singular value decomposition: W. Kabsch, Acta Cryst. A 32, 922 (1976), with the
+    sign of S. Umeyama, IEEE TPAMI 13, 376 (1991), so that flat sets are not mirrored.
+    """
+    center, target = start.mean(axis=0), stop.mean(axis=0)
+    u, _, vt = np.linalg.svd((start - center).T @ (stop - target))
+    sign = np.sign(np.linalg.det(u @ vt))
+    turn = vt.T @ np.diag([1, 1, sign]) @ u.T
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn, target - turn @ center
+    deviation = np.linalg.norm(start @ turn.T + matrix[:3, 3] - stop, axis=1)
+    return matrix, float(deviation.max())

@@ -1,0 +1,174 @@
+"""Whole pictures, every slot by itself: what is left when the camera moves, and what training footage is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from optsim.progress import Progress, silent
+from optsim.quantities import Block, Doubles, Floats, Segment, Timing, View
+from optsim.render.allocation import Tiles
+from optsim.render.backend import activate
+from optsim.render.footprint import path_px
+from optsim.render.moving import ERROR_PER_PX
+from optsim.render.plan import Plan, seed_of
+from optsim.render.stage import Stage
+from optsim.render.still import halves_tally
+from optsim.scene.scene import Scene
+
+_PILOT_SAMPLES = 4
+
+
+def poses_per_instant(plan: Plan, slot: int) -> int:
+    """Count the poses whose mean is an instant of a slot, by the farthest way that anything visible goes.
+
+    A power of two.
+    """
+    times = plan.time_s(slot), plan.time_s(slot + 1)
+    still = [mesh.vertices_m for mesh in plan.scene.still_meshes().values()]
+    ways = [path_px(lambda _, v=v: v, *times, 1, plan.scene.camera, plan.view) for v in still]
+    ways += [
+        path_px(mover.vertices, *times, 1, plan.scene.camera, plan.view)
+        for mover in plan.scene.singles().values()
+    ]
+    way = max(ways, default=0.0) / plan.settings.instants_per_slot
+    needed = way * ERROR_PER_PX / plan.settings.interpolation_error
+    return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))
+
+
+def render_slot(plan: Plan, stage: Stage, slot: int, before: Tiles) -> dict[str, Floats]:
+    """Render both halves of every instant of a slot, samples allocated by the slot before.
+
+    Poses are at the middles of equal parts of an instant, so that their mean is its motion blur. A pixel
+    that is worth fewer samples than there are poses sees one, at random, of each equal group of them.
+
+    Returns
+    -------
+    dict
+        ``light`` (half, t, y, x) in W m^-2 sr^-1, and ``tiles`` for the next slot.
+    """
+    n_instants, n_poses = plan.settings.instants_per_slot, poses_per_instant(plan, slot)
+    pixels, about = plan.pixels, np.zeros(len(plan.pixels), np.float32)
+    target = plan.settings.moving_error * np.sqrt(n_instants)
+    counts = plan.counts(before, pixels, about, target, least=1).astype(np.int64)
+    light = np.zeros((2, n_instants, len(pixels)))
+    for instant in range(n_instants):
+        luck = [plan.luck("slot", slot, instant, group) for group in range(n_poses)]
+        for pose in range(n_poses):
+            stage.pose(plan.time_s(slot + (instant + (pose + 0.5) / n_poses) / n_instants))
+            size = np.maximum(n_poses // counts, 1)
+            group = pose // size
+            for half, seed in enumerate(plan.seeds("slot", slot, instant, pose)):
+                chance = np.stack([one[half] for one in luck])[group, pixels]
+                where = np.flatnonzero(pose % size == np.floor(chance * size))
+                samples = np.maximum(counts[where] // n_poses, 1)
+                seen = stage.paths(pixels[where], samples, np.full(len(where), seed))
+                light[half, instant, where] += seen * samples / counts[where]
+    tiles = [halves_tally(plan, pixels, light[:, i], counts.astype(np.float64)) for i in range(n_instants)]
+    return {
+        "light": light.reshape(2, n_instants, *plan.shape).astype(np.float32),
+        "tiles": np.asarray(np.mean([each.arrays() for each in tiles], axis=0), np.float32),
+    }
+
+
+def load_slots(plan: Plan) -> list[str]:
+    """Render whatever slots the cache lacks; return their places in it."""
+    stage = Stage(plan.scene, plan.view)
+
+    def pilot() -> dict[str, Floats]:
+        stage.pose(0.0)
+        light = stage.radiance(plan.pixels, _PILOT_SAMPLES, plan.seeds("pilot", "slots"))
+        return {"tiles": halves_tally(plan, plan.pixels, light, float(_PILOT_SAMPLES)).arrays()}
+
+    keys: list[str] = [plan.key("pilot", "slots")]
+    chosen = plan.settings
+    for slot in range(plan.timing.n_slots):
+        what = chosen.moving_error, chosen.interpolation_error, chosen.instants_per_slot, plan.stop()
+        keys.append(plan.key("slot", slot, *what))
+        if keys[-1] not in plan.cache:
+            before = Tiles.of(plan.cache.get(keys[-2], pilot)["tiles"])
+            plan.cache.get(keys[-1], lambda s=slot, b=before: render_slot(plan, stage, s, b))
+        plan.progress("slots", slot + 1, plan.timing.n_slots)
+    return keys[1:]
+
+
+def slot_segment(images: Floats) -> Segment:
+    """Make one slot a segment: its mean, and the instants' differences from it where there are several."""
+    mean = images.mean(axis=0, dtype=np.float64).astype(np.float32)
+    blocks = (Block(0, 0, images - mean),) if len(images) > 1 else ()
+    return Segment(mean, mean, blocks, len(images))
+
+
+def slot_image(
+    stage: Stage, first_s: float, slot_s: float, samples: int, poses: int, seeds: tuple[int, ...]
+) -> Doubles:
+    """Mean radiance during a slot, from poses at the centres of its equal parts, every pixel alike.
+
+    Parameters
+    ----------
+    stage : Stage
+        Scene and view.
+    first_s, slot_s : float
+        Start and length of the slot.
+    samples, poses : int
+        Samples of each pose and seed, and poses.
+    seeds : tuple of int
+        One independent estimate for each.
+
+    Returns
+    -------
+    ndarray of shape (seed, y, x), float64
+    """
+    rows, cols = stage.view.rows, stage.view.cols
+    total = np.zeros((len(seeds), rows * cols))
+    for pose in range(poses):
+        stage.pose(first_s + slot_s * (pose + 0.5) / poses)
+        turn = tuple(seed_of(seed, pose) for seed in seeds)
+        total += stage.radiance(np.arange(rows * cols), samples, turn)
+    return (total / poses).reshape(len(seeds), rows, cols)
+
+
+def render_footage(
+    scene: Scene,
+    view: View,
+    timing: Timing,
+    *,
+    samples: int = 32,
+    poses_per_slot: int = 2,
+    seed: int = 0,
+    backend: str | None = None,
+    progress: Progress = silent,
+) -> Floats:
+    """Radiance slot means at panel resolution, by the plain loop: footage to train priors on.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to render.
+    view : View
+        Fine grid; the footage has one sample a panel pixel.
+    timing : Timing
+        Slots.
+    samples : int
+        Samples a panel pixel and slot.
+    poses_per_slot : int
+        Poses whose mean is a slot.
+    seed : int
+        Of all random numbers.
+    backend, progress
+        As in ``render_truth``; the stage is called "footage".
+
+    Returns
+    -------
+    ndarray of shape (slot, v, u), float32
+        Mean radiance, W m^-2 sr^-1.
+    """
+    activate(backend)
+    n = view.samples_per_pitch
+    stage = Stage(scene, View(view.rows // n, view.cols // n, 1, view.tan_half_width))
+    frames = np.empty((timing.n_slots, stage.view.rows, stage.view.cols), np.float32)
+    share = max(1, samples // poses_per_slot)
+    for slot in range(timing.n_slots):
+        seeds = (seed_of(seed, "footage", slot),)
+        frames[slot] = slot_image(stage, slot * timing.slot_s, timing.slot_s, share, poses_per_slot, seeds)[0]
+        progress("footage", slot + 1, timing.n_slots)
+    return frames

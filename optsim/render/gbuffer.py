@@ -1,0 +1,193 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+"""The first surface along rays of our own, and which object it is: one wavefront, no light.
+
+Mitsuba's ``aov`` around a path tracer traces every camera ray twice; a wavefront of primary rays alone is
+cheaper than either, and it needs no film, hence no filter: ids and edges stay whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optsim.quantities import Doubles, Ids, Ints, View
+from optsim.render.describe import unit_m
+from optsim.render.stage import Stage
+from optsim.scene.camera_pose import CameraPose
+from optsim.scene.scene import Scene
+
+# A shading normal shorter than this is none: its neighbours' normals cancelled out.
+_SHORTEST_NORMAL = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """First surface along each of n rays.
+
+    Parameters
+    ----------
+    distance_m : ndarray of shape (n,), float64
+        Along the ray from the pinhole; 0 where there is nothing.
+    shape, face : ndarray of shape (n,), int64
+        Index of Mitsuba's shape, -1 for nothing, and of its triangle.
+    weights : ndarray of shape (n, 2), float64
+        Barycentric weights of the triangle's second and third vertex.
+    normal : ndarray of shape (n, 3), float64
+        Unit shading normal in the world, on the ray's side.
+    albedo : ndarray of shape (n,), float64
+        Diffuse reflectance in the band, 0..1; of the base under a coat; 0 where there is no diffuse part.
+    """
+
+    distance_m: Doubles
+    shape: Ints
+    face: Ints
+    weights: Doubles
+    normal: Doubles
+    albedo: Doubles
+
+
+def intrinsics(view: View) -> Doubles:
+    """Matrix from the camera frame (x right, y down, z forward) to (column, row, 1) times depth."""
+    focal_px = view.cols / 2 / view.tan_half_width
+    return np.array([[focal_px, 0, view.cols / 2], [0, focal_px, view.rows / 2], [0, 0, 1]], np.float64)
+
+
+def camera_to_world(pose: CameraPose) -> Doubles:
+    """Matrix (4, 4) from the camera frame (x right, y down, z forward) of a motionless pose to the world."""
+    origin = np.asarray(pose.position_m, np.float64)
+    forward = np.asarray(pose.target_m) - origin
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([right, np.cross(forward, right), forward, origin], axis=1)
+    return matrix
+
+
+def sample_rays(view: View) -> Doubles:
+    """Make the unit directions through all sample centres, in the camera frame: (n, 3), row-major."""
+    row, col = np.indices((view.rows, view.cols)).reshape(2, -1) + 0.5
+    scale = 2 * view.tan_half_width / view.cols
+    across, down = (col - view.cols / 2) * scale, (row - view.rows / 2) * scale
+    length = np.sqrt(across**2 + down**2 + 1)
+    return np.stack([across / length, down / length, 1 / length], axis=-1)
+
+
+def cast(stage: Stage, pose: CameraPose, directions: Doubles) -> Hits:
+    """Find the first surface along rays from the pinhole, within the camera's depth range.
+
+    Parameters
+    ----------
+    stage : Stage
+        Scene at an instant.
+    pose : CameraPose
+        Motionless pose: pinhole, direction and depth range.
+    directions : ndarray of shape (n, 3)
+        Unit directions in the world.
+    """
+    unit = unit_m(stage.scene)
+    slope = directions @ camera_to_world(pose)[:3, 2]
+    before = pose.near_m / slope
+    start = np.asarray(pose.position_m) + before[:, None] * directions
+    found = _intersect(stage.loaded, start / unit, directions, (pose.far_m - pose.near_m) / slope / unit)
+    hit = np.isfinite(found[:, 0])
+    found[~hit] = 0.0
+    normal = found[:, 5:8]
+    length = np.linalg.norm(normal, axis=1)
+    normal = np.where((length > _SHORTEST_NORMAL)[:, None], normal, found[:, 8:11])
+    length = np.where(hit, np.linalg.norm(normal, axis=1), 1.0)
+    side = np.where(np.einsum("ij,ij->i", normal, directions) > 0, -1.0, 1.0)
+    return Hits(
+        distance_m=np.where(hit, found[:, 0] * unit + before, 0.0),
+        shape=np.where(hit, found[:, 1], -1).astype(np.int64),
+        face=found[:, 2].astype(np.int64),
+        weights=found[:, 3:5],
+        normal=normal * (side / length)[:, None],
+        albedo=np.clip(found[:, 11], 0.0, 1.0),
+    )
+
+
+def _intersect(loaded: Any, start: Doubles, directions: Doubles, reach: Doubles) -> Doubles:
+    """Trace rays: columns t (infinite for nothing), shape, face, u, v, shading normal, normal, albedo."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if not len(start):
+        return np.zeros((0, 12))
+    if str(mi.variant()).startswith("scalar"):
+        rays = zip(start.tolist(), directions.tolist(), reach.tolist(), strict=True)
+        return np.array([np.ravel(_first_hit(mi, loaded, *ray)) for ray in rays], np.float64)
+    points, ways = (mi.Vector3f(a.T.astype(np.float32)) for a in (start, directions))
+    found = _first_hit(mi, loaded, mi.Point3f(points), ways, mi.Float(reach.astype(np.float32)))
+    dr.eval(found)  # at once: each column by itself would trace all rays again
+    return np.stack([np.asarray(column.numpy(), np.float64) for column in found], axis=1)
+
+
+def _first_hit(mi: Any, loaded: Any, start: Any, direction: Any, reach: Any) -> list[Any]:
+    """Find the first surface of one ray, or of a wavefront of rays, whichever the variant knows."""
+    ray = mi.Ray3f(start, direction, reach, 0.0, [])
+    first = loaded.ray_intersect_preliminary(ray)
+    hit = first.is_valid()
+    if hit is False:
+        return [np.inf, *[0.0] * 11]
+    surface = first.compute_surface_interaction(ray)
+    material = surface.bsdf(ray)
+    # Materials with a diffuse part call its reflectance by one of these names; Mitsuba's own
+    # eval_diffuse_reflectance is no albedo for them: it evaluates the gloss, which exceeds 1. In a wavefront
+    # the others answer 0; a single one refuses.
+    names = ("reflectance", "diffuse_reflectance")
+    known = [name for name in names if hit is not True or material.has_attribute(name, True)]
+    albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
+    uv, smooth, flat = first.prim_uv, surface.sh_frame.n, surface.n
+    return [first.t, first.shape_index, first.prim_index, uv[0], uv[1], *smooth, *flat, albedo]
+
+
+class ObjectIds:
+    """Which object a triangle of Mitsuba's scene belongs to.
+
+    Ids are 1, 2, ... by the sorted names of all lamps, objects and movers; 0 is nothing. The renderer's
+    shapes are merged by material, so an object is a range of triangles.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    loaded : Any
+        Mitsuba's scene made of it.
+    """
+
+    def __init__(self, scene: Scene, loaded: Any) -> None:
+        parts = [_objects_of(scene, str(shape.id())) for shape in loaded.shapes()]
+        names = {name for shape in parts for name, _ in shape}
+        self.table = dict(enumerate(sorted(names), start=1))
+        number = {name: index for index, name in self.table.items()}
+        self.moving = np.array([False, *(name.startswith("mover/") for name in self.table.values())])
+        self.movers = {
+            index: name.removeprefix("mover/")
+            for index, shape in enumerate(parts)
+            for name, _ in shape
+            if name.startswith("mover/")
+        }
+        owners, counts = zip(*((number[name], n) for shape in parts for name, n in shape), strict=True)
+        self._number = np.array([0, *np.repeat(owners, counts)], np.uint32)
+        self._start = np.cumsum([0, *(sum(n for _, n in shape) for shape in parts)])
+
+    def of(self, hits: Hits) -> Ids:
+        """Object id of each hit, uint32."""
+        start, stop = self._start[hits.shape], self._start[hits.shape + 1] - 1
+        place = np.minimum(start + hits.face, stop) + 1
+        return self._number[np.where(hits.shape < 0, 0, place)]
+
+
+def _objects_of(scene: Scene, shape: str) -> list[tuple[str, int]]:
+    """Objects in a shape, each with its number of triangles; 1 for a shape that is one object."""
+    kind, _, rest = shape.partition("_")
+    if kind == "still" and rest in scene.materials:
+        mine = {name: item for name, item in scene.still_objects().items() if item.material == rest}
+        return [(f"object/{name}", len(item.mesh().faces)) for name, item in mine.items()]
+    if (kind == "lamp" and rest in scene.lamps) or (kind == "mover" and rest in scene.singles()):
+        return [(f"{kind}/{rest}", 1)]
+    return [(f"static/{shape.removeprefix('static_')}", 1)]

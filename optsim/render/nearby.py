@@ -1,0 +1,135 @@
+"""Which random paths come near a mover at all: boxes around everything that movers ever do.
+
+A path that meets none of these boxes is the same with and without movers, so it need not be traced
+again at every pose. That it meets one shows in a render of the scene without movers in which the boxes
+glow: opaque, far brighter than any lamp, and never chosen as a light source, so that all random
+choices before stay the same. Every other path gives bitwise the same radiance as without boxes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optsim.quantities import Doubles
+from optsim.scene import geometry
+from optsim.scene.geometry import Mesh
+from optsim.scene.scene import Scene
+
+# Pieces of a mover that get a box each; more fit more tightly and cost more to trace.
+_PIECES = 8
+# Slack around a box, relative to its size: float32 vertices are not quite where float64 ones are.
+_SLACK = 1e-4
+_GLOW_W_M2_SR = 1e7
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes that hold pieces of movers at all times sampled.
+
+    Parameters
+    ----------
+    pieces : mapping
+        Mover -> vertex indices of each of its pieces.
+    low_m, high_m : mapping
+        Mover -> corners of each piece's box, (piece, 3).
+    """
+
+    pieces: Mapping[str, list[np.ndarray]]
+    low_m: Mapping[str, Doubles]
+    high_m: Mapping[str, Doubles]
+
+    def hold(self, scene: Scene, time_s: float) -> bool:
+        """Whether every mover is inside its boxes at an instant; if not, any path may meet it."""
+        for name, mover in scene.singles().items():
+            low, high = _extents(mover.vertices(time_s), self.pieces[name])
+            if (low < self.low_m[name]).any() or (high > self.high_m[name]).any():
+                return False
+        return True
+
+    def mesh(self) -> Mesh:
+        """All boxes in one mesh."""
+        corners = [
+            (low, high)
+            for name in self.pieces
+            for low, high in zip(self.low_m[name], self.high_m[name], strict=True)
+        ]
+        return geometry.merge([geometry.box((low + high) / 2, high - low) for low, high in corners])
+
+
+def boxes_around(scene: Scene, times_s: Doubles) -> Boxes | None:
+    """Box the movers' pieces over some times, with room for what they do between.
+
+    Returns
+    -------
+    Boxes or None
+        None without movers, or when the camera is inside a box: then every path starts near.
+    """
+    pieces: dict[str, list[np.ndarray]] = {}
+    low_m: dict[str, Doubles] = {}
+    high_m: dict[str, Doubles] = {}
+    eye = np.asarray(scene.camera.position_m)
+    for name, mover in scene.singles().items():
+        rest = mover.rest()
+        pieces[name] = _split(rest, _PIECES)
+        before = low = high = None
+        step = 0.0
+        for time_s in times_s:
+            vertices = mover.vertices(float(time_s))
+            a, b = _extents(vertices, pieces[name])
+            low, high = (a, b) if low is None or high is None else (np.minimum(low, a), np.maximum(high, b))
+            step = step if before is None else max(step, float(np.abs(vertices - before).max()))
+            before = vertices
+        assert low is not None
+        assert high is not None
+        slack = step + _SLACK * float(np.max(high - low))
+        low_m[name], high_m[name] = low - slack, high + slack
+        if ((low_m[name] < eye) & (eye < high_m[name])).all(axis=1).any():
+            return None
+    return Boxes(pieces, low_m, high_m) if pieces else None
+
+
+def _split(mesh: Mesh, n: int) -> list[np.ndarray]:
+    """Vertex indices of pieces of a mesh: triangles halved along their longest extent, again and again."""
+    groups = [np.arange(len(mesh.faces))]
+    centers = mesh.vertices_m[mesh.faces].mean(axis=1)
+    while len(groups) < n and max(len(g) for g in groups) > 1:
+        group = max(groups, key=lambda g: float(np.ptp(centers[g], axis=0).max()) if len(g) > 1 else -1.0)
+        groups = [g for g in groups if g is not group]
+        order = group[np.argsort(centers[group][:, int(np.argmax(np.ptp(centers[group], axis=0)))])]
+        groups += [order[: len(order) // 2], order[len(order) // 2 :]]
+    return [np.unique(mesh.faces[g]) for g in groups]
+
+
+def _extents(vertices_m: Doubles, pieces: list[np.ndarray]) -> tuple[Doubles, Doubles]:
+    return (
+        np.stack([vertices_m[piece].min(axis=0) for piece in pieces]),
+        np.stack([vertices_m[piece].max(axis=0) for piece in pieces]),
+    )
+
+
+def glowing(mi: Any, boxes: Boxes, unit_m: float, *, shown: bool) -> Any:
+    """Make the boxes a Mitsuba shape that glows, or one of the same kind that nobody sees.
+
+    A light source that is never chosen still changes how Mitsuba chooses; so the hidden one goes into
+    every scene whose paths are to be compared.
+    """
+    mesh = boxes.mesh()
+    vertices, faces = mesh.vertices_m / unit_m, mesh.faces
+    if not shown:
+        # A speck of a triangle at the far corner of the world.
+        vertices, faces = 1e5 + 1e-3 * np.eye(3), np.array([[0, 1, 2]])
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}})
+    glow = {"type": "uniform", "value": _GLOW_W_M2_SR if shown else 0.0}
+    properties["emitter"] = mi.load_dict({"type": "area", "radiance": glow, "sampling_weight": 0.0})
+    shape = mi.Mesh("near", len(vertices), len(faces), props=properties)
+    parameters = mi.traverse(shape)
+    parameters["faces"] = faces.astype(np.uint32).ravel()
+    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
+    parameters.update()
+    shape.set_id("near")
+    return shape

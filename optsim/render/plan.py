@@ -1,0 +1,139 @@
+"""What all stages of one truth share: scene, grid, targets, and where finished pieces are kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optsim.cache import Cache, hash_of
+from optsim.progress import Progress
+from optsim.quantities import Bools, Doubles, Floats, Ints, Timing, View
+from optsim.render.allocation import Tiles, allocate, relative_deviation
+from optsim.render.footprint import cover
+from optsim.render.settings import CameraNoise, RenderSettings
+from optsim.scene.scene import Scene
+
+# What errors are relative to, on top of the radiance: a share of the declared white. No source: it is
+# 1/100 of what a picture shows as white, and the scores' own metrics flatten out about there.
+_FLOOR = 0.01
+
+
+def seed_of(*purpose: object) -> int:
+    """Hash a purpose to a 32-bit seed, since neighbouring seeds may give shifted patterns."""
+    return int(hash_of(*purpose)[:8], 16)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """One truth, or that of one group of lamps.
+
+    Parameters
+    ----------
+    scene, view, timing, settings, cache, progress
+        As given to ``render_truth``.
+    noise : CameraNoise or None
+        The camera's, where it decides when to stop.
+    identity : str
+        Hash of everything that decides a path's radiance.
+    segment_slots : int
+        Slots between key instants.
+    """
+
+    scene: Scene
+    view: View
+    timing: Timing
+    settings: RenderSettings
+    noise: CameraNoise | None
+    cache: Cache
+    progress: Progress
+    identity: str
+    segment_slots: int = 1
+
+    def lit_by(self, lamps: tuple[str, ...]) -> Plan:
+        """Plan of the same truth with these lamps only."""
+        return replace(self, scene=self.scene.only_lamps(lamps), identity=hash_of(self.identity, lamps))
+
+    @property
+    def pixels(self) -> Ints:
+        """All fine samples."""
+        return np.arange(self.view.rows * self.view.cols)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.view.rows, self.view.cols
+
+    @property
+    def floor_w_m2_sr(self) -> float:
+        """Added to the radiance wherever an error is relative."""
+        return _FLOOR * self.scene.white_w_m2_sr
+
+    def time_s(self, slot: float) -> float:
+        """When a slot begins."""
+        return slot * self.timing.slot_s
+
+    def seeds(self, *purpose: object) -> tuple[int, int]:
+        """Two independent seeds, of half A and half B."""
+        return seed_of(self.settings.seed, *purpose, "A"), seed_of(self.settings.seed, *purpose, "B")
+
+    def luck(self, *purpose: object) -> Doubles:
+        """Uniform random numbers for both halves and all pixels, (2, n): who is sampled when."""
+        rng = np.random.Generator(np.random.Philox(seed_of(self.settings.seed, *purpose, "luck")))
+        return rng.random((2, self.view.rows * self.view.cols))
+
+    def key(self, *what: object) -> str:
+        """Place of a piece in the cache."""
+        return hash_of(self.identity, self.settings.seed, *what)
+
+    def stop(self) -> tuple[float, float, float] | None:
+        """Say what decides where sampling stops for the camera's sake, for cache keys."""
+        if self.settings.noise_share is None or self.noise is None:
+            return None
+        return self.settings.noise_share, self.noise.electrons, self.noise.read_noise_e
+
+    def own(self, time_s: float) -> Bools:
+        """Fine samples in which a mover may be seen at an instant: (y, x)."""
+        mask = np.zeros(self.shape, np.bool_)
+        for mover in self.scene.singles().values():
+            cover(mask, mover.vertices(time_s), mover.rest().faces, self.scene.camera.at(time_s), self.view)
+        return mask
+
+    def counts(
+        self,
+        tiles: Tiles,
+        pixels: Ints,
+        light: Floats,
+        target: float,
+        *,
+        least: float,
+        most: float = 128,
+        cost: Floats | None = None,
+    ) -> Floats:
+        """Share out samples a half over some pixels.
+
+        Parameters
+        ----------
+        tiles : Tiles
+            What other random numbers showed.
+        pixels : ndarray of shape (n,)
+            Flat indices.
+        light : ndarray of shape (n,)
+            About their radiance, W m^-2 sr^-1; only matters where the camera's noise does.
+        target : float
+            Relative error of both halves together.
+        least, most : float
+            Bounds.
+        cost : ndarray of shape (n,), optional
+            Relative cost of a sample of each, where it differs.
+        """
+        deviation = relative_deviation(tiles, self.shape, self.floor_w_m2_sr).ravel()[pixels]
+        share, noise = self.settings.noise_share, self.noise
+        if share is None or noise is None:
+            return allocate(deviation, target, least=least, most=most, cost=cost)
+        light = np.maximum(light, 0)
+        hidden = share * np.sqrt(light / noise.electrons + (noise.read_noise_e / noise.electrons) ** 2)
+        enough = (deviation * (light + self.floor_w_m2_sr) / hidden) ** 2 / 2
+        bound = np.exp2(np.ceil(np.log2(np.maximum(enough, 1e-6))))
+        most_each = np.minimum(bound, most).astype(np.float32)
+        return allocate(deviation, target, least=least, most=most_each, cost=cost)

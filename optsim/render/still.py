@@ -1,0 +1,70 @@
+"""The light without movers: rendered once, most where it is noisiest, pass by pass through the cache."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from optsim.quantities import Doubles, Floats, Ints
+from optsim.render.allocation import Tiles, tally
+from optsim.render.plan import Plan
+from optsim.render.stage import Stage
+
+_PILOT_SAMPLES = 8
+_MOST_SAMPLES = 4096
+# Samples after which each pass ends: sums of one launch stay short, and an interruption loses little.
+_PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
+
+
+def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Tiles:
+    """Statistics of plain estimates: the variance of one sample from the difference of the two halves.
+
+    Parameters
+    ----------
+    pixels : ndarray of shape (n,)
+        Flat indices.
+    light : ndarray of shape (2, n)
+        Mean radiance of each half.
+    samples : float or ndarray of shape (n,)
+        Samples a half.
+    """
+    return tally(plan.shape, pixels, samples * (light[0] - light[1]) ** 2 / 2, light.mean(axis=0))
+
+
+def static_light(plan: Plan, still: Stage) -> Floats:
+    """Both halves of the radiance without movers.
+
+    Returns
+    -------
+    ndarray of shape (2, y, x), float32
+        W m^-2 sr^-1.
+    """
+    pixels, target = plan.pixels, plan.settings.static_error
+
+    def pilot() -> dict[str, Floats]:
+        light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"))
+        tiles = halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
+        return {"tiles": tiles.arrays(), "light": light.mean(axis=0).astype(np.float32)}
+
+    known = plan.cache.get(plan.key("pilot"), pilot)
+    counts = plan.counts(
+        Tiles.of(known["tiles"]), pixels, known["light"], target, least=_PASSES[1], most=_MOST_SAMPLES
+    )
+    total = np.zeros((2, len(pixels)))
+    spent, budget = 0.0, float(counts.sum())
+    for first, last in pairwise(_PASSES):
+        chosen = np.flatnonzero(counts > first)
+        if not len(chosen):
+            break
+        samples = np.minimum(counts[chosen], last).astype(np.int64) - first
+
+        def make(chosen: Ints = chosen, samples: Ints = samples, first: int = first) -> dict[str, Floats]:
+            light = still.radiance(pixels[chosen], samples, plan.seeds("static"), first)
+            return {"light": light.astype(np.float32)}
+
+        entry = plan.cache.get(plan.key("static", target, plan.stop(), first, last), make)
+        total[:, chosen] += entry["light"].astype(np.float64) * samples
+        spent += float(samples.sum())
+        plan.progress("static light", round(100 * spent / budget), 100)
+    return (total / counts).reshape(2, *plan.shape).astype(np.float32)

@@ -1,0 +1,98 @@
+"""Where the camera stands and looks, and how it moves: a pure function of time."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import model_validator
+
+from optsim.config import Part
+from optsim.scene import geometry
+from optsim.scene.fields import Vector
+
+# Rays start this share of the viewing distance (at most 1 cm) before the pinhole: what is nearer is not seen.
+_NEAREST = 1e-3
+# What is farther than this many viewing distances (at least 1 km) is not seen.
+_FARTHEST = 1e3
+
+
+class CameraPose(Part):
+    """Pose of the camera; z is up, the picture is upright, roll is always zero.
+
+    Parameters
+    ----------
+    position_m, target_m : vector
+        Pinhole, and a point on the optical axis, at time 0.
+    velocity_m_s : vector
+        Of the pinhole; the target goes along, so the camera keeps its direction.
+    sway_m, sway_hz : vector, float
+        Amplitude and frequency of a sinusoidal shift of both, zero at time 0.
+    pan_rad_s : float
+        Turning rate about the vertical through the pinhole, anticlockwise seen from above.
+    """
+
+    position_m: Vector
+    target_m: Vector
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    sway_m: Vector = (0.0, 0.0, 0.0)
+    sway_hz: float = 0.0
+    pan_rad_s: float = 0.0
+
+    @model_validator(mode="after")
+    def _sees(self) -> CameraPose:
+        way = np.asarray(self.target_m) - np.asarray(self.position_m)
+        if not np.hypot(way[0], way[1]) > 1e-6 * np.linalg.norm(way):
+            raise ValueError(
+                "target_m must not lie at position_m or straight above or below it, "
+                "since the picture is upright; "
+                f"got position_m = {list(self.position_m)} and target_m = {list(self.target_m)}; "
+                "cure: move the target sideways"
+            )
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether the pose depends on time."""
+        sways = self.sway_hz != 0 and any(self.sway_m)
+        return sways or self.pan_rad_s != 0 or any(self.velocity_m_s)
+
+    @property
+    def distance_m(self) -> float:
+        """Distance from the pinhole to the target, the same at all times, m."""
+        return float(np.linalg.norm(np.asarray(self.target_m) - np.asarray(self.position_m)))
+
+    @property
+    def near_m(self) -> float:
+        """Depth below which nothing is seen, m."""
+        return min(0.01, _NEAREST * self.distance_m)
+
+    @property
+    def far_m(self) -> float:
+        """Depth beyond which nothing is seen, m."""
+        return max(1000.0, _FARTHEST * self.distance_m)
+
+    def at(self, time_s: float) -> CameraPose:
+        """Return the motionless pose at an instant.
+
+        Parameters
+        ----------
+        time_s : float
+            Time, s.
+
+        Returns
+        -------
+        CameraPose
+            Without motion; the same object for a camera that never moves.
+        """
+        if not self.moves:
+            return self
+        shift = np.asarray(self.velocity_m_s) * time_s
+        shift += np.asarray(self.sway_m) * np.sin(2 * np.pi * self.sway_hz * time_s)
+        position = np.asarray(self.position_m) + shift
+        way = np.asarray(self.target_m) - np.asarray(self.position_m)
+        target = position + geometry.turn(way[None], self.pan_rad_s * time_s)[0]
+        return CameraPose(position_m=_vector(position), target_m=_vector(target))
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

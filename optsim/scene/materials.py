@@ -1,0 +1,125 @@
+"""Materials: how a surface reflects, by kind; reflectances are grey values of the one band."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import Discriminator, Field, Tag, field_validator
+
+from optsim.config import Part
+from optsim.errors import ConfigError
+from optsim.scene.fields import Positive, Share
+from optsim.scene.textures import check_texture
+
+Roughness = Annotated[float, Field(gt=0, le=1)]
+
+
+def known_texture(name: str | None) -> str | None:
+    """Texture names, checked while the part is built, so that the error names the key."""
+    try:
+        return None if name is None else check_texture(name)
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
+
+
+class Diffuse(Part):
+    """Lambertian surface, both sides alike; the kind of a material that names none.
+
+    Parameters
+    ----------
+    reflectance : float
+        Hemispherical reflectance in the band; multiplies the texture where there is one.
+    texture : str or None
+        Name in :mod:`optsim.scene.textures`.
+    tile_m : float
+        Length of one texture tile along the surface, m (texture coordinates of movers count as metres).
+    """
+
+    kind: Literal["diffuse"] = "diffuse"
+    reflectance: Share = 0.5
+    texture: str | None = None
+    tile_m: Positive = 1.0
+
+    _known = field_validator("texture")(known_texture)
+
+
+class Plastic(Part):
+    """Diffuse base under a smooth or rough clear coat, both sides alike: varnish, paint, wet ground.
+
+    The gloss is polarised where the renderer is; one model serves both (Mitsuba's ``pplastic``, after
+    S.-H. Baek et al., "Simultaneous acquisition of polarimetric SVBRDF and normals", ACM TOG 37, 2018).
+    What the coat throws back at the base is lost: head-on it returns 0.04 + 0.87 reflectance at an ior of
+    1.5, so even a white base no more than 0.91.
+
+    Parameters
+    ----------
+    reflectance, texture, tile_m
+        Of the base, as for :class:`Diffuse`.
+    ior : float
+        Refractive index of the coat.
+    roughness : float
+        Root mean square slope of the coat's facets (Beckmann's alpha).
+    """
+
+    kind: Literal["plastic"] = "plastic"
+    reflectance: Share = 0.5
+    texture: str | None = None
+    tile_m: Positive = 1.0
+    ior: float = Field(1.5, gt=1, le=3)
+    roughness: Roughness = 0.1
+
+    _known = field_validator("texture")(known_texture)
+
+
+class Metal(Part):
+    """Bare metal, both sides alike; polarised where the renderer is.
+
+    Parameters
+    ----------
+    metal : str
+        Chemical symbol; the complex refractive index is the measured one that the renderer carries, in the
+        one band its mean over the luminous spectrum.
+    roughness : float
+        Root mean square slope of the facets; 0 is a mirror, which lamps cannot be sampled through: noisy.
+    """
+
+    kind: Literal["metal"] = "metal"
+    metal: Literal["Ag", "Al", "Au", "Cr", "Cu", "W"] = "Al"
+    roughness: Share = 0.2
+
+
+class Glass(Part):
+    """Clear glass.
+
+    Lamps cannot be sampled through it, so what they light behind a pane is noisy: measured 18 times the
+    variance for a pane in a window. Put a window's loss into the radiance of what is outside instead.
+
+    Parameters
+    ----------
+    ior : float
+        Refractive index.
+    thin : bool
+        A pane without thickness on one sheet of triangles, which doesn't bend the light; otherwise the
+        surface of a solid, whose mesh must be closed and face outward.
+    """
+
+    kind: Literal["glass"] = "glass"
+    ior: float = Field(1.5, gt=1, le=3)
+    thin: bool = True
+
+
+def _kind_of(value: object) -> str:
+    """Kind of a material, which is diffuse unless it says otherwise."""
+    if isinstance(value, Mapping):
+        return str(cast("Mapping[str, Any]", value).get("kind", "diffuse"))
+    return str(getattr(value, "kind", "diffuse"))
+
+
+Material = Annotated[
+    Annotated[Diffuse, Tag("diffuse")]
+    | Annotated[Plastic, Tag("plastic")]
+    | Annotated[Metal, Tag("metal")]
+    | Annotated[Glass, Tag("glass")],
+    Discriminator(_kind_of),
+]

@@ -1,0 +1,209 @@
+"""Variations of a scene: named tables of changes, and numbers that draw every range anew."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.config import Table, override
+from optsim.errors import ConfigError, unknown_name
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a key may be.
+
+    Parameters
+    ----------
+    key : str
+        Dotted key in ``scene.toml``; a number steps into a list.
+    low, high : float or int
+        Ends of an interval; whole ones draw whole numbers, both ends included.
+    choices : tuple
+        Values instead of an interval.
+    """
+
+    key: str
+    low: float = 0.0
+    high: float = 0.0
+    choices: tuple[Any, ...] = ()
+
+    def drawn(self, rng: np.random.Generator) -> Any:
+        """Draw a value, uniform."""
+        if self.choices:
+            return self.choices[int(rng.integers(len(self.choices)))]
+        if isinstance(self.low, int) and isinstance(self.high, int):
+            return int(rng.integers(self.low, self.high, endpoint=True))
+        return float(rng.uniform(self.low, self.high))
+
+    def extreme(self, index: int) -> Any:
+        """Choice of this index, round and round, or the low and the high end in turn."""
+        if self.choices:
+            return self.choices[index % len(self.choices)]
+        return (self.low, self.high)[index % 2]
+
+
+def is_number(variation: str) -> bool:
+    """Whether a variation is a whole number as text, in its shortest form."""
+    return variation.isascii() and variation.isdigit() and str(int(variation)) == variation
+
+
+def varied(table: Table, variation: str, where: str) -> Table:
+    """Table of a scene in one variation, without ``variations`` and ``ranges``.
+
+    Parameters
+    ----------
+    table : dict
+        The whole ``scene.toml``.
+    variation : str
+        ``main``, a name under ``variations``, or a whole number.
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown variation, or a number where the scene has no ranges.
+    """
+    named, ranges = named_variations(table), find_ranges(table, where)
+    plain = {key: value for key, value in table.items() if key not in ("variations", "ranges")}
+    if variation in named:
+        return merged(plain, named[variation])
+    if variation == "main":
+        return plain
+    if not is_number(variation):
+        raise unknown_name(f"variation of {where}", variation, ["main", *named])
+    if not ranges:
+        raise ConfigError(
+            f"{where}: variation {variation!r} is a number, which draws the scene's ranges, but it has none; "
+            "cure: add a table [ranges], or choose one of: " + ", ".join(["main", *named])
+        )
+    # One stream a scene and number, drawn in the order of the keys, so that the order of the file is free.
+    rng = np.random.default_rng([zlib.crc32(str(table.get("name", "")).encode()), int(variation)])
+    return laid(plain, {item.key: item.drawn(rng) for item in ranges})
+
+
+def extremes(table: Table, where: str) -> Iterator[Table]:
+    """Tables that hold both ends of every interval and every choice at least once: what must be valid."""
+    ranges = find_ranges(table, where)
+    plain = {key: value for key, value in table.items() if key not in ("variations", "ranges")}
+    for index in range(max((len(item.choices) or 2 for item in ranges), default=0)):
+        yield laid(plain, {item.key: item.extreme(index) for item in ranges})
+
+
+def find_ranges(table: Table, where: str) -> list[Range]:
+    """Ranges of a scene, sorted by key; the table may be nested or have dotted keys in quotes.
+
+    Raises
+    ------
+    ConfigError
+        When a range is neither ``[low, high]`` nor a table of choices, or for a key that is not there.
+    """
+    ranges = table.get("ranges", {})
+    if not isinstance(ranges, Mapping):
+        raise ConfigError(f"{where}: ranges: got {ranges!r}, expected a table of key = [low, high]")
+    found = sorted(_flat("", cast("Table", ranges), where), key=lambda item: item.key)
+    for item in found:
+        _check_place(table, item.key, where)
+    return found
+
+
+def _flat(prefix: str, ranges: Mapping[str, Any], where: str) -> Iterator[Range]:
+    for key, value in ranges.items():
+        whole = f"{prefix}{key}"
+        if not isinstance(value, Mapping):
+            yield _interval(whole, value, where)
+        elif "choices" in value:
+            yield _choices(whole, cast("Table", value), where)
+        else:
+            yield from _flat(f"{whole}.", cast("Table", value), where)
+
+
+def _interval(key: str, value: object, where: str) -> Range:
+    ends = cast("list[Any]", value) if isinstance(value, list) else []
+    numbers = [end for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
+    if len(ends) != 2 or len(numbers) != 2 or not np.isfinite(numbers).all() or numbers[0] > numbers[1]:
+        raise ConfigError(
+            f"{where}: ranges.{key}: got {value!r}, expected [low, high] of finite numbers, low first, "
+            "or { choices = [...] }"
+        )
+    return Range(key, low=ends[0], high=ends[1])
+
+
+def _choices(key: str, value: Table, where: str) -> Range:
+    choices = value["choices"]
+    if set(value) != {"choices"} or not isinstance(choices, list) or not choices:
+        raise ConfigError(f"{where}: ranges.{key}: got {value!r}, expected {{ choices = [one, or more] }}")
+    return Range(key, choices=tuple(cast("list[Any]", choices)))
+
+
+def _check_place(table: Table, key: str, where: str) -> None:
+    """Check that the table that a key belongs to is there: a range must not bring a thing into the scene."""
+    place: Any = table
+    for step in key.split(".")[:-1]:
+        if isinstance(place, list) and step.isdigit() and int(step) < len(cast("list[Any]", place)):
+            place = cast("list[Any]", place)[int(step)]
+        elif isinstance(place, Mapping) and step in place:
+            place = cast("Table", place)[step]
+        else:
+            known = [str(name) for name in cast("Table", place)] if isinstance(place, Mapping) else []
+            raise ConfigError(f"{where}: ranges.{key}: {unknown_name('key', step, known or ['(no table)'])}")
+    last = key.split(".")[-1]
+    if isinstance(place, list) and not (last.isdigit() and int(last) < len(cast("list[Any]", place))):
+        raise ConfigError(
+            f"{where}: ranges.{key}: got {last!r}, expected a place in the list, "
+            f"0 .. {len(cast('list[Any]', place)) - 1}"
+        )
+    if not isinstance(place, Mapping | list):
+        raise ConfigError(f"{where}: ranges.{key}: {last!r} is inside a plain value, not a table or list")
+
+
+def laid(table: Table, values: Mapping[str, Any]) -> Table:
+    """Table with the values of some dotted keys replaced; steps that are numbers go into lists."""
+    result = override(table, [])
+    for key, value in values.items():
+        *steps, last = key.split(".")
+        place: Any = result
+        for step in steps:
+            place = place[_index(place, step)]
+        place[_index(place, last)] = value
+    return result
+
+
+def _index(place: Any, step: str) -> int | str:
+    return int(step) if isinstance(place, list) else step
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> Table:
+    """Table with nested changes laid over it; a name mapped to the empty string is removed."""
+    result = dict(table)
+    for key, value in changes.items():
+        if value == "":
+            result.pop(key, None)
+        elif isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
+            result[key] = merged(result[key], cast("Table", value))
+        else:
+            result[key] = value
+    return result
+
+
+def named_variations(table: Table) -> dict[str, Table]:
+    """Tables of changes by the variation's name, which is neither ``main`` nor a number.
+
+    Raises
+    ------
+    ConfigError
+        For such a name.
+    """
+    named = cast("dict[str, Table]", table.get("variations", {}))
+    for name in named:
+        if name == "main" or name.isdigit():
+            raise ConfigError(
+                f"variations.{name}: this name is taken (main is the scene as written, a number draws the "
+                "ranges); cure: rename it"
+            )
+    return named
