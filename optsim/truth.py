@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from optsim.cache import Cache
 from optsim.errors import ConfigError
@@ -11,6 +13,9 @@ from optsim.experiment import Experiment
 from optsim.progress import Progress, silent
 from optsim.quantities import RadianceVideo
 from optsim.scene import FootageTruth, Scene, load_scene, open_footage
+
+if TYPE_CHECKING:
+    from optsim.render import CameraNoise
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,25 @@ def render_truth(
         experiment.timing,
         experiment.render,
         cache=Cache(),
+        noise=camera_noise(experiment),
         backend=backend,
         progress=progress,
     )
+
+
+def camera_noise(experiment: Experiment) -> CameraNoise | None:
+    """Noise of the camera in a slot and a fine sample, for ``render.noise_share``; None where that is unset.
+
+    Without neutral density, which the light rule chooses from the truth: so sampling never stops too early.
+    """
+    from optsim.render import CameraNoise
+
+    if experiment.render.noise_share is None:
+        return None
+    camera = experiment.camera.with_nd(1.0)
+    per_pixel = next(row.value for row in camera.ledger(1.0) if row.stage == "electrons a slot")
+    pixels = (camera.ratio / camera.view.samples_per_pitch) ** 2
+    return CameraNoise(per_pixel * pixels, camera.sensor.read_noise_e * math.sqrt(pixels))
 
 
 def chosen_scene(experiment: Experiment) -> Scene:

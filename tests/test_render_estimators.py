@@ -7,6 +7,7 @@ import pytest
 
 from optsim.cache import Cache
 from optsim.errors import ConfigError
+from optsim.experiment import load_experiment
 from optsim.progress import silent
 from optsim.quantities import Timing, View
 from optsim.render import CameraNoise, RenderSettings, choose_backend, render_truth
@@ -19,6 +20,7 @@ from optsim.render.plan import Plan
 from optsim.render.stage import Stage
 from optsim.render.still import static_light
 from optsim.scene import load_scene
+from optsim.truth import camera_noise
 
 VIEW = View(36, 48, 3, 0.32)
 PIXELS = np.arange(VIEW.rows * VIEW.cols)
@@ -38,6 +40,13 @@ def plan_of(scene, folder, **settings):
 
 @pytest.fixture(scope="module")
 def difference(tmp_path_factory):
+    """So few paths would not be worth asking which come near; here they are asked all the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("optsim.render.difference._FEW_PATHS", 0)
+        yield _difference(tmp_path_factory)
+
+
+def _difference(tmp_path_factory):
     plan = plan_of(load_scene("window_room"), tmp_path_factory.mktemp("cache"), static_error=0.3)
     return plan, Difference(plan, static_light(plan, Stage(plan.scene, VIEW, movers=False)))
 
@@ -91,9 +100,9 @@ def test_skipping_far_paths_changes_nothing(difference, monkeypatch):
     """The same paths with all of them traced again: equal but for rays along an edge of two triangles."""
     _, ours = difference
     counts = np.full(len(PIXELS), 4, np.float32)
-    skipped, _ = ours.change(0.011, PIXELS, counts, 0)
+    skipped, _, _ = ours.change(0.011, PIXELS, counts, 0)
     monkeypatch.setattr(type(ours._boxes), "hold", lambda *_: False)
-    everything, _ = ours.change(0.011, PIXELS, counts, 0)
+    everything, _, _ = ours.change(0.011, PIXELS, counts, 0)
     assert (everything != 0).mean() > 0.1
     assert (skipped == 0).mean() > 0.1
     # 8 samples of one half each: a bit of rounding in the sum is 1e-6 of the brightest sample.
@@ -231,3 +240,23 @@ def test_a_camera_that_could_not_tell_ends_the_sampling(tmp_path):
     assert stopped[0] < plain[0]
     with pytest.raises(ConfigError, match="noise_share"):
         render_truth(scene, VIEW, plan.timing, settings, cache=Cache(tmp_path))
+
+
+def test_the_noise_of_the_camera_is_that_of_its_ledger():
+    """0.1 W m^-2 sr^-1 at f/4: a hand calculation of the electrons of a slot, in a ninth of a panel pixel."""
+    experiment = load_experiment("demo", ["render.noise_share=0.3"])
+    camera = experiment.camera
+    noise = camera_noise(experiment)
+    row = next(r for r in camera.ledger(0.1) if r.stage == "electrons a slot")
+    share = (camera.ratio / 3) ** 2
+    expected = row.value * share / camera.objective.nd_transmission
+    assert noise.electrons * 0.1 == pytest.approx(expected, rel=1e-9)
+    assert noise.read_noise_e == pytest.approx(camera.sensor.read_noise_e * share**0.5, rel=1e-9)
+    assert camera_noise(load_experiment("demo")) is None
+
+
+def test_movers_carried_by_keyframes_are_rendered(tmp_path):
+    """They can't be looked up by their contents, unlike the others."""
+    scene = load_scene("chart")
+    video = loaded(scene, tmp_path, slots=4)
+    assert video.load(0).blocks

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -44,6 +44,24 @@ class Denoised:
         return {"unit": "W m^-2 sr^-1", "axes": "y, x", "label": self.LABEL, "denoiser": self.made_by}
 
 
+def denoiser() -> Any:
+    """Return the module that denoises.
+
+    Raises
+    ------
+    ConfigError
+        When the extra ``denoise`` is not installed.
+    """
+    try:
+        import mitsuba_oidn
+    except ImportError:
+        raise ConfigError(
+            "denoise: Open Image Denoise is not installed; cure: pip install 'optsim[denoise]', or leave "
+            "denoising out (truths and scores never use it)"
+        ) from None
+    return mitsuba_oidn
+
+
 def denoised(radiance: Floats, albedo: Floats, normals: Floats) -> Denoised:
     """Denoise a render with noise-free passes of the same instant.
 
@@ -68,13 +86,7 @@ def denoised(radiance: Floats, albedo: Floats, normals: Floats) -> Denoised:
     ValueCheckError
         For a wrong rank, dtype or size, or a value that is not finite.
     """
-    try:
-        import mitsuba_oidn as oidn
-    except ImportError:
-        raise ConfigError(
-            "denoise: Open Image Denoise is not installed; cure: pip install 'optsim[denoise]', or leave "
-            "denoising out (truths and scores never use it)"
-        ) from None
+    oidn = denoiser()
     for name, image, axes in (
         ("radiance", radiance, ("y", "x")),
         ("albedo", albedo, ("y", "x")),

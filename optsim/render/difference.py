@@ -23,8 +23,26 @@ _PILOT_SAMPLES = 2
 _LOOK_UP = 0.03
 
 
+# So few paths are sooner traced again than asked whether they need to be: as many as a launch costs.
+_FEW_PATHS = 20_000
+
+
 @dataclass(frozen=True, eq=False)
-class _Paths:
+class Paths:
+    """Random paths to trace: of each pixel (flat index) so many, with a seed; (n,) each."""
+
+    pixels: Ints
+    samples: Ints
+    seeds: Ints
+
+    def and_also(self, other: Paths) -> Paths:
+        """Put other paths behind these."""
+        pairs = ((self.pixels, other.pixels), (self.samples, other.samples), (self.seeds, other.seeds))
+        return Paths(*(np.concatenate(pair) for pair in pairs))
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
     """Paths without movers: for some pixels, a stretch of each one's samples; (n, sample)."""
 
     radiance: Floats
@@ -56,7 +74,7 @@ class Difference:
         self._around = Stage(plan.scene, plan.view, movers=False, boxes=boxes, glow=True)
         # (turn, half, level) -> row of each pixel, and its paths. Only a memo: paths are keyed by pixel, so
         # it doesn't matter when they are traced.
-        self._known: dict[tuple[object, int, int], tuple[Ints, _Paths]] = {}
+        self._known: dict[tuple[object, int, int], tuple[Ints, _Known]] = {}
         entry = plan.cache.get(plan.key("near", plan.timing.n_slots), self._near_share)
         self._cost = np.array(entry["share"]).ravel() + np.float32(_LOOK_UP)
 
@@ -69,7 +87,9 @@ class Difference:
         """Statistics at an instant from random numbers of their own."""
         return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
 
-    def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Tiles]:
+    def change(
+        self, time_s: float, pixels: Ints, counts: Floats, turn: object, besides: Paths | None = None
+    ) -> tuple[Doubles, Tiles, Doubles]:
         """Render what the movers change at an instant, in some pixels.
 
         Parameters
@@ -82,6 +102,8 @@ class Difference:
             Samples a half, powers of two.
         turn : object
             Which set of random numbers.
+        besides : Paths, optional
+            Other paths to trace with the movers there, in the same launch: launches cost time, too.
 
         Returns
         -------
@@ -89,15 +111,15 @@ class Difference:
             Estimate of each half, W m^-2 sr^-1; unbiased, of either sign.
         tiles : Tiles
             Statistics for the next call.
+        seen : ndarray, float64
+            Mean radiance of the other paths, W m^-2 sr^-1.
         """
         all_near = self._boxes is None or not self._boxes.hold(self._plan.scene, time_s)
-        levels = range(int(np.log2(counts.max(initial=1))) + 1)
-        wanted = [(half, level, np.flatnonzero(counts >= 1 << level)) for half in (0, 1) for level in levels]
-        self._trace_new(turn, [(half, level, pixels[here]) for half, level, here in wanted])
+        self.trace_without(turn, pixels, counts)
         where: list[Ints] = []
         first: list[Ints] = []
         before: list[Floats] = []
-        for half, level, here in wanted:
+        for half, level, here in _wanted(counts):
             rows, paths = self._known[turn, half, level]
             at = rows[pixels[here]]
             row, sample = np.nonzero(paths.near[at] | all_near)
@@ -105,21 +127,24 @@ class Difference:
             first.append(sample + (1 << level >> 1))
             before.append(paths.radiance[at[row], sample])
         place = np.concatenate(where)
+        seeds = np.asarray(self._plan.seeds("key", turn), np.int64)
+        again = Paths(pixels[place % len(pixels)], np.ones(len(place), np.int64), seeds[place // len(pixels)])
+        asked = again.and_also(besides) if besides else again
+        firsts = np.concatenate([*first, np.zeros(len(asked.pixels) - len(place), np.int64)])
         self.moving.pose(time_s)
-        seen = self.moving.paths(
-            pixels[place % len(pixels)],
-            np.ones(len(place), np.int64),
-            np.asarray(self._plan.seeds("key", turn), np.int64)[place // len(pixels)],
-            np.concatenate(first),
-        )
-        difference = seen - np.concatenate(before)
+        seen = self.moving.paths(asked.pixels, asked.samples, asked.seeds, firsts)
+        difference = seen[: len(place)] - np.concatenate(before)
         n, total = counts.astype(np.float64), 2 * len(pixels)
         added = np.bincount(place, difference, total).reshape(2, -1)
         squared = np.bincount(place, difference**2, total).reshape(2, -1).sum(axis=0)
         variance = np.maximum(squared - added.sum(axis=0) ** 2 / (2 * n), 0) / (2 * n - 1)
         change = added / n
         light = self._static[pixels] + change.mean(axis=0)
-        return change, tally(self._plan.shape, pixels, variance, light)
+        return change, tally(self._plan.shape, pixels, variance, light), seen[len(place) :]
+
+    def trace_without(self, turn: object, pixels: Ints, counts: Floats) -> None:
+        """Trace paths without movers ahead of a ``change``; what is known isn't traced again."""
+        self._trace_new(turn, [(half, level, pixels[here]) for half, level, here in _wanted(counts)])
 
     def _trace_new(self, turn: object, wanted: list[tuple[int, int, Ints]]) -> None:
         """Trace paths without movers that nobody asked for before: of (half, level, pixels).
@@ -132,7 +157,7 @@ class Difference:
             if (turn, half, level) not in self._known:
                 nothing = np.zeros((0, width), np.float32)
                 rows = np.full(len(self._static), -1, np.int64)
-                self._known[turn, half, level] = rows, _Paths(nothing, nothing.astype(np.bool_))
+                self._known[turn, half, level] = rows, _Known(nothing, nothing.astype(np.bool_))
             rows, paths = self._known[turn, half, level]
             new = pixels[rows[pixels] < 0]
             rows[new] = len(paths.radiance) + np.arange(len(new))
@@ -144,7 +169,9 @@ class Difference:
         once = np.ones(ask.shape[1], np.int64)
         found = self._still.paths(ask[0], once, *ask[1:])
         # What the glow changes, a mover may change: such a path meets a box.
-        near = found != self._around.paths(ask[0], once, *ask[1:]) if self._boxes else once > 0
+        near = once > 0
+        if self._boxes and len(once) > _FEW_PATHS:
+            near = found != self._around.paths(ask[0], once, *ask[1:])
         ends = np.cumsum([part.shape[1] for part in asks])[:-1]
         parts = zip(wanted, np.split(found.astype(np.float32), ends), np.split(near, ends), strict=True)
         for (half, level, _), radiance, is_near in parts:
@@ -152,7 +179,7 @@ class Difference:
             shape = -1, _stretch(level)[1]
             self._known[turn, half, level] = (
                 rows,
-                _Paths(
+                _Known(
                     np.concatenate([paths.radiance, radiance.reshape(shape)]),
                     np.concatenate([paths.near, is_near.reshape(shape)]),
                 ),
@@ -164,6 +191,12 @@ class Difference:
         self._trace_new("pilot", [(0, 0, pixels), (1, 0, pixels)])
         halves = [self._known["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
         return {"share": smoothed(self._plan.shape, np.mean(halves, axis=0))}
+
+
+def _wanted(counts: Floats) -> list[tuple[int, int, Ints]]:
+    """Levels of paths that some pixels need: (half, level, which of the pixels)."""
+    levels = range(int(np.log2(counts.max(initial=1))) + 1)
+    return [(half, level, np.flatnonzero(counts >= 1 << level)) for half in (0, 1) for level in levels]
 
 
 def _stretch(level: int) -> tuple[int, int]:

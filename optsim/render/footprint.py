@@ -4,17 +4,44 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
 
 from optsim.quantities import Bools, Doubles, View
 from optsim.scene.camera_pose import CameraPose
+from optsim.scene.crowd import Single
 from optsim.scene.geometry import Faces
+from optsim.scene.keyframed import Carried
 
 # A box pixel whose centre is farther than half its diagonal from a triangle cannot see it.
 _MARGIN_PX = 0.75
+
+
+def vertices_at(mover: Single | Carried, time_s: float) -> Doubles:
+    """Give a mover's vertices at an instant, (n, 3), m; kept, since several stages ask for the same ones."""
+    # Objects carried by keyframes are a dict, which can't be looked up; they are quick to move.
+    return mover.vertices(time_s) if isinstance(mover, Carried) else _vertices_at(cast("Any", mover), time_s)
+
+
+def faces_of(mover: Single | Carried) -> Faces:
+    """Give a mover's triangles, the same at all times."""
+    return mover.rest().faces if isinstance(mover, Carried) else _faces_of(cast("Any", mover))
+
+
+@functools.lru_cache(maxsize=256)
+def _vertices_at(mover: Any, time_s: float) -> Doubles:
+    vertices = mover.vertices(time_s)
+    vertices.flags.writeable = False
+    return vertices
+
+
+@functools.lru_cache(maxsize=256)
+def _faces_of(mover: Any) -> Faces:
+    return mover.rest().faces
 
 
 def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from optsim.quantities import Doubles
+from optsim.render.footprint import vertices_at
 from optsim.scene import geometry
 from optsim.scene.geometry import Mesh
 from optsim.scene.scene import Scene
@@ -45,7 +46,7 @@ class Boxes:
     def hold(self, scene: Scene, time_s: float) -> bool:
         """Whether every mover is inside its boxes at an instant; if not, any path may meet it."""
         for name, mover in scene.singles().items():
-            low, high = _extents(mover.vertices(time_s), self.pieces[name])
+            low, high = _extents(vertices_at(mover, time_s), self.pieces[name])
             if (low < self.low_m[name]).any() or (high > self.high_m[name]).any():
                 return False
         return True
@@ -78,7 +79,7 @@ def boxes_around(scene: Scene, times_s: Doubles) -> Boxes | None:
         before = low = high = None
         step = 0.0
         for time_s in times_s:
-            vertices = mover.vertices(float(time_s))
+            vertices = vertices_at(mover, float(time_s))
             a, b = _extents(vertices, pieces[name])
             low, high = (a, b) if low is None or high is None else (np.minimum(low, a), np.maximum(high, b))
             step = step if before is None else max(step, float(np.abs(vertices - before).max()))

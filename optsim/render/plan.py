@@ -10,7 +10,7 @@ from optsim.cache import Cache, hash_of
 from optsim.progress import Progress
 from optsim.quantities import Bools, Doubles, Floats, Ints, Timing, View
 from optsim.render.allocation import Tiles, allocate, relative_deviation
-from optsim.render.footprint import cover
+from optsim.render.footprint import cover, faces_of, vertices_at
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.scene.scene import Scene
 
@@ -94,9 +94,9 @@ class Plan:
 
     def own(self, time_s: float) -> Bools:
         """Fine samples in which a mover may be seen at an instant: (y, x)."""
-        mask = np.zeros(self.shape, np.bool_)
+        mask, camera = np.zeros(self.shape, np.bool_), self.scene.camera.at(time_s)
         for mover in self.scene.singles().values():
-            cover(mask, mover.vertices(time_s), mover.rest().faces, self.scene.camera.at(time_s), self.view)
+            cover(mask, vertices_at(mover, time_s), faces_of(mover), camera, self.view)
         return mask
 
     def counts(

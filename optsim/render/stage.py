@@ -15,6 +15,7 @@ import numpy as np
 
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.describe import camera_to_world, describe, unit_m
+from optsim.render.footprint import vertices_at
 from optsim.render.nearby import Boxes, glowing
 from optsim.render.sampler import pixel_sampler
 from optsim.scene.scene import Scene
@@ -74,7 +75,7 @@ class Stage:
 
         unit = unit_m(self.scene)
         for name, mover in self._movers.items():
-            _write_vertices(self._parameters, f"mover_{name}", mover.vertices(time_s) / unit)
+            _write_vertices(self._parameters, f"mover_{name}", vertices_at(mover, time_s) / unit)
         if self.scene.camera.moves:
             self._parameters["sensor.to_world"] = mi.Transform4f(
                 camera_to_world(mi, self.scene.camera.at(time_s), unit).matrix

@@ -174,7 +174,7 @@ def _key_instant(plan: Plan, difference: Difference, index: int, total: int) -> 
         else:
             before = difference.pilot(time_s, pixels)
         counts = difference.counts(before, pixels, chosen.change_error)
-        found, tiles = difference.change(time_s, pixels, counts, index % chosen.key_seeds)
+        found, tiles, _ = difference.change(time_s, pixels, counts, index % chosen.key_seeds)
         change = np.zeros((2, plan.view.rows * plan.view.cols), np.float32)
         change[:, pixels] = found
         return {"change": change.reshape(2, *plan.shape), "tiles": before.and_then(tiles).arrays()}
