@@ -195,6 +195,25 @@ def test_a_flickering_lamp_is_a_sum_of_pictures(tmp_path):
     assert abs(levels[1] / levels[0] - 1) > 0.02  # or the test would not see the flicker
 
 
+def test_a_single_lamp_may_flicker_and_the_camera_move_under_it(tmp_path):
+    """The light of slots is in proportion to the closed form of the lamp, whatever else happens."""
+    scene = load_scene("window_room")
+    pulsed = load_scene("flicker_lamp").lamps
+    flicker = next(lamp.flicker for lamp in pulsed.values() if lamp.flicker)
+    lamp = scene.lamps["ceiling"].model_copy(update={"flicker": flicker})
+    only = scene.model_copy(update={"lamps": {"ceiling": lamp}, "movers": {}})
+    moving = only.model_copy(
+        update={"camera": scene.camera.model_copy(update={"velocity_m_s": (1e-9, 0.0, 0.0)})}
+    )
+    for name, one in (("still", only), ("camera", moving)):
+        video = loaded(one, tmp_path / name, slots=8, moving_error=0.1, static_error=0.1)
+        assert video.slots_per_segment == 1
+        light = np.array([video.load(slot).instant(0).mean() for slot in range(8)])
+        gain = np.array([lamp.gain(slot / 180, (slot + 1) / 180) for slot in range(8)])
+        assert np.ptp(gain) > 0.05
+        np.testing.assert_allclose(light / gain, np.mean(light / gain), rtol=0.02)
+
+
 def test_a_moving_camera_sees_every_slot_anew(tmp_path):
     scene = load_scene("moving_camera")
     video = loaded(scene, tmp_path, moving_error=0.3)

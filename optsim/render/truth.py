@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -109,7 +110,7 @@ def render_truth(
         load, n_instants = _load_preview(plan), 1
     elif scene.kind_of_change() == "camera":
         load = _load_camera(plan)
-    elif len(scene.light_groups()) > 1:
+    elif any(lamp.flicker for lamp in scene.lamps.values()):
         load = _load_lamps(plan)
     else:
         plan = replace(plan, segment_slots=moving.slots_per_segment(plan))
@@ -209,7 +210,7 @@ def _segment(
 
 def _load_lamps(plan: Plan) -> _Load:
     """Render each group of lamps that flicker alike; a slot adds them as bright as they are then."""
-    lamps, n_instants = plan.scene.lamps, plan.settings.instants_per_slot
+    n_instants = plan.settings.instants_per_slot
     groups: list[tuple[str, Plan, _Load]] = []
     for names in plan.scene.light_groups().values():
         lit = plan.lit_by(names)
@@ -217,23 +218,37 @@ def _load_lamps(plan: Plan) -> _Load:
         groups.append((names[0], lit, _load_movers(lit)))
 
     def load(slot: int, half: Half) -> Segment:
-        images: Any = 0
+        images = np.zeros((n_instants, *plan.shape), np.float32)
         for name, lit, load_group in groups:
             segment = load_group(slot // lit.segment_slots, half)
             first = slot % lit.segment_slots * n_instants
-            for i in range(n_instants):
-                ends = plan.time_s(slot + i / n_instants), plan.time_s(slot + (i + 1) / n_instants)
-                gain = np.zeros((n_instants, 1, 1), np.float32)
-                gain[i] = lamps[name].gain(*ends)
-                images = images + gain * segment.instant(first + i)
+            for i, gain in enumerate(_gains(plan, name, slot)):
+                images[i] += gain * segment.instant(first + i)
         return slot_segment(images)
 
     return load
 
 
 def _load_camera(plan: Plan) -> _Load:
-    keys = load_slots(plan)
-    return lambda index, half: slot_segment(half(plan.cache.read(keys[index])["light"]))
+    """Render every slot by itself, each group of lamps that flicker alike as bright as it is then."""
+    groups = plan.scene.light_groups().values()
+    keys = [(names[0], load_slots(plan.lit_by(names) if len(groups) > 1 else plan)) for names in groups]
+
+    def load(slot: int, half: Half) -> Segment:
+        lit = [
+            half(plan.cache.read(slots[slot])["light"]) * _gains(plan, name, slot)[:, None, None]
+            for name, slots in keys
+        ]
+        return slot_segment(np.asarray(np.sum(lit, axis=0), np.float32))
+
+    return load
+
+
+def _gains(plan: Plan, lamp: str, slot: int) -> Floats:
+    """Relative brightness of a lamp in each instant of a slot."""
+    n = plan.settings.instants_per_slot
+    edges = [plan.time_s(slot + i / n) for i in range(n + 1)]
+    return np.array([plan.scene.lamps[lamp].gain(*ends) for ends in pairwise(edges)], np.float32)
 
 
 def _load_preview(plan: Plan) -> _Load:
