@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +109,12 @@ def pilot(plan: Plan, moving: Stage, time_s: float) -> Tiles:
 
 
 def render_segment(
-    plan: Plan, difference: Difference, static: Floats, first_slot: int, own: Tiles, change: Tiles
+    plan: Plan,
+    difference: Difference,
+    static: Floats,
+    first_slot: int,
+    own: Tiles,
+    change: Sequence[Tiles],
 ) -> dict[str, Any]:
     """Render all samples that a mover touches during a segment, in each of its instants, both halves.
 
@@ -122,8 +127,10 @@ def render_segment(
         What to render, and the light without movers (2, y, x).
     first_slot : int
         Where the segment begins.
-    own, change : Tiles
-        Statistics of earlier poses: the movers' own pixels, and what they change elsewhere.
+    own : Tiles
+        Statistics of the movers' own pixels at earlier poses.
+    change : sequence of Tiles
+        For each set of random numbers: statistics, from other sets, of what movers change elsewhere.
 
     Returns
     -------
@@ -138,15 +145,18 @@ def render_segment(
         return {"tiles": own.arrays()}
     finest = found[0].n_steps
     rates = [track.n_steps / n_slots for track in found]
-    # Samples for where movers only pass, the same for all poses: then what is traced without movers is
-    # traced once.
+    # Samples for where movers only pass, the same for all poses of a turn: then what is traced without movers
+    # is traced once.
     passing = [
-        difference.counts(change, track.pixels, _eased(plan.settings.change_error, rate))
-        for track, rate in zip(found, rates, strict=True)
+        [
+            difference.counts(tiles, track.pixels, _eased(plan.settings.change_error, rate))
+            for track, rate in zip(found, rates, strict=True)
+        ]
+        for tiles in change[: finest + 1]
     ]
     pixels = np.concatenate([track.pixels for track in found])
-    for turn in range(min(plan.settings.key_seeds, finest + 1)):
-        difference.trace_without(turn, pixels, np.concatenate(passing))
+    for turn, counts in enumerate(passing):
+        difference.trace_without(turn, pixels, np.concatenate(counts))
     light = [np.zeros((2, n_instants, len(track.pixels))) for track in found]
     shares = [hat_means(track.n_steps, n_instants) for track in found]
     for pose in range(finest + 1):
@@ -154,7 +164,7 @@ def render_segment(
         asked = Asked(
             np.concatenate([found[i].pixels for i in due]),
             np.concatenate([np.full(len(found[i].pixels), rates[i]) for i in due]),
-            np.concatenate([passing[i] for i in due]),
+            np.concatenate([passing[pose % len(change)][i] for i in due]),
         )
         time_s = plan.time_s(first_slot + n_slots * pose / finest)
         seen, own = render_pose(plan, difference, static, time_s, (first_slot, pose), asked, own)

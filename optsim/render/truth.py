@@ -42,6 +42,8 @@ from optsim.scene.scene import Scene
 
 # Samples a fine sample, slot and half of the scalar fallback.
 _PREVIEW_SAMPLES = 2
+# Earlier key instants whose statistics still count.
+_REMEMBERED = 8
 
 _Load = Callable[[int, Half], Segment]
 
@@ -148,7 +150,7 @@ def _load_movers(plan: Plan) -> _Load:
     difference = Difference(plan, static)
     n_segments = plan.timing.n_slots // plan.segment_slots
     keys = [_key_instant(plan, difference, index, n_segments + 1) for index in range(n_segments + 1)]
-    segments = [_segment(plan, difference, static, keys[i], i, n_segments) for i in range(n_segments)]
+    segments = [_segment(plan, difference, static, index, n_segments) for index in range(n_segments)]
 
     def load(index: int, half: Half) -> Segment:
         start, stop = (
@@ -159,35 +161,46 @@ def _load_movers(plan: Plan) -> _Load:
     return load
 
 
+def _key(plan: Plan, index: int) -> str:
+    """Place of a key instant in the cache."""
+    chosen, slot = plan.settings, index * plan.segment_slots
+    return plan.key("key", slot, plan.segment_slots, chosen.change_error, chosen.key_seeds, plan.stop())
+
+
 def _key_instant(plan: Plan, difference: Difference, index: int, total: int) -> str:
     """Render what the movers change at a key instant, both halves; return its place in the cache."""
-    chosen, slot = plan.settings, index * plan.segment_slots
-    time_s = plan.time_s(slot)
-
-    def key(slot: int) -> str:
-        return plan.key("key", slot, plan.segment_slots, chosen.change_error, chosen.key_seeds, plan.stop())
+    time_s, turn = plan.time_s(index * plan.segment_slots), index % plan.settings.key_seeds
 
     def make() -> dict[str, Floats]:
         # The movers' own pixels are the segments' business.
         pixels = np.flatnonzero(~plan.own(time_s))
-        if index:
-            before = Tiles.of(plan.cache.read(key(slot - plan.segment_slots))["tiles"])
-        else:
-            before = difference.pilot(time_s, pixels)
-        counts = difference.counts(before, pixels, chosen.change_error)
-        found, tiles, _ = difference.change(time_s, pixels, counts, index % chosen.key_seeds)
+        pilot = difference.pilot(time_s, pixels) if index == 0 else None
+        tiles = pilot or _others(plan, index, turn)
+        counts = difference.counts(tiles, pixels, plan.settings.change_error)
+        found, tiles, _ = difference.change(time_s, pixels, counts, turn)
         change = np.zeros((2, plan.view.rows * plan.view.cols), np.float32)
         change[:, pixels] = found
-        return {"change": change.reshape(2, *plan.shape), "tiles": before.and_then(tiles).arrays()}
+        entry = {"change": change.reshape(2, *plan.shape), "tiles": tiles.arrays()}
+        return entry | ({"pilot": pilot.arrays()} if pilot else {})
 
-    plan.cache.get(key(slot), make)
+    plan.cache.get(_key(plan, index), make)
     plan.progress("key poses", index + 1, total)
-    return key(slot)
+    return _key(plan, index)
 
 
-def _segment(
-    plan: Plan, difference: Difference, static: Floats, key_instant: str, index: int, total: int
-) -> str:
+def _others(plan: Plan, before: int, turn: int) -> Tiles:
+    """Pool the statistics of earlier key instants that had other random numbers than this turn's.
+
+    Samples must not decide how many of them there are: that would be a bias.
+    """
+    tiles = Tiles.of(plan.cache.read(_key(plan, 0))["pilot"])
+    for index in range(max(0, before - _REMEMBERED), before):
+        if index % plan.settings.key_seeds != turn:
+            tiles = tiles.and_then(Tiles.of(plan.cache.read(_key(plan, index))["tiles"]))
+    return tiles
+
+
+def _segment(plan: Plan, difference: Difference, static: Floats, index: int, total: int) -> str:
     """Render what the movers touch in a segment, both halves; return its place in the cache."""
     chosen, first = plan.settings, index * plan.segment_slots
 
@@ -200,7 +213,7 @@ def _segment(
             own = Tiles.of(plan.cache.read(key(first - plan.segment_slots))["tiles"])
         else:
             own = moving.pilot(plan, difference.moving, 0.0)
-        change = Tiles.of(plan.cache.read(key_instant)["tiles"])
+        change = [_others(plan, index + 1, turn) for turn in range(chosen.key_seeds)]
         return moving.render_segment(plan, difference, static, first, own, change)
 
     plan.cache.get(key(first), make)
