@@ -123,6 +123,14 @@ def render(
     half: Annotated[
         bool, typer.Option("--half", help="With --passes: radiance, normals and albedo in 16 bit.")
     ] = False,
+    light_groups: Annotated[
+        bool, typer.Option("--light-groups", help="With --passes: the light of each group of lamps too.")
+    ] = False,
+    stokes: Annotated[bool, typer.Option("--stokes", help="With --passes: Stokes radiance too.")] = False,
+    denoise: Annotated[bool, typer.Option("--denoise", help="With --passes: denoised radiance too.")] = False,
+    samples: Annotated[
+        int | None, typer.Option(help="Of a fine sample and slot, for light groups, Stokes and bands [64].")
+    ] = None,
 ) -> None:
     """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
     from optsim import job
@@ -131,15 +139,18 @@ def render(
     from optsim.truth import render_truth
 
     loaded = load_experiment(experiment, assignments or [])
-    if (passes and out is None) or ((half or slots) and not passes):
-        raise ConfigError("--passes needs --out DIR; --slots and --half need --passes")
+    further = light_groups or stokes or denoise or samples is not None
+    if (passes and out is None) or ((half or slots or further) and not passes):
+        raise ConfigError("--passes needs --out DIR; --slots, --half and further channels need --passes")
     job.check(loaded, out, backend)
     if passes and out is not None:
-        from optsim.passes import export_passes, parse_slots
+        from optsim.passes import choose_extras, export_passes, parse_slots
 
         chosen = None if slots is None else parse_slots(slots)
+        wanted = {"light_groups": light_groups, "stokes": stokes, "denoise": denoise}
+        extras = choose_extras(loaded, samples, **wanted)
         with progress_bars() as progress:
-            export_passes(loaded, out, chosen, half=half, backend=backend, progress=progress)
+            export_passes(loaded, out, chosen, half=half, extras=extras, backend=backend, progress=progress)
         people.print(f"The passes are in {out}; {out / 'passes.png'} shows them.")
         return
     with progress_bars() as progress:
@@ -167,6 +178,34 @@ def doctor(as_json: Json = False) -> None:
                 page.print(f"    cure: {f.cure}")
         page.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
     if not all(f.ok for f in findings):
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name, or a scene folder.")],
+    variation: Annotated[str, typer.Option(help="Which of its variations, or a number.")] = "main",
+    backend: Backend = None,
+    as_json: Json = False,
+) -> None:
+    """Look for fireflies in a scene with a quick pilot, and name the light paths that make them."""
+    from optsim.console import page, progress_bars, table
+    from optsim.render import fireflies
+    from optsim.scene import load_scene
+
+    loaded = load_scene(scene, variation).in_band()
+    with progress_bars(quiet=as_json) as progress:
+        found = fireflies.pilot(loaded, backend=backend, progress=progress)
+    record = fireflies.record(loaded, found)
+    if as_json:
+        _print(record)
+    else:
+        page.print(fireflies.headline(loaded))
+        for one in found:
+            page.print(one.text())
+            if one.fireflies:
+                page.print(table("", fireflies.COLUMNS, one.by_cause()))
+    if not record["fit"]:
         raise typer.Exit(1)
 
 
@@ -205,13 +244,29 @@ def train(
 
 
 @app.command()
-def bench(names: Names = None, as_json: Json = False) -> None:
-    """Measure run time against peers in the same run; ratio above 1 is better than the peer."""
+def bench(
+    names: Names = None,
+    as_json: Json = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for records.json and, of renders, time_against_error.svg.")
+    ] = None,
+) -> None:
+    """Measure run time against peers in the same run; ratio above 1 is better than the peer.
+
+    A NAME is a record or a family of them: omp, render.
+    """
     from optsim import benchmark
-    from optsim.console import page, progress_bars, table
+    from optsim.benchmark.curve import time_against_error
+    from optsim.console import page, people, progress_bars, table
+    from optsim.files import write_json, write_text
 
     with progress_bars(quiet=as_json) as progress:
         found = benchmark.measure_all(names or [], progress)
+    if out is not None:
+        write_json(out / "records.json", found)
+        if any("curve" in record["conditions"] for record in found):
+            write_text(out / "time_against_error.svg", time_against_error(found))
+        people.print(f"Written to {out}.")
     if as_json:
         _print(found)
     else:

@@ -23,10 +23,11 @@ from optsim.scene import FootageSource
 
 
 class SceneChoice(Part):
-    """Which scene, and which of its variations."""
+    """Which scene, which of its variations, and in which of its bands (default the one nearest to 550 nm)."""
 
     name: str
     variation: str = "main"
+    band: str | None = None
 
 
 class Source(Part):

@@ -32,7 +32,7 @@ from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
 from optsim.scoring import Scorer
 from optsim.stopwatch import Stopwatch
-from optsim.truth import check_truth, describe_truth, render_truth, renderer
+from optsim.truth import band_nm, check_truth, describe_truth, render_truth, renderer
 
 Results = dict[str, Any]
 
@@ -250,13 +250,13 @@ def export_radiance(
     """Write the truth as one OpenEXR a coded frame: mean radiance a slot and panel pixel, float32."""
     from optsim.forward.integrate import slot_means
 
-    slots = experiment.timing.slots_per_frame
+    slots, seen_nm = experiment.timing.slots_per_frame, band_nm(experiment)
     for index in range(experiment.n_frames):
         means = slot_means(radiance, index * slots, slots)
         write_exr(
             folder / f"{index:06d}.exr",
             {f"slot{slot:02d}": means[slot] for slot in range(slots)},
-            attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": 550},
+            attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": seen_nm},
         )
         progress("export truth", index + 1, experiment.n_frames)
 

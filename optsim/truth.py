@@ -12,7 +12,7 @@ from optsim.errors import ConfigError
 from optsim.experiment import Experiment
 from optsim.progress import Progress, silent
 from optsim.quantities import RadianceVideo
-from optsim.scene import FootageTruth, Scene, load_scene, open_footage
+from optsim.scene import MONO_NM, FootageTruth, Scene, load_scene, open_footage
 
 if TYPE_CHECKING:
     from optsim.render import CameraNoise
@@ -97,12 +97,24 @@ def camera_noise(experiment: Experiment) -> CameraNoise | None:
 
 
 def chosen_scene(experiment: Experiment) -> Scene:
-    """Load the scene of an experiment.
+    """Load the scene of an experiment in the band that it sees.
 
     Raises
     ------
     ConfigError
-        When the truth is footage, which has no objects, depth or flow to render.
+        When the truth is footage, which has no objects, depth or flow to render, or for an unknown band.
+    """
+    whole = whole_scene(experiment)
+    return whole.in_band(experiment.scene.band if experiment.scene else None)
+
+
+def whole_scene(experiment: Experiment) -> Scene:
+    """Load the scene of an experiment with all its bands.
+
+    Raises
+    ------
+    ConfigError
+        When the truth is footage.
     """
     if experiment.scene is None:
         raise ConfigError(
@@ -110,6 +122,14 @@ def chosen_scene(experiment: Experiment) -> Scene:
             "an experiment that has a [scene]"
         )
     return load_scene(experiment.scene.name, experiment.scene.variation)
+
+
+def band_nm(experiment: Experiment) -> float:
+    """Wavelength of the band that an experiment sees, nm; 550 unless its scene says otherwise."""
+    if experiment.scene is None:
+        return MONO_NM
+    bands = chosen_scene(experiment).bands
+    return bands[0].wavelength_nm if bands else MONO_NM
 
 
 def chosen_footage(experiment: Experiment) -> FootageTruth | None:
@@ -133,7 +153,10 @@ def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthF
     recorded = chosen_footage(experiment)
     if recorded is None:
         scene = chosen_scene(experiment)
-        return TruthFacts(scene.name, scene.variation, scene.description, scene.white_w_m2_sr)
+        said = scene.description
+        if scene.bands:
+            said += f"; in its band {scene.bands[0].name} at {scene.bands[0].wavelength_nm:g} nm"
+        return TruthFacts(scene.name, scene.variation, said, scene.white_w_m2_sr)
     files = Path(recorded.source.path).name
     return TruthFacts("footage", files, recorded.description(cache), recorded.source.white_w_m2_sr)
 

@@ -40,13 +40,6 @@ def plan_of(scene, folder, **settings):
 
 @pytest.fixture(scope="module")
 def difference(tmp_path_factory):
-    """So few paths would not be worth asking which come near; here they are asked all the same."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("optsim.render.difference._FEW_PATHS", 0)
-        yield _difference(tmp_path_factory)
-
-
-def _difference(tmp_path_factory):
     plan = plan_of(load_scene("window_room"), tmp_path_factory.mktemp("cache"), static_error=0.3)
     return plan, Difference(plan, static_light(plan, Stage(plan.scene, VIEW, movers=False)))
 

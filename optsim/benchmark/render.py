@@ -149,7 +149,7 @@ def _settings(target: float, seed: int) -> RenderSettings:
         "static_error": max(0.05, 0.4 * target),
         "change_error": 0.7 * target,
         "moving_error": target,
-        "interpolation_error": 0.5 * target,
+        "interpolation_error": 0.75 * target,
         "seed": seed,
     }
     return RenderSettings.model_validate(table)

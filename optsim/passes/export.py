@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,11 @@ from optsim.passes.channels import (
     noise_sigma,
     slot_mean,
 )
+from optsim.passes.extras import ExtraChannels, Extras, channel_names
 from optsim.progress import Progress, silent
 from optsim.quantities import Passes, RadianceVideo
 from optsim.report.pass_sheet import pass_sheet
-from optsim.truth import chosen_scene, render_truth, renderer
+from optsim.truth import band_nm, chosen_scene, render_truth, renderer, whole_scene
 
 _KIND = "optsim passes 1"
 _MANIFEST = "manifest.json"
@@ -46,7 +48,9 @@ class _Export:
     folder: Path
     experiment: Experiment
     identity: str
-    half: bool
+    half: tuple[str, ...]
+    extras: Extras
+    band_nm: float
     made_by: dict[str, str]
 
     def path(self, slot: int) -> Path:
@@ -59,9 +63,10 @@ class _Export:
             "identity": self.identity,
             "units": UNITS,
             "conventions": CONVENTIONS,
-            "half": list(HALF_CHANNELS) if self.half else [],
+            "half": list(self.half),
+            "extras": self.extras.model_dump(mode="json"),
             "slot_s": self.experiment.timing.slot_s,
-            "band_nm": 550,
+            "band_nm": self.band_nm,
             "scene": self.experiment.model_dump(mode="json")["scene"],
             "render": self.experiment.render.model_dump(mode="json"),
             "versions": self.made_by,
@@ -74,6 +79,7 @@ def export_passes(
     slots: range | None = None,
     *,
     half: bool = False,
+    extras: Extras | None = None,
     backend: str | None = None,
     progress: Progress = silent,
 ) -> None:
@@ -91,6 +97,8 @@ def export_passes(
         Which slots, default all.
     half : bool
         Store radiance, normals and albedo as 16 bit; ids, depth, flow and noise never.
+    extras : Extras, optional
+        Further channels; none by default.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -99,42 +107,58 @@ def export_passes(
     Raises
     ------
     ConfigError
-        For footage, or slots outside of the experiment.
+        For footage, slots outside of the experiment, or denoising that is not installed.
     StorageError
         When the folder holds anything else, or the disk is too full.
+    BackendError
+        When polarised light is wanted and only the scalar fallback works.
     """
     from optsim.render import PassRenderer
 
-    slots = check_slots(experiment, slots)
+    slots, extras = check_slots(experiment, slots), extras or Extras()
+    extras.check(backend)
     scene, view, slot_s = chosen_scene(experiment), experiment.camera.view, experiment.timing.slot_s
     made_by = {**versions(), "variant": renderer(experiment, backend)[0]}
+    if extras.denoise:
+        made_by["mitsuba-oidn"] = version("mitsuba-oidn")
     settings = experiment.render.model_dump(mode="json")
-    identity = hash_of(_KIND, scene.model_dump(mode="json"), asdict(view), slot_s, settings, half, made_by)
-    export = _Export(folder, experiment, identity, half, made_by)
+    whole = whole_scene(experiment)
+    more = channel_names(extras, whole)
+    identity = hash_of(
+        *(_KIND, scene.model_dump(mode="json"), whole.model_dump(mode="json"), asdict(view), slot_s),
+        *(settings, half, extras.model_dump(mode="json"), made_by),
+    )
+    short = (*HALF_CHANNELS, *more) if half else ()
+    export = _Export(folder, experiment, identity, short, extras, band_nm(experiment), made_by)
     files = _found(export)
     missing = [slot for slot in slots if slot not in files]
-    _check_disk(folder, len(missing) * view.rows * view.cols * _SAMPLE_BYTES)
+    _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
     _write_manifest(export, files, complete=not missing)
     if missing:
         radiance = render_truth(experiment, backend=backend, progress=progress)
         look = PassRenderer(scene, view, backend=backend)
+        further = ExtraChannels(extras, experiment, backend=backend)
         for done, slot in enumerate(missing, start=1):
             passes = look.at((slot + 0.5) * slot_s, slot_s)
-            _write_slot(export, slot, passes, radiance)
+            _write_slot(export, slot, passes, radiance, further)
             files[slot] = _record(export.path(slot), slot)
             progress("passes", done, len(missing))
         _write_manifest(export, files, complete=True)
     _write_picture(export, slots[len(slots) // 2])
 
 
-def _write_slot(export: _Export, slot: int, passes: Passes, radiance: RadianceVideo) -> None:
+def _write_slot(
+    export: _Export, slot: int, passes: Passes, radiance: RadianceVideo, further: ExtraChannels
+) -> None:
     noise = radiance.half_difference
     sigma = None if noise is None else noise_sigma(slot_mean(noise, slot), passes.ids)
+    mean = slot_mean(radiance, slot)
+    more, said = further.of(slot, passes, mean)
     write_exr(
         export.path(slot),
-        channels_of(passes, slot_mean(radiance, slot), sigma),
-        attributes=_attributes(export, passes, slot),
-        half=HALF_CHANNELS if export.half else False,
+        {**channels_of(passes, mean, sigma), **more},
+        attributes={**_attributes(export, passes, slot), "further": said},
+        half=export.half,
     )
 
 
@@ -183,8 +207,8 @@ def _found(export: _Export) -> dict[int, Record]:
     manifest: Record = read_json(folder / _MANIFEST)
     if manifest.get("identity") != export.identity:
         raise StorageError(
-            f"--out {folder} holds an export of another truth: another scene, render settings, versions or "
-            "--half; choose another folder"
+            f"--out {folder} holds an export of another truth: another scene, render settings, versions, "
+            "further channels or --half; choose another folder"
         )
     for half in halves:
         half.unlink(missing_ok=True)

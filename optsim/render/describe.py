@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from optsim.errors import ConfigError
 from optsim.quantities import Floats, View
+from optsim.scene.bands import mono
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
 from optsim.scene.lamps import Lamp
@@ -123,8 +124,9 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
 
 def _reflectance(mi: Any, material: Diffuse | Plastic) -> dict[str, Any]:
     if material.texture is None:
-        return {"type": "uniform", "value": material.reflectance}
-    return _bitmap(mi, reflectance_map(material.texture) * np.float32(material.reflectance), "repeat")
+        return {"type": "uniform", "value": mono(material.reflectance)}
+    share = np.float32(mono(material.reflectance))
+    return _bitmap(mi, reflectance_map(material.texture) * share, "repeat")
 
 
 def _bitmap(mi: Any, image: Floats, wrap: str) -> dict[str, Any]:
@@ -145,9 +147,10 @@ def _lamp(mi: Any, lamp: Lamp, unit: float) -> dict[str, Any]:
         "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
     }
     if lamp.lit:
-        light: dict[str, Any] = {"type": "uniform", "value": lamp.radiance_w_m2_sr}
+        radiance = mono(lamp.radiance_w_m2_sr)
+        light: dict[str, Any] = {"type": "uniform", "value": radiance}
         if lamp.picture is not None:
-            light = _bitmap(mi, outside_map(lamp.picture) * np.float32(lamp.radiance_w_m2_sr), "clamp")
+            light = _bitmap(mi, outside_map(lamp.picture) * np.float32(radiance), "clamp")
         rectangle["emitter"] = {"type": "area", "radiance": light, "sampling_weight": lamp.sampling_weight}
     return rectangle
 

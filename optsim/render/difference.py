@@ -23,10 +23,6 @@ _PILOT_SAMPLES = 2
 _LOOK_UP = 0.03
 
 
-# So few paths are sooner traced again than asked whether they need to be: as many as a launch costs.
-_FEW_PATHS = 20_000
-
-
 @dataclass(frozen=True, eq=False)
 class Paths:
     """Random paths to trace: of each pixel (flat index) so many, with a seed; (n,) each."""
@@ -169,9 +165,7 @@ class Difference:
         once = np.ones(ask.shape[1], np.int64)
         found = self._still.paths(ask[0], once, *ask[1:])
         # What the glow changes, a mover may change: such a path meets a box.
-        near = once > 0
-        if self._boxes and len(once) > _FEW_PATHS:
-            near = found != self._around.paths(ask[0], once, *ask[1:])
+        near = found != self._around.paths(ask[0], once, *ask[1:]) if self._boxes else once > 0
         ends = np.cumsum([part.shape[1] for part in asks])[:-1]
         parts = zip(wanted, np.split(found.astype(np.float32), ends), np.split(near, ends), strict=True)
         for (half, level, _), radiance, is_near in parts:

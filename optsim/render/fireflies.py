@@ -21,6 +21,7 @@ from optsim.quantities import Doubles, Floats, Ints, View
 from optsim.render.backend import activate
 from optsim.render.plan import seed_of
 from optsim.render.stage import Stage
+from optsim.scene.bands import mono
 from optsim.scene.scene import Scene
 
 # Variance of one sample over the squared mean above which a pixel is flagged; median pixels of the shipped
@@ -312,9 +313,9 @@ def _single(stage: Stage, pixels: Ints, numbers: Ints, seed: int) -> Doubles:
 def _only_bright(scene: Scene, name: str) -> Scene:
     """Dim all other lamps: unlike ``only_lamps`` this keeps which lamp each path chooses to sample."""
     lamps = {
-        key: lamp.model_copy(
-            update={"radiance_w_m2_sr": lamp.radiance_w_m2_sr * (1 if key == name else _DIM)}
-        )
+        key: lamp
+        if key == name
+        else lamp.model_copy(update={"radiance_w_m2_sr": mono(lamp.radiance_w_m2_sr) * _DIM})
         for key, lamp in scene.lamps.items()
     }
     return scene.model_copy(update={"lamps": lamps})

@@ -76,6 +76,7 @@ def path_px(
     steps: int,
     camera: CameraPose,
     view: View,
+    margin_px: float = 0.0,
 ) -> float:
     """Farthest way in the picture that a mover's visible point goes in a time span, fine samples.
 
@@ -87,25 +88,28 @@ def path_px(
         The span.
     steps : int
         Straight pieces by which the way is measured.
+    margin_px : float
+        How far outside the picture a point still counts.
     """
     total = 0.0
     before = project(vertices(start_s), camera.at(start_s), view)
     for step in range(1, steps + 1):
         time_s = start_s + (stop_s - start_s) * step / steps
         after = project(vertices(time_s), camera.at(time_s), view)
-        seen = _in_view(before, view) | _in_view(after, view)
+        seen = _in_view(before, view, margin_px) | _in_view(after, view, margin_px)
         moved = np.hypot(*(after - before)[:, :2].T)[seen]
-        moved = moved[np.isfinite(moved)]
+        # What is seen now and behind the camera next, or the other way round, crosses the whole picture.
+        moved = np.where(np.isfinite(moved), moved, np.hypot(view.rows, view.cols))
         total += float(moved.max()) if moved.size else 0.0
         before = after
     return total
 
 
-def _in_view(places: Doubles, view: View) -> Bools:
+def _in_view(places: Doubles, view: View, margin_px: float) -> Bools:
+    row, col = places[:, 0], places[:, 1]
     with np.errstate(invalid="ignore"):
-        return (
-            (places[:, 0] > 0) & (places[:, 0] < view.rows) & (places[:, 1] > 0) & (places[:, 1] < view.cols)
-        )
+        rows = (row > -margin_px) & (row < view.rows + margin_px)
+        return rows & (col > -margin_px) & (col < view.cols + margin_px)
 
 
 def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, view: View) -> None:

@@ -19,9 +19,9 @@ from optsim.render.still import halves_tally
 Half = Callable[[Floats], Floats]
 
 # Relative error of linear interpolation between two poses on the movers' own pixels, per fine sample of way
-# between them, and the same for what they change elsewhere. Measured on window_room at 240 x 200: 0.05, 0.18
-# and 0.43 at 0.8, 1.5 and 3 samples; 0.034 elsewhere at 24.
-ERROR_PER_PX = 0.08
+# between them, and the same for what they change elsewhere; measured on window_room, wheel and half_moving
+# (``validation/interpolation_bound``): with these, errors were 0.3 to 0.7 of the bound.
+ERROR_PER_PX = 0.12
 CHANGE_ERROR_PER_PX = 0.0015
 _PILOT_SAMPLES = 4
 # Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses.
@@ -42,24 +42,25 @@ class Track:
         return np.flatnonzero(self.mask)
 
 
-def way_px(plan: Plan, name: str, first_slot: float, last_slot: float) -> float:
+def way_px(plan: Plan, name: str, first_slot: float, last_slot: float, margin_px: float = 0.0) -> float:
     """Measure the farthest way that a visible point of a mover goes between two slots, fine samples."""
     mover, pieces = plan.scene.singles()[name], max(1, round(2 * (last_slot - first_slot)))
     times = plan.time_s(first_slot), plan.time_s(last_slot)
-    return path_px(mover.vertices, *times, pieces, plan.scene.camera, plan.view)
+    return path_px(mover.vertices, *times, pieces, plan.scene.camera, plan.view, margin_px)
 
 
 def slots_per_segment(plan: Plan) -> int:
     """Choose the slots between key instants that the interpolation bound allows, by the fastest mover's way.
 
-    The way is measured in every third slot of the whole experiment.
+    The way is measured in every third slot of the whole experiment, up to a picture's width outside the
+    picture: from there shadows and bounce light still arrive.
     """
     per_frame = plan.timing.slots_per_frame
     if plan.settings.slots_per_segment is not None:
         return plan.settings.slots_per_segment
     fastest = max(
         (
-            way_px(plan, name, s, s + 1)
+            way_px(plan, name, s, s + 1, plan.view.cols)
             for name in plan.scene.singles()
             for s in range(0, plan.timing.n_slots, 3)
         ),

@@ -88,7 +88,9 @@ def boxes_around(scene: Scene, times_s: Doubles) -> Boxes | None:
         assert high is not None
         slack = step + _SLACK * float(np.max(high - low))
         low_m[name], high_m[name] = low - slack, high + slack
-        if ((low_m[name] < eye) & (eye < high_m[name])).all(axis=1).any():
+        # Nearer than the sensor's near plane a box would not be seen from outside either.
+        reach = scene.camera.near_m * 2
+        if ((low_m[name] - reach < eye) & (eye < high_m[name] + reach)).all(axis=1).any():
             return None
     return Boxes(pieces, low_m, high_m) if pieces else None
 

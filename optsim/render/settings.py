@@ -46,7 +46,7 @@ class RenderSettings(Part):
     static_error: float = Field(0.06, gt=0.0005, le=2)
     change_error: float = Field(0.15, gt=0.001, le=2)
     moving_error: float = Field(0.35, gt=0.001, le=2)
-    interpolation_error: float = Field(0.12, gt=0.0005, le=1)
+    interpolation_error: float = Field(0.15, gt=0.0005, le=1)
     key_seeds: int = Field(4, ge=1, le=64)
     slots_per_segment: int | None = Field(None, ge=1, le=36)
     instants_per_slot: int = Field(1, ge=1, le=32)

@@ -164,7 +164,8 @@ def _load_movers(plan: Plan) -> _Load:
 def _key(plan: Plan, index: int) -> str:
     """Place of a key instant in the cache."""
     chosen, slot = plan.settings, index * plan.segment_slots
-    return plan.key("key", slot, plan.segment_slots, chosen.change_error, chosen.key_seeds, plan.stop())
+    what = chosen.static_error, chosen.change_error, chosen.key_seeds
+    return plan.key("key", slot, plan.segment_slots, *what, plan.stop())
 
 
 def _key_instant(plan: Plan, difference: Difference, index: int, total: int) -> str:
@@ -205,8 +206,9 @@ def _segment(plan: Plan, difference: Difference, static: Floats, index: int, tot
     chosen, first = plan.settings, index * plan.segment_slots
 
     def key(first: int) -> str:
-        what = chosen.moving_error, chosen.change_error, chosen.interpolation_error, chosen.instants_per_slot
-        return plan.key("movers", first, plan.segment_slots, chosen.key_seeds, *what, plan.stop())
+        errors = chosen.static_error, chosen.change_error, chosen.moving_error, chosen.interpolation_error
+        what = plan.segment_slots, chosen.key_seeds, chosen.instants_per_slot
+        return plan.key("movers", first, *what, *errors, plan.stop())
 
     def make() -> dict[str, Any]:
         if index:

@@ -21,6 +21,7 @@ _INK, _PAPER, _NOTHING = (30, 30, 30), (255, 255, 255), (120, 120, 120)
 _DEPTH = ("#fff7bc", "#fec44f", "#d95f0e", "#7f2704", "#1c0a02")
 _NOISE = ("#f7fbff", "#9ecae1", "#3182bd", "#08306b")
 _GREY = ("#000000", "#ffffff")
+_SIGNED = ("#08306b", "#6baed6", "#f7f7f7", "#fb6a4a", "#67000d")
 _MASKS = ((18, 166, 131), (224, 69, 123), (242, 178, 50))
 # Depths that spread over more than this ratio are shown by their logarithm.
 _FAR_TO_NEAR = 12.0
@@ -45,7 +46,7 @@ class _Panel:
 
 
 def pass_sheet(channels: Channels, id_table: Mapping[int, str], title: str) -> Bytes:
-    """Draw radiance, depth, normals, ids, flow, albedo, masks and noise side by side.
+    """Draw radiance, depth, normals, ids, flow, albedo, masks and noise side by side, then further channels.
 
     Parameters
     ----------
@@ -63,8 +64,9 @@ def pass_sheet(channels: Channels, id_table: Mapping[int, str], title: str) -> B
     """
     seen = channels["id"] > 0
     peak_px = max(_peak_px(channels, "forward"), _peak_px(channels, "backward"))
+    tones = _tones(channels["Y"])
     panels = [
-        _radiance(channels["Y"]),
+        _radiance(channels["Y"], tones, "radiance, mean over the slot"),
         _depth(channels["Z"], seen),
         _normals(channels, seen),
         _ids(channels["id"], channels["moving"] > 0, id_table),
@@ -75,6 +77,9 @@ def pass_sheet(channels: Channels, id_table: Mapping[int, str], title: str) -> B
     ]
     if "Y.sigma" in channels:
         panels.append(_noise(channels["Y"], channels["Y.sigma"]))
+    panels += [_radiance(channels[name], tones, text) for name, text in _further(channels)]
+    if "S0" in channels:
+        panels += _stokes(channels, tones[1])
     rows, cols = channels["Y"].shape
     factor = max(1, round(_WIDTH_PX / cols))
     width, height = max(cols * factor, _WIDTH_PX), rows * factor
@@ -149,15 +154,50 @@ def _short(value: float) -> str:
     return f"{value:.3g}"
 
 
-def _radiance(radiance: Floats) -> _Panel:
+def _tones(radiance: Floats) -> tuple[float, float]:
+    """Knee between the linear shadows and the logarithm, and peak, W m^-2 sr^-1: the same for all panels."""
     low, high = (float(q) for q in np.percentile(radiance, (5, 99.9)))
     peak = max(high, 1e-12)
-    knee = max(low / 3, peak * 1e-6)
+    return max(low / 3, peak * 1e-6), peak
+
+
+def _radiance(radiance: Floats, tones: tuple[float, float], what: str) -> _Panel:
+    knee, peak = tones
     shown = np.log1p(np.clip(radiance, 0, peak) / knee) / np.log1p(peak / knee)
     places = knee * np.expm1(np.linspace(0, 1, 4) * np.log1p(peak / knee))
     ticks = ("0", *(_short(float(v)) for v in places[1:]))
-    text = "radiance, mean over the slot, W m^-2 sr^-1 (logarithmic above the shadows)"
+    text = f"{what}, W m^-2 sr^-1 (logarithmic above the shadows)"
     return _Panel(rgb(np.rint(255 * shown).astype(np.uint8)), text, _GREY, ticks)
+
+
+def _further(channels: Channels) -> list[tuple[str, str]]:
+    """Further channels of radiance: name and what they are."""
+    found = [
+        (name, f"{word} {name.removeprefix(start)}")
+        for start, word in (("Y.band.", "band"), ("Y.light.", "light group"))
+        for name in sorted(channels)
+        if name.startswith(start)
+    ]
+    return found + [(name, "denoised, never for figures") for name in ("Y.denoised",) if name in channels]
+
+
+def _stokes(channels: Channels, peak: float) -> list[_Panel]:
+    """Components as shares of S0, all with the scale of the largest."""
+    # Black has no polarisation, only noise.
+    floor = 1e-3 * peak
+    shares = [channels[f"S{i}"] / np.maximum(channels["S0"], floor) for i in (1, 2, 3)]
+    most = min(1.0, max(0.01, *(float(np.percentile(np.abs(share), 99.5)) for share in shares)))
+    ticks = tuple(_short(most * v) for v in (-1.0, -0.5, 0.0, 0.5, 1.0))
+    words = ("+ level, - upright", "+ up to the right, - up to the left", "+ right circular, - left circular")
+    return [
+        _Panel(
+            ramp(_SIGNED, np.clip(share / most / 2 + 0.5, 0, 1)),
+            f"polarisation S{i} / S0: {word}",
+            _SIGNED,
+            ticks,
+        )
+        for i, (share, word) in enumerate(zip(shares, words, strict=True), start=1)
+    ]
 
 
 def _depth(depth_m: Floats, seen: Bools) -> _Panel:

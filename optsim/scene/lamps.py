@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from optsim.config import Part
 from optsim.errors import ValueCheckError
+from optsim.scene.bands import PositiveByBand
 from optsim.scene.fields import Positive, Share, Vector
 from optsim.scene.parts import check_edges
 from optsim.scene.textures import OUTSIDES
@@ -81,8 +82,9 @@ class Lamp(Part):
     ----------
     center_m, edge_u_m, edge_v_m : vector
         Centre and full edges.
-    radiance_w_m2_sr : float
-        Radiance, its mean over a period where it flickers; of the picture's relative 1 where there is one.
+    radiance_w_m2_sr : float or dict
+        Radiance in the band, or a table of it by band: its mean over a period where it flickers; of the
+        picture's relative 1 where there is one.
     picture : str or None
         Name of an outside in :mod:`optsim.scene.textures`; such a lamp is a window on the bright outside.
     sampling_weight : float
@@ -96,7 +98,7 @@ class Lamp(Part):
     center_m: Vector
     edge_u_m: Vector
     edge_v_m: Vector
-    radiance_w_m2_sr: float = Field(gt=0)
+    radiance_w_m2_sr: PositiveByBand
     picture: str | None = None
     sampling_weight: Positive = 1.0
     flicker: Flicker | None = None

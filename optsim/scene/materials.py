@@ -1,4 +1,4 @@
-"""Materials: how a surface reflects, by kind; reflectances are grey values of the one band."""
+"""Materials: how a surface reflects, by kind; a reflectance is a number, or one for each band."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag, field_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError
+from optsim.scene.bands import ShareByBand
 from optsim.scene.fields import Positive, Share
 from optsim.scene.textures import check_texture
 
@@ -28,8 +29,9 @@ class Diffuse(Part):
 
     Parameters
     ----------
-    reflectance : float
-        Hemispherical reflectance in the band; multiplies the texture where there is one.
+    reflectance : float or dict
+        Hemispherical reflectance in the band, or a table of it by band; multiplies the texture where there
+        is one.
     texture : str or None
         Name in :mod:`optsim.scene.textures`.
     tile_m : float
@@ -37,7 +39,7 @@ class Diffuse(Part):
     """
 
     kind: Literal["diffuse"] = "diffuse"
-    reflectance: Share = 0.5
+    reflectance: ShareByBand = 0.5
     texture: str | None = None
     tile_m: Positive = 1.0
 
@@ -63,7 +65,7 @@ class Plastic(Part):
     """
 
     kind: Literal["plastic"] = "plastic"
-    reflectance: Share = 0.5
+    reflectance: ShareByBand = 0.5
     texture: str | None = None
     tile_m: Positive = 1.0
     ior: float = Field(1.5, gt=1, le=3)

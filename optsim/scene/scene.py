@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from optsim.config import Part, build, read_toml
 from optsim.errors import ConfigError, unknown_name
+from optsim.scene.bands import MONO_NM, Band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
@@ -48,6 +49,8 @@ class Scene(Part):
         Longest light path, in segments.
     camera : CameraPose
         The camera's pose and motion; its field of view is the camera's own business (``View``).
+    bands : tuple of Band
+        Spectral bands; one at a time is rendered, see :meth:`in_band`. None: a single one at 550 nm.
     materials, lamps, objects, movers : dict
         By name. Objects that a keyframed mover names move, all others stand still.
     static : StaticShapes or None
@@ -62,6 +65,7 @@ class Scene(Part):
     white_w_m2_sr: float = Field(gt=0)
     max_depth: int = Field(7, ge=2, le=64)
     camera: CameraPose
+    bands: tuple[Band, ...] = ()
     materials: dict[str, Material]
     lamps: dict[str, Lamp] = Field(min_length=1)
     objects: dict[str, StillObject] = Field(default={})
@@ -107,6 +111,26 @@ class Scene(Part):
                 raise ValueError(
                     f"movers.{name}: its part {clash[0]!r} has the name of another mover; cure: rename one"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _tables_name_the_bands(self) -> Scene:
+        names = [band.name for band in self.bands]
+        if len(set(names)) < len(names):
+            raise ValueError(f"bands: names must differ, got {', '.join(names)}")
+        for kind, parts in (("materials", self.materials), ("lamps", self.lamps)):
+            for name, part in parts.items():
+                for key, table in tables(part).items():
+                    where = f"{kind}.{name}.{key}"
+                    if strange := [band for band in table if band not in names]:
+                        raise ValueError(
+                            f"{where}: {unknown_name('band', strange[0], names or ['(none declared)'])}"
+                        )
+                    if missing := [band for band in names if band not in table]:
+                        raise ValueError(
+                            f"{where}: got no value for band {missing[0]!r}; cure: give one for each of "
+                            f"{', '.join(names)}, or one number for all"
+                        )
         return self
 
     @model_validator(mode="after")
@@ -157,6 +181,36 @@ class Scene(Part):
                 key = flicker_key(lamp)
                 groups[key] = (*groups.get(key, ()), name)
         return groups
+
+    def in_band(self, name: str | None = None) -> Scene:
+        """Return the scene as it is in one of its bands: every table by band becomes that band's number.
+
+        Parameters
+        ----------
+        name : str, optional
+            Which band; by default the one nearest to 550 nm. A scene without bands is returned as it is.
+
+        Raises
+        ------
+        ConfigError
+            For a band that the scene doesn't have.
+        """
+        if name is None and not self.bands:
+            return self
+        if name is None:
+            band = min(self.bands, key=lambda band: abs(band.wavelength_nm - MONO_NM))
+        elif not (found := [band for band in self.bands if band.name == name]):
+            known = [band.name for band in self.bands] or ["(none declared)"]
+            raise unknown_name(f"band of scene {self.name}", name, known)
+        else:
+            band = found[0]
+        return self.model_copy(
+            update={
+                "bands": (band,),
+                "materials": {key: taken(part, band.name) for key, part in self.materials.items()},
+                "lamps": {key: taken(part, band.name) for key, part in self.lamps.items()},
+            }
+        )
 
     def only_lamps(self, names: Iterable[str]) -> Scene:
         """Return the same scene with only these lamps lit; the others stay as black rectangles.
