@@ -27,7 +27,6 @@ _RECORDS = _PACKAGE / "evidence.json"
 EFFECTS: dict[str, str] = {
     "render_form_factor": "direct light from an area lamp",
     "render_furnace": "energy of multiple bounces",
-    "render_halves": "difference rendering and its stated noise",
     "difference_unbiased": "difference rendering, allocated samples and skipped paths: no bias",
     "interpolation_bound": "interpolation in time between rendered poses",
     "noise_calibrated": "noise of the truth where movers are, elsewhere, and with a moving camera",
