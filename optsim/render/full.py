@@ -52,13 +52,13 @@ def render_slot(plan: Plan, stage: Stage, slot: int, before: Tiles) -> dict[str,
     counts = plan.counts(before, pixels, about, target, least=1).astype(np.int64)
     light = np.zeros((2, n_instants, len(pixels)))
     for instant in range(n_instants):
-        luck = [plan.luck("slot", slot, instant, group) for group in range(n_poses)]
+        luck = np.stack([plan.luck("slot", slot, instant, group) for group in range(n_poses)])
         for pose in range(n_poses):
             stage.pose(plan.time_s(slot + (instant + (pose + 0.5) / n_poses) / n_instants))
             size = np.maximum(n_poses // counts, 1)
             group = pose // size
             for half, seed in enumerate(plan.seeds("slot", slot, instant, pose)):
-                chance = np.stack([one[half] for one in luck])[group, pixels]
+                chance = luck[group, half, pixels]
                 where = np.flatnonzero(pose % size == np.floor(chance * size))
                 samples = np.maximum(counts[where] // n_poses, 1)
                 seen = stage.paths(pixels[where], samples, np.full(len(where), seed))

@@ -16,6 +16,7 @@ negative, being unbiased; they stay so in all sums.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
@@ -147,7 +148,8 @@ def _load_movers(plan: Plan) -> _Load:
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     if not plan.scene.singles():
         return lambda index, half: Segment(half(static), half(static), (), n_instants)
-    difference = Difference(plan, static)
+    # Loads three scenes: only where the cache lacks something.
+    difference = functools.cache(lambda: Difference(plan, static))
     n_segments = plan.timing.n_slots // plan.segment_slots
     keys = [_key_instant(plan, difference, index, n_segments + 1) for index in range(n_segments + 1)]
     segments = [_segment(plan, difference, static, index, n_segments) for index in range(n_segments)]
@@ -168,17 +170,17 @@ def _key(plan: Plan, index: int) -> str:
     return plan.key("key", slot, plan.segment_slots, *what, plan.stop())
 
 
-def _key_instant(plan: Plan, difference: Difference, index: int, total: int) -> str:
+def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, total: int) -> str:
     """Render what the movers change at a key instant, both halves; return its place in the cache."""
     time_s, turn = plan.time_s(index * plan.segment_slots), index % plan.settings.key_seeds
 
     def make() -> dict[str, Floats]:
         # The movers' own pixels are the segments' business.
         pixels = np.flatnonzero(~plan.own(time_s))
-        pilot = difference.pilot(time_s, pixels) if index == 0 else None
+        pilot = difference().pilot(time_s, pixels) if index == 0 else None
         tiles = pilot or _others(plan, index, turn)
-        counts = difference.counts(tiles, pixels, plan.settings.change_error)
-        found, tiles, _ = difference.change(time_s, pixels, counts, turn)
+        counts = difference().counts(tiles, pixels, plan.settings.change_error)
+        found, tiles, _ = difference().change(time_s, pixels, counts, turn)
         change = np.zeros((2, plan.view.rows * plan.view.cols), np.float32)
         change[:, pixels] = found
         entry = {"change": change.reshape(2, *plan.shape), "tiles": tiles.arrays()}
@@ -201,7 +203,7 @@ def _others(plan: Plan, before: int, turn: int) -> Tiles:
     return tiles
 
 
-def _segment(plan: Plan, difference: Difference, static: Floats, index: int, total: int) -> str:
+def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, index: int, total: int) -> str:
     """Render what the movers touch in a segment, both halves; return its place in the cache."""
     chosen, first = plan.settings, index * plan.segment_slots
 
@@ -214,9 +216,9 @@ def _segment(plan: Plan, difference: Difference, static: Floats, index: int, tot
         if index:
             own = Tiles.of(plan.cache.read(key(first - plan.segment_slots))["tiles"])
         else:
-            own = moving.pilot(plan, difference.moving, 0.0)
+            own = moving.pilot(plan, difference().moving, 0.0)
         change = [_others(plan, index + 1, turn) for turn in range(chosen.key_seeds)]
-        return moving.render_segment(plan, difference, static, first, own, change)
+        return moving.render_segment(plan, difference(), static, first, own, change)
 
     plan.cache.get(key(first), make)
     plan.progress("movers", index + 1, total)
@@ -230,7 +232,8 @@ def _load_lamps(plan: Plan) -> _Load:
     for names in plan.scene.light_groups().values():
         lit = plan.lit_by(names)
         lit = replace(lit, segment_slots=moving.slots_per_segment(lit))
-        groups.append((names[0], lit, _load_movers(lit)))
+        # Slot after slot asks for the same segment.
+        groups.append((names[0], lit, functools.lru_cache(maxsize=2)(_load_movers(lit))))
 
     def load(slot: int, half: Half) -> Segment:
         images = np.zeros((n_instants, *plan.shape), np.float32)
