@@ -93,9 +93,9 @@ def test_skipping_far_paths_changes_nothing(difference, monkeypatch):
     """The same paths with all of them traced again: equal but for rays along an edge of two triangles."""
     _, ours = difference
     counts = np.full(len(PIXELS), 4, np.float32)
-    skipped, _, _ = ours.change(0.011, PIXELS, counts, 0)
+    skipped, _ = ours.change(0.011, PIXELS, counts, 0)
     monkeypatch.setattr(type(ours._boxes), "hold", lambda *_: False)
-    everything, _, _ = ours.change(0.011, PIXELS, counts, 0)
+    everything, _ = ours.change(0.011, PIXELS, counts, 0)
     assert (everything != 0).mean() > 0.1
     assert (skipped == 0).mean() > 0.1
     # 8 samples of one half each: a bit of rounding in the sum is 1e-6 of the brightest sample.

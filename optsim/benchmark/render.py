@@ -146,8 +146,8 @@ def _plan(scene: Scene, cache: Cache, seed: int) -> Plan:
 def _settings(target: float, seed: int) -> RenderSettings:
     """Targets that together give about the error ``target`` in both regions."""
     table = {
-        "static_error": max(0.05, 0.4 * target),
-        "change_error": 0.7 * target,
+        "static_error": 0.3 * target,
+        "change_error": 1.3 * target,
         "moving_error": target,
         "interpolation_error": 0.75 * target,
         "seed": seed,

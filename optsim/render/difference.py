@@ -24,20 +24,6 @@ _LOOK_UP = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
-    """Random paths to trace: of each pixel (flat index) so many, with a seed; (n,) each."""
-
-    pixels: Ints
-    samples: Ints
-    seeds: Ints
-
-    def and_also(self, other: Paths) -> Paths:
-        """Put other paths behind these."""
-        pairs = ((self.pixels, other.pixels), (self.samples, other.samples), (self.seeds, other.seeds))
-        return Paths(*(np.concatenate(pair) for pair in pairs))
-
-
-@dataclass(frozen=True, eq=False)
 class _Known:
     """Paths without movers: for some pixels, a stretch of each one's samples; (n, sample)."""
 
@@ -83,9 +69,7 @@ class Difference:
         """Statistics at an instant from random numbers of their own."""
         return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
 
-    def change(
-        self, time_s: float, pixels: Ints, counts: Floats, turn: object, besides: Paths | None = None
-    ) -> tuple[Doubles, Tiles, Doubles]:
+    def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Tiles]:
         """Render what the movers change at an instant, in some pixels.
 
         Parameters
@@ -98,8 +82,6 @@ class Difference:
             Samples a half, powers of two.
         turn : object
             Which set of random numbers.
-        besides : Paths, optional
-            Other paths to trace with the movers there, in the same launch: launches cost time, too.
 
         Returns
         -------
@@ -107,36 +89,33 @@ class Difference:
             Estimate of each half, W m^-2 sr^-1; unbiased, of either sign.
         tiles : Tiles
             Statistics for the next call.
-        seen : ndarray, float64
-            Mean radiance of the other paths, W m^-2 sr^-1.
         """
         all_near = self._boxes is None or not self._boxes.hold(self._plan.scene, time_s)
         self.trace_without(turn, pixels, counts)
         where: list[Ints] = []
         first: list[Ints] = []
         before: list[Floats] = []
-        for half, level, here in _wanted(counts):
-            rows, paths = self._known[turn, half, level]
+        for part, level, here in _wanted(counts):
+            rows, paths = self._known[turn, part, level]
             at = rows[pixels[here]]
             row, sample = np.nonzero(paths.near[at] | all_near)
-            where.append(here[row] + half * len(pixels))
+            where.append(here[row] + part * len(pixels))
             first.append(sample + (1 << level >> 1))
             before.append(paths.radiance[at[row], sample])
         place = np.concatenate(where)
         seeds = np.asarray(self._plan.seeds("key", turn), np.int64)
-        again = Paths(pixels[place % len(pixels)], np.ones(len(place), np.int64), seeds[place // len(pixels)])
-        asked = again.and_also(besides) if besides else again
-        firsts = np.concatenate([*first, np.zeros(len(asked.pixels) - len(place), np.int64)])
+        half, which = np.divmod(place, max(1, len(pixels)))
         self.moving.pose(time_s)
-        seen = self.moving.paths(asked.pixels, asked.samples, asked.seeds, firsts)
-        difference = seen[: len(place)] - np.concatenate(before)
+        once = np.ones(len(place), np.int64)
+        seen = self.moving.paths(pixels[which], once, seeds[half], np.concatenate(first))
+        difference = seen - np.concatenate(before)
         n, total = counts.astype(np.float64), 2 * len(pixels)
         added = np.bincount(place, difference, total).reshape(2, -1)
         squared = np.bincount(place, difference**2, total).reshape(2, -1).sum(axis=0)
         variance = np.maximum(squared - added.sum(axis=0) ** 2 / (2 * n), 0) / (2 * n - 1)
         change = added / n
         light = self._static[pixels] + change.mean(axis=0)
-        return change, tally(self._plan.shape, pixels, variance, light), seen[len(place) :]
+        return change, tally(self._plan.shape, pixels, variance, light)
 
     def trace_without(self, turn: object, pixels: Ints, counts: Floats) -> None:
         """Trace paths without movers ahead of a ``change``; what is known isn't traced again."""

@@ -32,14 +32,14 @@ def faces_of(mover: Single | Carried) -> Faces:
     return mover.rest().faces if isinstance(mover, Carried) else _faces_of(cast("Any", mover))
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=1024)
 def _vertices_at(mover: Any, time_s: float) -> Doubles:
     vertices = mover.vertices(time_s)
     vertices.flags.writeable = False
     return vertices
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=1024)
 def _faces_of(mover: Any) -> Faces:
     return mover.rest().faces
 
@@ -130,6 +130,7 @@ def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, vi
 @njit(nogil=True, cache=True)
 def _cover(mask, places, faces, margin):  # type: ignore[no-untyped-def]
     rows, cols = mask.shape
+    edges = np.empty((3, 3))
     for f in range(faces.shape[0]):
         a, b, c = places[faces[f, 0]], places[faces[f, 1]], places[faces[f, 2]]
         behind = np.isnan(a[0]) + np.isnan(b[0]) + np.isnan(c[0])
@@ -144,16 +145,20 @@ def _cover(mask, places, faces, margin):  # type: ignore[no-untyped-def]
         right = min(cols - 1, int(np.ceil(max(a[1], b[1], c[1]) + margin)))
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         sign = 1.0 if area >= 0 else -1.0
+        # Distance of a sample's centre inside each edge: dy x + dx y + offset.
+        for k, (p, q) in enumerate(((a, b), (b, c), (c, a))):
+            dy, dx = q[0] - p[0], q[1] - p[1]
+            length = np.sqrt(dy * dy + dx * dx)
+            scale = sign / length if length > 1e-9 else 0.0
+            edges[k, 0], edges[k, 1] = scale * dy, -scale * dx
+            edges[k, 2] = scale * (dy * (0.5 - p[1]) - dx * (0.5 - p[0]))
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):
+                if mask[y, x]:
+                    continue
                 inside = True
-                for p, q in ((a, b), (b, c), (c, a)):
-                    dy, dx = q[0] - p[0], q[1] - p[1]
-                    length = np.sqrt(dy * dy + dx * dx)
-                    if length > 1e-9:
-                        distance = sign * (dy * (x + 0.5 - p[1]) - dx * (y + 0.5 - p[0])) / length
-                        if distance < -margin:
-                            inside = False
-                            break
+                for k in range(3):
+                    if edges[k, 0] * x + edges[k, 1] * y + edges[k, 2] < -margin:
+                        inside = False
                 if inside:
                     mask[y, x] = True

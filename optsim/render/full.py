@@ -9,10 +9,10 @@ from optsim.quantities import Block, Doubles, Floats, Segment, Timing, View
 from optsim.render.allocation import Tiles
 from optsim.render.backend import activate
 from optsim.render.footprint import path_px
-from optsim.render.moving import ERROR_PER_PX
 from optsim.render.plan import Plan, seed_of
 from optsim.render.stage import Stage
 from optsim.render.still import halves_tally
+from optsim.render.tracks import ERROR_PER_PX
 from optsim.scene.scene import Scene
 
 _PILOT_SAMPLES = 4

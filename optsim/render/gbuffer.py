@@ -15,6 +15,7 @@ import numpy as np
 
 from optsim.quantities import Doubles, Ids, Ints, View
 from optsim.render.describe import unit_m
+from optsim.render.first_hit import FirstHit, first_hit
 from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
@@ -119,30 +120,20 @@ def _intersect(loaded: Any, start: Doubles, directions: Doubles, reach: Doubles)
         return np.zeros((0, 12))
     if str(mi.variant()).startswith("scalar"):
         rays = zip(start.tolist(), directions.tolist(), reach.tolist(), strict=True)
-        return np.array([np.ravel(_first_hit(mi, loaded, *ray)) for ray in rays], np.float64)
-    points, ways = (mi.Vector3f(a.T.astype(np.float32)) for a in (start, directions))
-    found = _first_hit(mi, loaded, mi.Point3f(points), ways, mi.Float(reach.astype(np.float32)))
+        each = [first_hit(mi, loaded, _rays(mi, *ray)) for ray in rays]
+        return np.array([np.concatenate([np.ravel(column) for column in _columns(hit)]) for hit in each])
+    rays = _rays(mi, mi.Point3f(start.T), mi.Vector3f(directions.T), mi.Float(reach))
+    found = _columns(first_hit(mi, loaded, rays))
     dr.eval(found)  # at once: each column by itself would trace all rays again
-    return np.stack([np.asarray(column.numpy(), np.float64) for column in found], axis=1)
+    return np.vstack([np.asarray(column.numpy(), np.float64) for column in found]).T
 
 
-def _first_hit(mi: Any, loaded: Any, start: Any, direction: Any, reach: Any) -> list[Any]:
-    """Find the first surface of one ray, or of a wavefront of rays, whichever the variant knows."""
-    ray = mi.Ray3f(start, direction, reach, 0.0, [])
-    first = loaded.ray_intersect_preliminary(ray)
-    hit = first.is_valid()
-    if hit is False:
-        return [np.inf, *[0.0] * 11]
-    surface = first.compute_surface_interaction(ray)
-    material = surface.bsdf(ray)
-    # Materials with a diffuse part call its reflectance by one of these names; Mitsuba's own
-    # eval_diffuse_reflectance is no albedo for them: it evaluates the gloss, which exceeds 1. In a wavefront
-    # the others answer 0; a single one refuses.
-    names = ("reflectance", "diffuse_reflectance")
-    known = [name for name in names if hit is not True or material.has_attribute(name, True)]
-    albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
-    uv, smooth, flat = first.prim_uv, surface.sh_frame.n, surface.n
-    return [first.t, first.shape_index, first.prim_index, uv[0], uv[1], *smooth, *flat, albedo]
+def _rays(mi: Any, start: Any, direction: Any, reach: Any) -> Any:
+    return mi.Ray3f(start, direction, reach, 0.0, [])
+
+
+def _columns(hit: FirstHit) -> list[Any]:
+    return [hit.distance, hit.shape, hit.face, hit.weights, hit.normal, hit.flat_normal, hit.albedo]
 
 
 class ObjectIds:

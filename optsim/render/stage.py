@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, cast
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.describe import camera_to_world, describe, unit_m
+from optsim.render.first_hit import first_hit
 from optsim.render.footprint import vertices_at
 from optsim.render.nearby import Boxes, glowing
 from optsim.render.sampler import pixel_sampler
@@ -24,6 +26,29 @@ from optsim.scene.scene import Scene
 
 # Bounds the memory of one launch (about 100 bytes a lane).
 _MAX_LANES = 4 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What random paths meet first; (n,) each, path by path.
+
+    Parameters
+    ----------
+    shape, face : ndarray, int64
+        Index of Mitsuba's shape, -1 for nothing, and of its triangle.
+    weights : ndarray of shape (n, 2), float32
+        Barycentric weights of the triangle's second and third vertex.
+    albedo : ndarray, float32
+        Reflectance of matt surfaces, 0..1; 0 for all others.
+    light : ndarray, float32
+        Radiance along the whole path, W m^-2 sr^-1; empty where it was not asked for.
+    """
+
+    shape: Ints
+    face: Ints
+    weights: Floats
+    albedo: Floats
+    light: Floats
 
 
 class Stage:
@@ -63,12 +88,17 @@ class Stage:
                 content["near"] = glowing(mi, boxes, unit_m(scene), shown=glow)
             self._loaded: Any = mi.load_dict(content, optimize=False)
         self._parameters: Any = mi.traverse(self._loaded)
+        self._shapes = {str(shape.id()): index for index, shape in enumerate(self._loaded.shapes())}
         self._time_s = 0.0
 
     @property
     def loaded(self) -> Any:
         """Mitsuba's scene, for rays of one's own; to be looked at, not changed."""
         return self._loaded
+
+    def shape_of(self, mover: str) -> int:
+        """Index of a mover's shape in Mitsuba's scene."""
+        return self._shapes[f"mover_{mover}"]
 
     def pose(self, time_s: float) -> None:
         """Put the camera and all movers where they are at a time."""
@@ -134,43 +164,74 @@ class Stage:
             return np.zeros(0)
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
         result = np.empty(len(pixels))
-        # Pieces of about equal work, so that one launch never needs more than its share of memory.
-        pieces = np.unique((np.cumsum(samples) - samples) // _MAX_LANES, return_index=True)[1]
-        for low, high in pairwise([*pieces.tolist(), len(pixels)]):
-            part = slice(low, high)
-            result[part] = self._sums(pixels[part], samples[part], seeds[part], first[part])
+        for part in _pieces(samples):
+            values = self._trace(pixels[part], samples[part], seeds[part], first[part])
+            # In float64, as float32 sums of many paths lose digits.
+            result[part] = np.add.reduceat(values, _starts(samples[part]), dtype=np.float64)
         return result / samples
 
-    def _sums(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> Doubles:
-        """Launch once, one lane a path; summed in float64, as float32 sums of many paths lose digits."""
+    def looks(self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int = 0, *, light: bool) -> Looks:
+        """Say what the paths that :meth:`paths` would follow meet first, each by itself.
+
+        Parameters
+        ----------
+        pixels, samples, seeds
+            As for :meth:`paths`.
+        light : bool
+            Whether to follow them on, too; otherwise this costs a small part of it.
+        """
+        if not len(pixels):
+            return Looks(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
+        parts = [self._look(pixels[p], samples[p], seeds[p], light) for p in _pieces(samples)]
+        found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
+        shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
+        shape[~np.isfinite(found[2])] = -1
+        return Looks(shape, face, found[3].T, found[4], found[5])
+
+    def _rays(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> tuple[Any, Any, Any]:
+        """Sampler, camera ray and its weight: one lane a path."""
         import drjit as dr
         import mitsuba as mi
 
-        starts = np.cumsum(samples) - samples
-        lane = dr.arange(mi.UInt32, int(samples.sum()))
         place = mi.UInt32(np.repeat(np.arange(len(pixels), dtype=np.uint32), samples))
 
         def each(values: Ints) -> Any:
             return dr.gather(mi.UInt32, mi.UInt32(values.astype(np.uint32)), place)
 
-        values = self._trace(each(pixels), lane - each(starts - first), each(seeds))
-        return np.add.reduceat(values, starts, dtype=np.float64)
-
-    def _trace(self, pixel: Any, index: Any, seed: Any) -> Floats:
-        """Radiance along one random path for each (pixel, sample number, seed)."""
-        import drjit as dr
-        import mitsuba as mi
-
+        pixel, lane = each(pixels), dr.arange(mi.UInt32, int(samples.sum()))
         sampler: Any = pixel_sampler(mi, dr)()
-        sampler.start(seed, pixel, index)
+        sampler.start(each(seeds), pixel, lane - each(_starts(samples) - first))
         row = pixel // dr.opaque(mi.UInt32, self.view.cols)
         corner = mi.Point2f(mi.Float(pixel - row * self.view.cols), mi.Float(row))
         position = (corner + sampler.next_2d()) / mi.Point2f(self.view.cols, self.view.rows)
-        ray, weight = self._loaded.sensors()[0].sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
+        sensor = self._loaded.sensors()[0]
+        return sampler, *sensor.sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
+
+    def _trace(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> Floats:
+        """Radiance along random paths, in one launch."""
+        import drjit as dr
+
+        sampler, ray, weight = self._rays(pixels, samples, seeds, first)
         light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
         values = (light * weight)[0]
         dr.eval(values)
         return np.asarray(values.numpy(), np.float32)
+
+    def _look(self, pixels: Ints, samples: Ints, seeds: Ints, light: bool) -> list[Any]:
+        """Shape, face, distance, weights, albedo and perhaps radiance of random paths, in one launch."""
+        import drjit as dr
+        import mitsuba as mi
+
+        sampler, ray, weight = self._rays(pixels, samples, seeds, np.zeros_like(pixels))
+        met = first_hit(mi, self._loaded, mi.Ray3f(ray), matt_only=True)
+        seen = mi.Float(0)
+        if light:
+            radiance, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
+            seen = (radiance * weight)[0]
+        found = [met.shape, met.face, met.distance, met.weights, met.albedo, seen]
+        dr.eval(found)
+        shape, face, distance, weights, albedo, values = (np.asarray(each.numpy()) for each in found)
+        return [shape, face, distance, weights.reshape(2, -1), albedo, values if light else values[:0]]
 
     def picture(self, samples: int, seed: int) -> Floats:
         """Render the whole fine grid by Mitsuba's own loop and sampler, in any variant: (y, x), float32."""
@@ -178,6 +239,16 @@ class Stage:
 
         image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
         return np.ascontiguousarray(image.mean(axis=2), np.float32)
+
+
+def _starts(samples: Ints) -> Ints:
+    return np.cumsum(samples) - samples
+
+
+def _pieces(samples: Ints) -> list[slice]:
+    """Cut into pieces of about equal work, so that one launch never needs more than its share of memory."""
+    cuts = np.unique(_starts(samples) // _MAX_LANES, return_index=True)[1]
+    return [slice(*ends) for ends in pairwise([*cuts.tolist(), len(samples)])]
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:

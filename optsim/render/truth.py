@@ -39,6 +39,7 @@ from optsim.render.plan import Plan
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.render.stage import Stage, outside_mask
 from optsim.render.still import static_light
+from optsim.render.tracks import slots_per_segment
 from optsim.scene.scene import Scene
 
 # Samples a fine sample, slot and half of the scalar fallback.
@@ -116,7 +117,7 @@ def render_truth(
     elif any(lamp.flicker for lamp in scene.lamps.values()):
         load = _load_lamps(plan)
     else:
-        plan = replace(plan, segment_slots=moving.slots_per_segment(plan))
+        plan = replace(plan, segment_slots=slots_per_segment(plan))
         load, n_slots = _load_movers(plan), plan.segment_slots
     common: dict[str, Any] = {
         "rows": view.rows,
@@ -180,7 +181,7 @@ def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, t
         pilot = difference().pilot(time_s, pixels) if index == 0 else None
         tiles = pilot or _others(plan, index, turn)
         counts = difference().counts(tiles, pixels, plan.settings.change_error)
-        found, tiles, _ = difference().change(time_s, pixels, counts, turn)
+        found, tiles = difference().change(time_s, pixels, counts, turn)
         change = np.zeros((2, plan.view.rows * plan.view.cols), np.float32)
         change[:, pixels] = found
         entry = {"change": change.reshape(2, *plan.shape), "tiles": tiles.arrays()}
@@ -231,7 +232,7 @@ def _load_lamps(plan: Plan) -> _Load:
     groups: list[tuple[str, Plan, _Load]] = []
     for names in plan.scene.light_groups().values():
         lit = plan.lit_by(names)
-        lit = replace(lit, segment_slots=moving.slots_per_segment(lit))
+        lit = replace(lit, segment_slots=slots_per_segment(lit))
         # Slot after slot asks for the same segment.
         groups.append((names[0], lit, functools.lru_cache(maxsize=2)(_load_movers(lit))))
 

@@ -1,0 +1,190 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUntypedFunctionDecorator=false
+"""What movers carry with them between two instants: the light that falls on their surface.
+
+A matt point's radiance is its reflectance times irradiance / pi. Reflectance, edges and visibility change at
+once when a mover moves; the irradiance of *the same point of the surface* hardly does. So it is estimated at
+key poses only, by whole paths, and looked up between them, where only the first surfaces are found anew: the
+point is followed by its triangle to where it was seen at the key pose, and takes the irradiance that paths
+through that sample of the grid found there.
+
+Reprojection with a test whether the point was seen: B. Walter, G. Drettakis, S. Parker, "Interactive
+Rendering using the Render Cache", EGWR 1999, doi:10.1007/978-3-7091-6809-7_3; reflectance apart from
+irradiance: G. J. Ward, F. M. Rubinstein, R. D. Clear, "A Ray Tracing Solution for Diffuse Interreflection",
+SIGGRAPH 1988, doi:10.1145/54852.378490.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numba import njit
+from scipy import ndimage
+
+from optsim.quantities import Bools, Doubles, Floats, Ints, View
+from optsim.render.stage import Looks
+from optsim.scene.geometry import Faces
+
+# A key's sample is of the same surface if its depth differs by no more than this many samples' width there:
+# what slants by 70 degrees differs by less within a sample. No source.
+_DEPTH_PX = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """Light on the samples of one half at a key pose.
+
+    Parameters
+    ----------
+    first : ndarray of shape (samples of the grid + 1,), int64
+        Where each fine sample's paths begin.
+    shape : ndarray of shape (n,), int64
+        What each path met, sorted by fine sample.
+    depth_m : ndarray of shape (n,), float32
+        There.
+    albedo, light : ndarray of shape (n,), float32
+        Reflectance there, and radiance in W m^-2 sr^-1.
+    """
+
+    first: Ints
+    shape: Ints
+    depth_m: Floats
+    albedo: Floats
+    light: Floats
+
+    def beside(self, movers: list[int]) -> Floats:
+        """Radiance of what paths met that went past some shapes, by fine sample; NaN where none did."""
+        past = np.flatnonzero(~np.isin(self.shape, movers))
+        sample, n = np.searchsorted(self.first, past, "right") - 1, len(self.first) - 1
+        with np.errstate(invalid="ignore"):
+            mean = np.bincount(sample, self.light[past], n) / np.bincount(sample, minlength=n)
+        return mean.astype(np.float32)
+
+    def irradiance(
+        self, looks: Looks, chosen: Ints, faces: Faces, here: Doubles, then: Doubles, view: View
+    ) -> Floats:
+        """Look up the irradiance over pi, at this pose, of points seen at another one.
+
+        Parameters
+        ----------
+        looks : Looks
+            What was seen at the other pose.
+        chosen : ndarray of shape (n,)
+            Which of these looks: all on one shape.
+        faces : ndarray of shape (m, 3)
+            Its triangles.
+        here, then : ndarray of shape (k, 3)
+            Where its vertices are in the picture at this pose and at the other one, as from
+            :func:`optsim.render.footprint.project`.
+
+        Returns
+        -------
+        ndarray of shape (n,), float32
+            NaN where no path met the point.
+        """
+        if not len(chosen):
+            return np.zeros(0, np.float32)
+        tolerance = _DEPTH_PX * 2 * view.tan_half_width / view.cols
+        met = int(looks.shape[chosen[0]]), tolerance, view.rows, view.cols
+        key = self.first, self.shape, self.depth_m, self.albedo, self.light
+        return _looked_up(looks.face, looks.weights, chosen, faces, here, then, *met, *key)
+
+
+def depths(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Floats:
+    """Find the depth of what was seen, m.
+
+    Parameters
+    ----------
+    looks, chosen, faces
+        As for :meth:`Key.irradiance`.
+    places : ndarray of shape (k, 3)
+        Where the vertices are.
+    """
+    second, third = looks.weights[chosen].T
+    a, b, c = places[faces[looks.face[chosen]], 2].T
+    return np.asarray((1 - second - third) * a + second * b + third * c, np.float32)
+
+
+@njit(nogil=True, cache=True)
+def _turns(a, b, c):  # type: ignore[no-untyped-def]
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0
+
+
+@njit(nogil=True, cache=True)
+def _looked_up(  # type: ignore[no-untyped-def]
+    face, weights, chosen, faces, here, then, which, tolerance, rows, cols, first, shape, depth, albedo, light
+):
+    found = np.full(chosen.shape[0], np.nan, np.float32)
+    for n in range(chosen.shape[0]):
+        i, j, k = faces[face[chosen[n]]]
+        a, b, c = here[i], here[j], here[k]
+        # The other side of a sheet has its own light.
+        if _turns(a, b, c) != _turns(then[i], then[j], then[k]):
+            continue
+        second, third = weights[chosen[n], 0], weights[chosen[n], 1]
+        # Straight in space, hence straight in place times depth.
+        wa, wb, wc = (1 - second - third) * a[2], second * b[2], third * c[2]
+        z = wa + wb + wc
+        y, x = (wa * a[0] + wb * b[0] + wc * c[0]) / z, (wa * a[1] + wb * b[1] + wc * c[1]) / z
+        if not (0 <= y < rows and 0 <= x < cols):  # nor if NaN
+            continue
+        row, col = int(y), int(x)
+        # Its own sample of the grid, or else, beside an edge, those around.
+        for reach in range(2):
+            of_light, of_albedo = 0.0, 0.0
+            for v in range(max(0, row - reach), min(rows, row + reach + 1)):
+                for u in range(max(0, col - reach), min(cols, col + reach + 1)):
+                    for path in range(first[v * cols + u], first[v * cols + u + 1]):
+                        if shape[path] == which and abs(depth[path] - z) <= tolerance * z:
+                            of_light += light[path]
+                            of_albedo += albedo[path]
+            if of_albedo > 0:
+                found[n] = of_light / of_albedo
+                break
+    return found
+
+
+def filled(behind: Floats, static: Floats, mask: Bools) -> Floats:
+    """Guess what is unknown (NaN) at a key, from the nearest key that knows, or from the nearest sample.
+
+    What movers change beside themselves varies slowly, in time and, in proportion to the light without them,
+    in space.
+
+    Parameters
+    ----------
+    behind : ndarray of shape (key, half, n)
+        Radiance, W m^-2 sr^-1.
+    static : ndarray of shape (half, n)
+        Radiance without movers.
+    mask : ndarray of shape (y, x), bool
+        Where the n samples are.
+
+    Returns
+    -------
+    ndarray of shape (key, half, n)
+        Still NaN where no sample is known in any key.
+    """
+    known = np.logical_and(*np.moveaxis(np.isfinite(behind), 1, 0))
+    order = np.arange(len(behind))
+    distance = np.abs(order[:, None] - order)[:, :, None]
+    nearest = np.argmin(np.where(known[None], distance, len(behind)), axis=1)
+    light = np.take_along_axis(behind, nearest[:, None], axis=0)
+    never, ever = np.flatnonzero(~known.any(axis=0)), np.zeros(mask.shape, np.bool_)
+    ever[mask] = known.any(axis=0)
+    if len(never) and ever.any():
+        beside = cast(
+            "Ints", ndimage.distance_transform_edt(~ever, return_distances=False, return_indices=True)
+        )
+        number = np.cumsum(mask).reshape(mask.shape) - 1
+        other = number[tuple(beside[:, mask][:, never])]
+        about = np.maximum(static.mean(axis=0), 1e-12)
+        light[:, :, never] = light[:, :, other] * (about[never] / about[other])
+    return light
+
+
+def between(before: Floats, after: Floats, share: float) -> Floats:
+    """Interpolate linearly; where one of both is unknown (NaN) the other holds."""
+    mixed = (1 - share) * before + share * after
+    return np.where(np.isnan(before), after, np.where(np.isnan(after), before, mixed))

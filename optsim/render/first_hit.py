@@ -1,0 +1,64 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+"""What one ray of Mitsuba's, or a wavefront of them, meets first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class FirstHit:
+    """First surface, in the types of Mitsuba's variant; what is left unread costs nothing in a wavefront.
+
+    Parameters
+    ----------
+    distance
+        In the renderer's unit; infinite for nothing, and all else then means nothing.
+    shape, face
+        Index of the shape and of its triangle.
+    weights
+        Barycentric weights of the triangle's second and third vertex.
+    normal, flat_normal
+        Shading normal and the triangle's own.
+    albedo
+        Diffuse reflectance; 0 where there is no diffuse part.
+    """
+
+    distance: Any
+    shape: Any
+    face: Any
+    weights: Any
+    normal: Any
+    flat_normal: Any
+    albedo: Any
+
+
+def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> FirstHit:
+    """Find the first surface of one ray, or of a wavefront of rays, whichever the variant knows.
+
+    Parameters
+    ----------
+    mi, loaded
+        Mitsuba and its scene.
+    ray
+        One, or a wavefront.
+    matt_only : bool
+        Leave out normals and the reflectance of what is under a coat: asking takes longer than tracing.
+    """
+    first = loaded.ray_intersect_preliminary(ray)
+    hit = first.is_valid()
+    if hit is False:
+        return FirstHit(np.inf, 0, 0, [0.0] * 2, [0.0] * 3, [0.0] * 3, 0.0)
+    surface = first.compute_surface_interaction(ray, mi.RayFlags.UV if matt_only else mi.RayFlags.All)
+    material = surface.bsdf(ray)
+    # Materials with a diffuse part call its reflectance by one of these names; Mitsuba's own
+    # eval_diffuse_reflectance is no albedo for them: it evaluates the gloss, which exceeds 1. In a wavefront
+    # the others answer 0; a single one refuses.
+    names = ("reflectance",) if matt_only else ("reflectance", "diffuse_reflectance")
+    known = [name for name in names if hit is not True or material.has_attribute(name, True)]
+    albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
+    normal, flat = surface.sh_frame.n, surface.n
+    return FirstHit(first.t, first.shape_index, first.prim_index, first.prim_uv, normal, flat, albedo)

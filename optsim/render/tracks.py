@@ -1,0 +1,107 @@
+"""Where each mover goes in a segment, and how many poses and keys its way asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.quantities import Bools, Ints
+from optsim.render.footprint import cover, faces_of, path_px, vertices_at
+from optsim.render.plan import Plan
+
+# Relative error of linear interpolation per fine sample of way between two instants: between poses on the
+# movers' own pixels; of the irradiance that they carry between two keys; and of what they change elsewhere.
+# Measured on window_room, wheel and half_moving (``validation/interpolation_bound``).
+ERROR_PER_PX = 0.12
+CARRIED_ERROR_PER_PX = 0.02
+CHANGE_ERROR_PER_PX = 0.0015
+# Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses.
+_STEPS = sorted(2**a * 3**b for a in range(15) for b in range(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A mover in a segment.
+
+    Parameters
+    ----------
+    name : str
+        Of the mover.
+    n_steps : int
+        In how many equal steps it goes.
+    n_keys : int
+        Of how many equal parts the ends are its key poses; divides ``n_steps``.
+    mask : ndarray of shape (y, x), bool
+        In which samples it is ever seen and none with more steps; maybe nowhere.
+    """
+
+    name: str
+    n_steps: int
+    n_keys: int
+    mask: Bools
+
+    @property
+    def pixels(self) -> Ints:
+        """Flat indices."""
+        return np.flatnonzero(self.mask)
+
+
+def way_px(plan: Plan, name: str, first_slot: float, last_slot: float, margin_px: float = 0.0) -> float:
+    """Measure the farthest way that a visible point of a mover goes between two slots, fine samples."""
+    mover, pieces = plan.scene.singles()[name], max(1, round(last_slot - first_slot))
+    times = plan.time_s(first_slot), plan.time_s(last_slot)
+    return path_px(mover.vertices, *times, pieces, plan.scene.camera, plan.view, margin_px)
+
+
+def slots_per_segment(plan: Plan) -> int:
+    """Choose the slots between key instants that the interpolation bound allows, by the fastest mover's way.
+
+    The way is measured in every third slot of the whole experiment, up to a picture's width outside the
+    picture: from there shadows and bounce light still arrive.
+    """
+    per_frame = plan.timing.slots_per_frame
+    if plan.settings.slots_per_segment is not None:
+        return plan.settings.slots_per_segment
+    fastest = max(
+        (
+            way_px(plan, name, s, s + 1, plan.view.cols)
+            for name in plan.scene.singles()
+            for s in range(0, plan.timing.n_slots, 3)
+        ),
+        default=0.0,
+    )
+    allowed = plan.settings.interpolation_error / CHANGE_ERROR_PER_PX / max(fastest, 1e-9)
+    return max(n for n in range(1, per_frame + 1) if per_frame % n == 0 and n <= max(1.0, min(allowed, 18)))
+
+
+def tracks(plan: Plan, first_slot: int, last_slot: int) -> list[Track]:
+    """Find the movers seen in a segment, the one with the most poses first."""
+    bound = plan.settings.interpolation_error
+    ways = {name: way_px(plan, name, first_slot, last_slot) for name in plan.scene.singles()}
+    needed = {name: min(way * ERROR_PER_PX / bound, _STEPS[-1]) for name, way in ways.items()}
+    finest = next(n for n in _STEPS if n >= max(needed.values(), default=0.0))
+    steps = {
+        name: next(n for n in _STEPS if finest % n == 0 and n >= least) for name, least in needed.items()
+    }
+    taken = np.zeros(plan.shape, np.bool_)
+    found: list[Track] = []
+    for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
+        # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
+        times = np.linspace(plan.time_s(first_slot), plan.time_s(last_slot), n_steps + 1)
+        mask = covered_by(plan, name, *times.tolist())
+        if mask.any():
+            carried = min(ways[name] * CARRIED_ERROR_PER_PX / bound, n_steps)
+            n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= carried)
+            found.append(Track(name, n_steps, n_keys, mask & ~taken))
+        taken |= mask
+    return found
+
+
+def covered_by(plan: Plan, name: str, *times_s: float) -> Bools:
+    """Fine samples in which a mover may be seen at any of some instants: (y, x)."""
+    mover = plan.scene.singles()[name]
+    mask = np.zeros(plan.shape, np.bool_)
+    for time_s in times_s:
+        cover(mask, vertices_at(mover, time_s), faces_of(mover), plan.scene.camera, plan.view)
+    return mask
