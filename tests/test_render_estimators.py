@@ -14,11 +14,11 @@ from optsim.render import CameraNoise, RenderSettings, choose_backend, render_tr
 from optsim.render.allocation import TILE_PX, Tiles, allocate, relative_deviation, tally
 from optsim.render.backend import activate
 from optsim.render.difference import Difference
-from optsim.render.full import slot_image
+from optsim.render.full import render_slot, slot_image
 from optsim.render.nearby import boxes_around
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage
-from optsim.render.still import static_light
+from optsim.render.still import halves_tally, static_light
 from optsim.scene import load_scene
 from optsim.truth import camera_noise
 
@@ -216,6 +216,20 @@ def test_a_moving_camera_sees_every_slot_anew(tmp_path):
         direct = slot_image(stage, slot / 180, 1 / 180, 16, 2, tuple(range(70 + 10 * slot, 78 + 10 * slot)))
         within_noise(video, slot, direct)
     assert np.abs(regions(video.load(7).start - video.load(0).start)).max() > 0
+
+
+@pytest.mark.parametrize("target", [1.0, 0.08])
+def test_samples_of_many_poses_are_as_good_as_of_one(tmp_path, target):
+    """Light and noise of a slot in 8 poses, with fewer samples than these and with more, against one pose."""
+    scene = load_scene("moving_camera")
+    plan = plan_of(scene, tmp_path, moving_error=target)
+    stage = Stage(scene, VIEW)
+    light = stage.radiance(PIXELS, 16, (1, 2))
+    tiles = halves_tally(plan, PIXELS, light, 16.0)
+    one, many = (render_slot(plan, stage, 3, poses, tiles)["light"].astype(float) for poses in (1, 8))
+    assert many.mean() == pytest.approx(one.mean(), rel=0.03)
+    noise = [np.median(np.abs(halves[0] - halves[1])) for halves in (one, many)]
+    assert 0.75 < noise[1] / noise[0] < 1.33
 
 
 def test_the_targets_are_about_met(tmp_path):

@@ -147,7 +147,7 @@ def _settings(target: float, seed: int) -> RenderSettings:
     """Targets that together give about the error ``target`` in both regions."""
     table = {
         "static_error": 0.3 * target,
-        "change_error": 1.3 * target,
+        "change_error": target,
         "moving_error": target,
         "interpolation_error": 0.75 * target,
         "seed": seed,

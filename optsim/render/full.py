@@ -24,8 +24,7 @@ def poses_per_instant(plan: Plan, slot: int) -> int:
     A power of two.
     """
     times = plan.time_s(slot), plan.time_s(slot + 1)
-    still = [mesh.vertices_m for mesh in plan.scene.still_meshes().values()]
-    ways = [path_px(lambda _, v=v: v, *times, 1, plan.scene.camera, plan.view) for v in still]
+    ways = [path_px(lambda _, v=v: v, *times, 1, plan.scene.camera, plan.view) for v in plan.still_m]
     ways += [
         path_px(mover.vertices, *times, 1, plan.scene.camera, plan.view)
         for mover in plan.scene.singles().values()
@@ -35,34 +34,42 @@ def poses_per_instant(plan: Plan, slot: int) -> int:
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))
 
 
-def render_slot(plan: Plan, stage: Stage, slot: int, before: Tiles) -> dict[str, Floats]:
+def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Tiles) -> dict[str, Floats]:
     """Render both halves of every instant of a slot, samples allocated by the slot before.
 
     Poses are at the middles of equal parts of an instant, so that their mean is its motion blur. A pixel
-    that is worth fewer samples than there are poses sees one, at random, of each equal group of them.
+    that is worth fewer samples than there are poses sees one, at random, of each equal group of them. Its
+    samples continue each other from pose to pose, so they stratify as one set.
+
+    Parameters
+    ----------
+    plan, stage, slot
+        What to render.
+    n_poses : int
+        Poses of each instant.
+    before : Tiles
+        Statistics of the slot before.
 
     Returns
     -------
     dict
         ``light`` (half, t, y, x) in W m^-2 sr^-1, and ``tiles`` for the next slot.
     """
-    n_instants, n_poses = plan.settings.instants_per_slot, poses_per_instant(plan, slot)
-    pixels, about = plan.pixels, np.zeros(len(plan.pixels), np.float32)
+    n_instants, pixels = plan.settings.instants_per_slot, plan.pixels
     target = plan.settings.moving_error * np.sqrt(n_instants)
-    counts = plan.counts(before, pixels, about, target, least=1).astype(np.int64)
+    counts = plan.counts(before, pixels, np.zeros(len(pixels), np.float32), target, least=1).astype(np.int64)
+    size, samples = np.maximum(n_poses // counts, 1), np.maximum(counts // n_poses, 1)
     light = np.zeros((2, n_instants, len(pixels)))
     for instant in range(n_instants):
         luck = np.stack([plan.luck("slot", slot, instant, group) for group in range(n_poses)])
+        seeds = np.asarray(plan.seeds("slot", slot, instant), np.int64)
         for pose in range(n_poses):
             stage.pose(plan.time_s(slot + (instant + (pose + 0.5) / n_poses) / n_instants))
-            size = np.maximum(n_poses // counts, 1)
             group = pose // size
-            for half, seed in enumerate(plan.seeds("slot", slot, instant, pose)):
-                chance = luck[group, half, pixels]
-                where = np.flatnonzero(pose % size == np.floor(chance * size))
-                samples = np.maximum(counts[where] // n_poses, 1)
-                seen = stage.paths(pixels[where], samples, np.full(len(where), seed))
-                light[half, instant, where] += seen * samples / counts[where]
+            chance = luck[group, :, pixels].T
+            half, where = np.nonzero(pose % size == np.floor(chance * size))
+            seen = stage.paths(where, samples[where], seeds[half], group[where] * samples[where])
+            light[half, instant, where] += seen * samples[where] / counts[where]
     tiles = [halves_tally(plan, pixels, light[:, i], counts.astype(np.float64)) for i in range(n_instants)]
     return {
         "light": light.reshape(2, n_instants, *plan.shape).astype(np.float32),
@@ -86,7 +93,8 @@ def load_slots(plan: Plan) -> list[str]:
         keys.append(plan.key("slot", slot, *what))
         if keys[-1] not in plan.cache:
             before = Tiles.of(plan.cache.get(keys[-2], pilot)["tiles"])
-            plan.cache.get(keys[-1], lambda s=slot, b=before: render_slot(plan, stage, s, b))
+            n_poses = poses_per_instant(plan, slot)
+            plan.cache.get(keys[-1], lambda s=slot, n=n_poses, b=before: render_slot(plan, stage, s, n, b))
         plan.progress("slots", slot + 1, plan.timing.n_slots)
     return keys[1:]
 

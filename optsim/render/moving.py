@@ -273,7 +273,6 @@ def _look(
     shiny = np.zeros(len(place), np.bool_)
     for track in span.tracks:
         hit = np.flatnonzero(looks.shape == span.difference.moving.shape_of(track.name))
-        light[hit] = np.nan
         shiny[hit] = not span.carries(track.name)
         if len(hit) and span.carries(track.name):
             for half in (0, 1):

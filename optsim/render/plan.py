@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -53,6 +54,11 @@ class Plan:
     def lit_by(self, lamps: tuple[str, ...]) -> Plan:
         """Plan of the same truth with these lamps only."""
         return replace(self, scene=self.scene.only_lamps(lamps), identity=hash_of(self.identity, lamps))
+
+    @cached_property
+    def still_m(self) -> list[Doubles]:
+        """Vertices of what stands still, m."""
+        return [mesh.vertices_m for mesh in self.scene.still_meshes().values()]
 
     @property
     def pixels(self) -> Ints:

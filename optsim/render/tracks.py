@@ -14,7 +14,7 @@ from optsim.render.plan import Plan
 # movers' own pixels; of the irradiance that they carry between two keys; and of what they change elsewhere.
 # Measured on window_room, wheel and half_moving (``validation/interpolation_bound``).
 ERROR_PER_PX = 0.12
-CARRIED_ERROR_PER_PX = 0.02
+CARRIED_ERROR_PER_PX = 0.03
 CHANGE_ERROR_PER_PX = 0.0015
 # Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses.
 _STEPS = sorted(2**a * 3**b for a in range(15) for b in range(3))

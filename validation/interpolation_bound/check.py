@@ -11,7 +11,7 @@ import numpy as np
 
 from optsim.cache import Cache
 from optsim.quantities import Bools, Doubles, Ints, RadianceVideo, Timing, View
-from optsim.render import RenderSettings, moving, render_truth
+from optsim.render import RenderSettings, moving, render_truth, tracks
 from optsim.render.backend import activate
 from optsim.render.footprint import cover
 from optsim.render.plan import seed_of
@@ -47,13 +47,15 @@ def measure() -> float:
 
 
 def perturbed() -> float:
-    """Set poses 16 times too far apart; then confuse the ends of a segment: error where it matters."""
-    with mock.patch.object(moving, "ERROR_PER_PX", moving.ERROR_PER_PX / 16):
+    """Set poses, then keys, 16 times too far apart; confuse the ends of a segment: error where it matters."""
+    with mock.patch.object(tracks, "ERROR_PER_PX", tracks.ERROR_PER_PX / 16):
         own = _found("wheel", _BOUNDS[-1])[0]
+    with mock.patch.object(tracks, "CARRIED_ERROR_PER_PX", tracks.CARRIED_ERROR_PER_PX / 16):
+        carried = _found("window_room", _BOUNDS[-1])[0]
     honest = moving.assemble
     with mock.patch.object(moving, "assemble", lambda start, stop, *rest: honest(stop, start, *rest)):
         elsewhere = _found("half_moving", _BOUNDS[-1])[1]
-    return min(own, elsewhere)
+    return min(own, carried, elsewhere)
 
 
 def _found(name: str, bound: float) -> tuple[float, float]:
