@@ -146,7 +146,7 @@ def _looked_up(  # type: ignore[no-untyped-def]
     return found
 
 
-def filled(behind: Floats, static: Floats, mask: Bools) -> Floats:
+def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
     """Guess what is unknown (NaN) at a key, from the nearest key that knows, or from the nearest sample.
 
     What movers change beside themselves varies slowly, in time and, in proportion to the light without them,
@@ -160,6 +160,8 @@ def filled(behind: Floats, static: Floats, mask: Bools) -> Floats:
         Radiance without movers.
     mask : ndarray of shape (y, x), bool
         Where the n samples are.
+    floor : float
+        Added to the radiance wherever a proportion is meant, W m^-2 sr^-1: estimates may be negative.
 
     Returns
     -------
@@ -179,8 +181,8 @@ def filled(behind: Floats, static: Floats, mask: Bools) -> Floats:
         )
         number = np.cumsum(mask).reshape(mask.shape) - 1
         other = number[tuple(beside[:, mask][:, never])]
-        about = np.maximum(static.mean(axis=0), 1e-12)
-        light[:, :, never] = light[:, :, other] * (about[never] / about[other])
+        about = np.maximum(static.mean(axis=0), 0) + floor
+        light[:, :, never] = (light[:, :, other] + floor) * (about[never] / about[other]) - floor
     return light
 
 

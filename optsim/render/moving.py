@@ -197,7 +197,8 @@ def _render_keys(span: _Span, own: Tiles, change: Sequence[Tiles]) -> tuple[dict
     for track in span.tracks:
         mine = [keys[pose].behind for pose in poses if track.name in keys[pose].behind]
         without = span.static.reshape(2, -1)[:, track.pixels]
-        known = filled(np.stack([behind[track.name] for behind in mine]), without, track.mask)
+        each = np.stack([behind[track.name] for behind in mine])
+        known = filled(each, without, track.mask, span.plan.floor_w_m2_sr)
         for behind, light in zip(mine, known, strict=True):
             behind[track.name] = light
     return keys, own
