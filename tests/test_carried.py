@@ -30,12 +30,12 @@ def key(*paths: tuple[int, int, float, float, float]) -> Key:
     """Make a key of (sample, shape, depth, albedo, light)."""
     sample, shape, *values = np.array(sorted(paths)).T
     depth, albedo, light = (np.asarray(column, np.float32) for column in values)
-    first = np.searchsorted(sample, np.arange(VIEW.rows * VIEW.cols + 1))
+    first = np.searchsorted(sample, np.arange(2 * VIEW.rows * VIEW.cols + 1))
     return Key(first, shape.astype(np.int64), depth, albedo, light)
 
 
-def irradiance(of: Key, at: Looks, here=HERE, then=THEN) -> float:
-    return float(of.irradiance(at, ONE, FACES, here, then, VIEW)[0])
+def irradiance(of: Key, at: Looks, here=HERE, then=THEN, half=0) -> float:
+    return float(of.irradiance(at, ONE, ONE + half, FACES, here, then, VIEW)[0])
 
 
 # The point (row 1, column 1.25) of the triangle is seen in column 2.25 at the key: in sample 1 * 6 + 2.
@@ -74,10 +74,18 @@ def test_points_between_vertices_are_projected_in_perspective():
     assert irradiance(there, edge, here=slanted, then=slanted) == pytest.approx(4.0)
 
 
+def test_halves_are_looked_up_apart():
+    both = key((8, 7, 2.0, 0.5, 1.0), (24 + 8, 7, 2.0, 0.5, 2.0))
+    assert irradiance(both, POINT, half=0) == pytest.approx(2.0)
+    assert irradiance(both, POINT, half=1) == pytest.approx(4.0)
+    np.testing.assert_allclose(both.beside([3])[:, 8], [1, 2])
+    assert np.isnan(irradiance(key((8, 7, 2.0, 0.5, 1.0)), POINT, half=1))
+
+
 def test_paths_that_went_past_show_what_is_beside():
     beside = key((8, 3, 2.0, 0.5, 5.0), (8, 2, 3.0, 0.0, 7.0), (8, 7, 2.0, 0.5, 99.0), (9, 7, 2.0, 0.5, 1.0))
     light = beside.beside([7])
-    assert light[8] == pytest.approx(6.0)
+    assert light[0, 8] == pytest.approx(6.0)
     assert np.isnan(np.delete(light, 8)).all()
 
 

@@ -1,5 +1,6 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUntypedFunctionDecorator=false
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportMissingParameterType=false
+# pyright: reportUntypedFunctionDecorator=false
 """What movers carry with them between two instants: the light that falls on their surface.
 
 A matt point's radiance is its reflectance times irradiance / pi. Reflectance, edges and visibility change at
@@ -34,14 +35,14 @@ _DEPTH_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """Light on the samples of one half at a key pose.
+    """Light at a key pose, path by path: those of half A sorted by fine sample, then those of half B.
 
     Parameters
     ----------
-    first : ndarray of shape (samples of the grid + 1,), int64
-        Where each fine sample's paths begin.
+    first : ndarray of shape (2 * samples of the grid + 1,), int64
+        Where the paths of each half and fine sample begin.
     shape : ndarray of shape (n,), int64
-        What each path met, sorted by fine sample.
+        What each path met.
     depth_m : ndarray of shape (n,), float32
         There.
     albedo, light : ndarray of shape (n,), float32
@@ -55,15 +56,15 @@ class Key:
     light: Floats
 
     def beside(self, movers: list[int]) -> Floats:
-        """Radiance of what paths met that went past some shapes, by fine sample; NaN where none did."""
+        """Radiance of what paths met that went past some shapes, (half, fine sample); NaN where none did."""
         past = np.flatnonzero(~np.isin(self.shape, movers))
         sample, n = np.searchsorted(self.first, past, "right") - 1, len(self.first) - 1
         with np.errstate(invalid="ignore"):
             mean = np.bincount(sample, self.light[past], n) / np.bincount(sample, minlength=n)
-        return mean.astype(np.float32)
+        return mean.astype(np.float32).reshape(2, -1)
 
     def irradiance(
-        self, looks: Looks, chosen: Ints, faces: Faces, here: Doubles, then: Doubles, view: View
+        self, looks: Looks, chosen: Ints, half: Ints, faces: Faces, here: Doubles, then: Doubles, view: View
     ) -> Floats:
         """Look up the irradiance over pi, at this pose, of points seen at another one.
 
@@ -73,6 +74,8 @@ class Key:
             What was seen at the other pose.
         chosen : ndarray of shape (n,)
             Which of these looks: all on one shape.
+        half : ndarray of shape (n,)
+            Which half each of them is of, 0 or 1.
         faces : ndarray of shape (m, 3)
             Its triangles.
         here, then : ndarray of shape (k, 3)
@@ -89,7 +92,7 @@ class Key:
         tolerance = _DEPTH_PX * 2 * view.tan_half_width / view.cols
         met = int(looks.shape[chosen[0]]), tolerance, view.rows, view.cols
         key = self.first, self.shape, self.depth_m, self.albedo, self.light
-        return _looked_up(looks.face, looks.weights, chosen, faces, here, then, *met, *key)
+        return _looked_up(looks.face, looks.weights, chosen, half, faces, here, then, *met, *key)
 
 
 def depths(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Floats:
@@ -114,7 +117,22 @@ def _turns(a, b, c):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _looked_up(  # type: ignore[no-untyped-def]
-    face, weights, chosen, faces, here, then, which, tolerance, rows, cols, first, shape, depth, albedo, light
+    face,
+    weights,
+    chosen,
+    half,
+    faces,
+    here,
+    then,
+    which,
+    tolerance,
+    rows,
+    cols,
+    first,
+    shape,
+    depth,
+    albedo,
+    light,
 ):
     found = np.full(chosen.shape[0], np.nan, np.float32)
     for n in range(chosen.shape[0]):
@@ -136,7 +154,8 @@ def _looked_up(  # type: ignore[no-untyped-def]
             of_light, of_albedo = 0.0, 0.0
             for v in range(max(0, row - reach), min(rows, row + reach + 1)):
                 for u in range(max(0, col - reach), min(cols, col + reach + 1)):
-                    for path in range(first[v * cols + u], first[v * cols + u + 1]):
+                    sample = (half[n] * rows + v) * cols + u
+                    for path in range(first[sample], first[sample + 1]):
                         if shape[path] == which and abs(depth[path] - z) <= tolerance * z:
                             of_light += light[path]
                             of_albedo += albedo[path]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -98,11 +99,13 @@ class Plan:
             return None
         return self.settings.noise_share, self.noise.electrons, self.noise.read_noise_e
 
-    def own(self, time_s: float) -> Bools:
-        """Fine samples in which a mover may be seen at an instant: (y, x)."""
-        mask, camera = np.zeros(self.shape, np.bool_), self.scene.camera.at(time_s)
-        for mover in self.scene.singles().values():
-            cover(mask, vertices_at(mover, time_s), faces_of(mover), camera, self.view)
+    def own(self, *times_s: float, movers: Iterable[str] | None = None) -> Bools:
+        """Fine samples in which movers, all or some, may be seen at any of some instants: (y, x)."""
+        singles, mask = self.scene.singles(), np.zeros(self.shape, np.bool_)
+        for time_s in times_s:
+            for mover in (singles[name] for name in (singles if movers is None else movers)):
+                camera = self.scene.camera.at(time_s)
+                cover(mask, vertices_at(mover, time_s), faces_of(mover), camera, self.view)
         return mask
 
     def counts(

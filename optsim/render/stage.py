@@ -170,7 +170,7 @@ class Stage:
             result[part] = np.add.reduceat(values, _starts(samples[part]), dtype=np.float64)
         return result / samples
 
-    def looks(self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int = 0, *, light: bool) -> Looks:
+    def looks(self, pixels: Ints, samples: Ints, seeds: Ints, *, light: bool) -> Looks:
         """Say what the paths that :meth:`paths` would follow meet first, each by itself.
 
         Parameters

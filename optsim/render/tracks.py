@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from optsim.quantities import Bools, Ints
-from optsim.render.footprint import cover, faces_of, path_px, vertices_at
+from optsim.render.footprint import path_px
 from optsim.render.plan import Plan
 
 # Relative error of linear interpolation per fine sample of way between two instants: between poses on the
@@ -41,7 +42,7 @@ class Track:
     n_keys: int
     mask: Bools
 
-    @property
+    @cached_property
     def pixels(self) -> Ints:
         """Flat indices."""
         return np.flatnonzero(self.mask)
@@ -89,19 +90,10 @@ def tracks(plan: Plan, first_slot: int, last_slot: int) -> list[Track]:
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
         # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
         times = np.linspace(plan.time_s(first_slot), plan.time_s(last_slot), n_steps + 1)
-        mask = covered_by(plan, name, *times.tolist())
+        mask = plan.own(*times.tolist(), movers=[name])
         if mask.any():
             carried = min(ways[name] * CARRIED_ERROR_PER_PX / bound, n_steps)
             n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= carried)
             found.append(Track(name, n_steps, n_keys, mask & ~taken))
         taken |= mask
     return found
-
-
-def covered_by(plan: Plan, name: str, *times_s: float) -> Bools:
-    """Fine samples in which a mover may be seen at any of some instants: (y, x)."""
-    mover = plan.scene.singles()[name]
-    mask = np.zeros(plan.shape, np.bool_)
-    for time_s in times_s:
-        cover(mask, vertices_at(mover, time_s), faces_of(mover), plan.scene.camera, plan.view)
-    return mask

@@ -5,8 +5,9 @@ What changes decides how it is rendered (``Scene.kind_of_change``):
 - nothing: one picture;
 - lamps: one picture for each group of lamps that flicker alike, added in proportion (light is linear);
 - movers: what stands still once with many samples, B_hi; at key instants what the movers change,
-  F_n - B_n, with the same n random paths; linear in time between. The movers' own pixels are rendered
-  directly, at poses chosen by their measured path, and become Blocks. With flicker, for each group of lamps;
+  F_n - B_n, with the same n random paths; linear in time between. In the movers' own pixels first surfaces
+  are found at poses chosen by their measured path, the light on matt ones is carried between few key poses
+  and everything else rendered at each; they become Blocks. With flicker, for each group of lamps;
 - the camera: every slot by itself.
 
 Samples go where the relative error is largest. Everything is made twice from independent random numbers:
