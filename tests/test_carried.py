@@ -6,18 +6,25 @@ import pytest
 from optsim.cache import Cache
 from optsim.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
-from optsim.render.backend import activate
+from optsim.render.backend import activate, choose_backend
 from optsim.render.carried import Key, between, depths, filled
 from optsim.render.stage import Looks, Stage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal
 
 VIEW = View(4, 6, 1, 0.3)
+
 FACES = np.array([[0, 1, 2]], np.int32)
 # A triangle over most of the picture, and the same one a sample further right: row, column, depth in m.
 THEN = np.array([[0.0, 0.0, 2.0], [4.0, 0.0, 2.0], [0.0, 5.0, 2.0]])
 HERE = THEN + np.array([0, 1, 0])
 ONE = np.zeros(1, np.int64)
+
+
+def activate_vectorised():
+    if choose_backend().preview:
+        pytest.skip("only the scalar fallback works here")
+    activate()
 
 
 def looks(second: float, third: float, shape: int = 7) -> Looks:
@@ -112,7 +119,7 @@ def test_gaps_are_filled_in_time_first_and_then_in_proportion():
 
 
 def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
-    activate()
+    activate_vectorised()
     scene = load_scene("window_room")
     stage = Stage(scene, View(24, 32, 1, 0.32))
     stage.pose(0.03)
@@ -133,9 +140,26 @@ def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
     assert 0.1 < np.median(alone.albedo) < 0.95
 
 
+def test_looks_go_on_where_earlier_ones_stopped():
+    activate_vectorised()
+    stage = Stage(load_scene("window_room"), View(24, 32, 1, 0.32))
+    pixels, seeds = np.arange(0, 768, 3), np.full(256, 5)
+    all_of_them = stage.looks(pixels, np.full(256, 8), seeds, light=False)
+    later = stage.looks(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
+    # A ray along an edge may take either side.
+    assert (all_of_them.face.reshape(-1, 8)[:, 4:] == later.face.reshape(-1, 4)).mean() > 0.995
+    assert (all_of_them.weights.reshape(-1, 8, 2)[:, :4] != later.weights.reshape(-1, 4, 2)).mean() > 0.9
+
+
+def test_a_slots_looks_are_shared_out_over_its_poses():
+    poses_a_slot = np.array([1e-3, 0.25, 0.5, 1, 2, 4, 1e3])
+    looks = moving._looks_a_pose(poses_a_slot)
+    assert np.array_equal(looks, [64, 32, 16, 8, 4, 2, 2])
+
+
 def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
     """A glossy mover is never looked up: every sample that shows it is traced as a whole."""
-    activate()
+    activate_vectorised()
     scene = load_scene("window_room")
     fan = scene.singles()["fan"].material
     shiny = {name for name, mover in scene.singles().items() if mover.material == fan}
@@ -145,8 +169,8 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
     asked: list[str] = []
     honest = Stage.looks, moving._whole, moving._carried
 
-    def spied(stage, pixels, samples, seeds, *, light):
-        found = honest[0](stage, pixels, samples, seeds, light=light)
+    def spied(stage, pixels, samples, seeds, *first, light):
+        found = honest[0](stage, pixels, samples, seeds, *first, light=light)
         hit = found.shape == stage.shape_of("fan")
         seen.append(np.repeat(pixels, samples)[hit & (not light)])
         return found

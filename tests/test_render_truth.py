@@ -88,7 +88,7 @@ def test_a_point_on_the_optical_axis_projects_to_the_middle(scene):
     middle = project(np.array([scene.camera.target_m]), scene.camera, VIEW)[0]
     np.testing.assert_allclose(middle[:2], (VIEW.rows / 2, VIEW.cols / 2), atol=1e-9)
     fan = scene.singles()["fan"]
-    ways = [path_px(fan.vertices, 0, s, 8, scene.camera, VIEW) for s in (0.005, 0.01)]
+    ways = [path_px(fan.vertices, np.linspace(0, s, 9), scene.camera, VIEW) for s in (0.005, 0.01)]
     assert ways[1] == pytest.approx(2 * ways[0], rel=0.05)  # steady rotation; 5 % of foreshortening
 
 

@@ -23,6 +23,11 @@ ALL: dict[str, str] = {
     "render.window_room": "render",
     "render.half_moving": "render",
     "render.moving_camera": "render",
+    "render.wheel": "render",
+    "render.glossy_floor": "render",
+    "render.flicker_lamp": "render",
+    "render.night_street": "render",
+    "render.chart": "render",
 }
 
 

@@ -149,7 +149,7 @@ def allocate(
         return np.clip(2.0 ** np.rint(np.log2(factor * worth)), least, np.maximum(most, least))
 
     low, high = np.log(1e-6), np.log(1e9)
-    for _ in range(40):
+    for _ in range(26):  # to 1e-6 of the factor
         middle = (low + high) / 2
         enough = np.mean(r**2 / (2 * counts(float(np.exp(middle))))) <= target**2
         low, high = (low, middle) if enough else (middle, high)

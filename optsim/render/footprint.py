@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -71,30 +71,25 @@ def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
 
 def path_px(
     vertices: Callable[[float], Doubles],
-    start_s: float,
-    stop_s: float,
-    steps: int,
+    times_s: Sequence[float],
     camera: CameraPose,
     view: View,
     margin_px: float = 0.0,
 ) -> float:
-    """Farthest way in the picture that a mover's visible point goes in a time span, fine samples.
+    """Farthest way in the picture that a mover's visible point goes, fine samples, by straight pieces.
 
     Parameters
     ----------
     vertices : callable
         Time -> vertices.
-    start_s, stop_s : float
-        The span.
-    steps : int
-        Straight pieces by which the way is measured.
+    times_s : sequence of float
+        Ends of the pieces, in order.
     margin_px : float
         How far outside the picture a point still counts.
     """
     total = 0.0
-    before = project(vertices(start_s), camera.at(start_s), view)
-    for step in range(1, steps + 1):
-        time_s = start_s + (stop_s - start_s) * step / steps
+    before = project(vertices(times_s[0]), camera.at(times_s[0]), view)
+    for time_s in times_s[1:]:
         after = project(vertices(time_s), camera.at(time_s), view)
         seen = _in_view(before, view, margin_px) | _in_view(after, view, margin_px)
         moved = np.hypot(*(after - before)[:, :2].T)[seen]

@@ -12,7 +12,7 @@ from optsim.render.footprint import path_px
 from optsim.render.plan import Plan, seed_of
 from optsim.render.stage import Stage
 from optsim.render.still import halves_tally
-from optsim.render.tracks import ERROR_PER_PX
+from optsim.render.tracks import ERROR_PER_PX, way_px
 from optsim.scene.scene import Scene
 
 _PILOT_SAMPLES = 4
@@ -23,12 +23,9 @@ def poses_per_instant(plan: Plan, slot: int) -> int:
 
     A power of two.
     """
-    times = plan.time_s(slot), plan.time_s(slot + 1)
-    ways = [path_px(lambda _, v=v: v, *times, 1, plan.scene.camera, plan.view) for v in plan.still_m]
-    ways += [
-        path_px(mover.vertices, *times, 1, plan.scene.camera, plan.view)
-        for mover in plan.scene.singles().values()
-    ]
+    times_s = plan.times_s(slot, slot + 1, 1)
+    ways = [path_px(lambda _, v=v: v, times_s, plan.scene.camera, plan.view) for v in plan.still_m]
+    ways += [way_px(plan, name, slot, slot + 1) for name in plan.scene.singles()]
     way = max(ways, default=0.0) / plan.settings.instants_per_slot
     needed = way * ERROR_PER_PX / plan.settings.interpolation_error
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))

@@ -47,7 +47,8 @@ class Span:
 
     def time_s(self, pose: int) -> float:
         """When a pose is."""
-        return self.plan.time_s(self.first_slot + self.plan.segment_slots * pose / self.n_poses)
+        last_slot = self.first_slot + self.plan.segment_slots
+        return self.plan.times_s(self.first_slot, last_slot, self.n_poses)[pose]
 
     def due(self, pose: int) -> list[Track]:
         """Tracks that have a pose then."""

@@ -80,6 +80,11 @@ class Plan:
         """When a slot begins."""
         return slot * self.timing.slot_s
 
+    def times_s(self, first_slot: int, last_slot: int, steps: int) -> list[float]:
+        """List the ends of equal steps from the beginning of one slot to that of another."""
+        way = last_slot - first_slot
+        return [self.time_s(first_slot + way * step / steps) for step in range(steps + 1)]
+
     def seeds(self, *purpose: object) -> tuple[int, int]:
         """Two independent seeds, of half A and half B."""
         return seed_of(self.settings.seed, *purpose, "A"), seed_of(self.settings.seed, *purpose, "B")

@@ -170,19 +170,22 @@ class Stage:
             result[part] = np.add.reduceat(values, _starts(samples[part]), dtype=np.float64)
         return result / samples
 
-    def looks(self, pixels: Ints, samples: Ints, seeds: Ints, *, light: bool) -> Looks:
+    def looks(
+        self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0, *, light: bool
+    ) -> Looks:
         """Say what the paths that :meth:`paths` would follow meet first, each by itself.
 
         Parameters
         ----------
-        pixels, samples, seeds
+        pixels, samples, seeds, first_sample
             As for :meth:`paths`.
         light : bool
             Whether to follow them on, too; otherwise this costs a small part of it.
         """
         if not len(pixels):
             return Looks(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
-        parts = [self._look(pixels[p], samples[p], seeds[p], light) for p in _pieces(samples)]
+        first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
+        parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in _pieces(samples)]
         found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
         shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
         shape[~np.isfinite(found[2])] = -1
@@ -217,12 +220,12 @@ class Stage:
         dr.eval(values)
         return np.asarray(values.numpy(), np.float32)
 
-    def _look(self, pixels: Ints, samples: Ints, seeds: Ints, light: bool) -> list[Any]:
+    def _look(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
         """Shape, face, distance, weights, albedo and perhaps radiance of random paths, in one launch."""
         import drjit as dr
         import mitsuba as mi
 
-        sampler, ray, weight = self._rays(pixels, samples, seeds, np.zeros_like(pixels))
+        sampler, ray, weight = self._rays(pixels, samples, seeds, first)
         met = first_hit(mi, self._loaded, mi.Ray3f(ray), matt_only=True)
         seen = mi.Float(0)
         if light:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from optsim.quantities import Bools, Ints
-from optsim.render.footprint import path_px
+from optsim.render.footprint import path_px, vertices_at
 from optsim.render.plan import Plan
 
 # Relative error of linear interpolation per fine sample of way between two instants: between poses on the
@@ -48,11 +48,10 @@ class Track:
         return np.flatnonzero(self.mask)
 
 
-def way_px(plan: Plan, name: str, first_slot: float, last_slot: float, margin_px: float = 0.0) -> float:
-    """Measure the farthest way that a visible point of a mover goes between two slots, fine samples."""
-    mover, pieces = plan.scene.singles()[name], max(1, round(last_slot - first_slot))
-    times = plan.time_s(first_slot), plan.time_s(last_slot)
-    return path_px(mover.vertices, *times, pieces, plan.scene.camera, plan.view, margin_px)
+def way_px(plan: Plan, name: str, first_slot: int, last_slot: int, margin_px: float = 0.0) -> float:
+    """Measure the farthest way that a visible point of a mover goes from slot to slot, fine samples."""
+    mover, times_s = plan.scene.singles()[name], plan.times_s(first_slot, last_slot, last_slot - first_slot)
+    return path_px(partial(vertices_at, mover), times_s, plan.scene.camera, plan.view, margin_px)
 
 
 def slots_per_segment(plan: Plan) -> int:
@@ -89,8 +88,7 @@ def tracks(plan: Plan, first_slot: int, last_slot: int) -> list[Track]:
     found: list[Track] = []
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
         # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
-        times = np.linspace(plan.time_s(first_slot), plan.time_s(last_slot), n_steps + 1)
-        mask = plan.own(*times.tolist(), movers=[name])
+        mask = plan.own(*plan.times_s(first_slot, last_slot, n_steps), movers=[name])
         if mask.any():
             carried = min(ways[name] * CARRIED_ERROR_PER_PX / bound, n_steps)
             n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= carried)

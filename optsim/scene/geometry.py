@@ -6,6 +6,7 @@ A limb's mesh has the same topology whatever its pose: movers change vertices on
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -239,8 +240,11 @@ def sheet(n_u: int, n_v: int) -> Mesh:
     return Mesh(vertices, _grid_faces(n_v, n_u), np.stack([u, v], axis=-1).reshape(-1, 2))
 
 
+@functools.cache
 def _grid_faces(rows: int, cols: int) -> Faces:
-    """Two triangles a cell of a (rows, cols) grid of vertices, row-major."""
+    """Two triangles a cell of a (rows, cols) grid of vertices, row-major; kept, as each pose asks anew."""
     index = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces.flags.writeable = False
+    return faces
