@@ -22,7 +22,8 @@ TILE_PX = 4
 # Share of the whole picture's mean that a tile's own statistics can't go below: a tile in which no path has
 # met a mover yet is not known to be without. By experiment on window_room; it moves the cost little.
 _DOUBT = 0.1
-_MOST = 128.0
+# Most samples a half of a pixel, where nothing else is said (no source).
+MOST = 128.0
 # Weight of older statistics for each newer pose (no source).
 _MEMORY = np.float32(0.8)
 
@@ -117,7 +118,7 @@ def allocate(
     target: float,
     *,
     least: float,
-    most: Floats | float = _MOST,
+    most: Floats | float = MOST,
     cost: Floats | None = None,
 ) -> Floats:
     """Share out samples, so that the root mean square error of both halves' mean is ``target``.

@@ -11,7 +11,7 @@ import numpy as np
 from optsim.cache import Cache, hash_of
 from optsim.progress import Progress
 from optsim.quantities import Bools, Doubles, Floats, Ints, Timing, View
-from optsim.render.allocation import Tiles, allocate, relative_deviation
+from optsim.render.allocation import MOST, Tiles, allocate, relative_deviation
 from optsim.render.footprint import cover, faces_of, vertices_at
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.scene.scene import Scene
@@ -121,7 +121,7 @@ class Plan:
         target: float,
         *,
         least: float,
-        most: float = 128,
+        most: float = MOST,
         cost: Floats | None = None,
     ) -> Floats:
         """Share out samples a half over some pixels.
