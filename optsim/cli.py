@@ -253,7 +253,7 @@ def bench(
 ) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer.
 
-    A NAME is a record or a family of them: omp, render.
+    A NAME is a record or a family of them: capture, omp, render.
     """
     from optsim import benchmark
     from optsim.benchmark.curve import time_against_error

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from optsim import benchmark
+from optsim.benchmark import capture
 from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
 from optsim.errors import ConfigError
+from optsim.hardware import demo
+from optsim.optics.objective import BLOCK_WING_SHARE
+from optsim.progress import silent
+from optsim.quantities import ExposureCode
 
 
 def record(name="render.x", curve=()):
@@ -63,3 +68,25 @@ def test_the_picture_has_a_line_for_each_method_and_region():
     assert "6.2x the plain loop" in text
     assert "omp" not in text
     assert time_against_error([]).startswith("<svg")
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(share):
+    """Without wings and glare, which ours treats more cheaply on what moves, both are the same numbers."""
+    whole = demo().without_glare()
+    lens = whole.objective.model_copy(update={"wing_share": BLOCK_WING_SHARE})
+    sensor = whole.sensor.model_copy(update={"rows": 80, "cols": 98})
+    camera = whole.model_copy(
+        update={"objective": lens, "sensor": sensor, "panel_rows": 24, "panel_cols": 30}
+    )
+    rng = np.random.default_rng(3)
+    radiance = capture.moving_patches(camera, share, rng)
+    levels = capture._random_code(camera, rng)
+    code = ExposureCode(levels, np.ones(levels.shape[1:], np.bool_))
+    ours, _ = camera.expected_electrons(camera.form_image(radiance), 0, code, camera.panel_at_rest())
+    dense = capture._dense(camera, radiance, code, silent)
+    assert np.median(dense) > 100
+    np.testing.assert_allclose(ours, dense, rtol=1e-4, atol=1e-3 * np.median(dense))
+    pictures = np.stack([radiance.load(segment).instant(i) for segment in (0, 1) for i in (0, 9, 17)])
+    moved = np.mean(np.ptp(pictures, axis=0) > 1e-4 * pictures.mean(axis=0))
+    assert 0.8 * share < moved <= share

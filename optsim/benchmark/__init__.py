@@ -17,6 +17,8 @@ Record = dict[str, Any]
 
 # Record name -> module in this folder that measures it; modules load only when asked for.
 ALL: dict[str, str] = {
+    "capture.paper_20_percent": "capture",
+    "capture.paper_all_moving": "capture",
     "omp.k2000": "omp",
     "omp.k5000": "omp",
     "omp.k10000": "omp",
