@@ -115,12 +115,12 @@ def moving_patches(camera: CodedCamera, share: float, rng: np.random.Generator) 
     columns = _MOVERS // 2
     side = np.sqrt(share)
     height, width = int(view.rows // 2 * side), int(view.cols // columns * side)
+    textures = [_texture(np.random.default_rng(mover), height, width) for mover in range(_MOVERS)]
     segments: list[Segment] = []
     for first in range(0, n_slots, _SEGMENT):
         blocks: list[Block] = []
-        for mover in range(_MOVERS):
+        for mover, texture in enumerate(textures):
             row, col = mover // columns * (view.rows // 2), mover % columns * (view.cols // columns)
-            texture = _texture(np.random.default_rng(mover), height, width)
             under = base[row : row + height, col : col + width]
             slots = first + np.arange(_SEGMENT)
             excess = np.stack([_patch(texture, slot / n_slots, under) for slot in slots])
