@@ -1,8 +1,4 @@
-"""The coded-exposure camera: a frozen chain of parts that turns radiance and codes into coded frames.
-
-Also the home of the two calibrations that no bench measured: the true one, copied from the parts, and the
-ideal one, which holds the paper's equations.
-"""
+"""The coded-exposure camera: a frozen chain of parts that turns radiance and codes into coded frames."""
 
 from __future__ import annotations
 
@@ -10,16 +6,14 @@ import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
-from optsim.calibrate import Calibration
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
-from optsim.forward.crosstalk import REACH, crosstalk_kernels, true_dots
+from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import integrate_exposure, slot_means
-from optsim.forward.panel import PanelResponse, slot_weights
+from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.forward.radiometry import photons_per_joule
 from optsim.forward.relay import RelayGeometry, RelayOperator
 from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
-from optsim.known_calibration import known_calibration
 from optsim.ledger import LedgerRow, photon_ledger
 from optsim.optics import Modulator, Objective, Relay, Splitter, form_image, leak, throughput
 from optsim.quantities import (
@@ -39,14 +33,14 @@ from optsim.quantities import (
 from optsim.sensor import Ccd
 
 NOT_MODELLED: tuple[str, ...] = (
-    "field-dependent blur, defocus and depth of field",
-    "distortion, keystone and lateral colour",
-    "ghosts; glare is uniform",
-    "polarised scenes; angle and skew rays in the splitter; stress birefringence",
-    "fringing fields between panel pixels and light from the gaps",
-    "twist of the liquid crystal, row scan of the panel, polarity ripple, colour-sequential drive",
-    "smear, blooming, lag and hot pixels of the CCD",
-    "timing errors between panel and shutter",
+    "blur that varies over the field; depth of field",
+    "distortion of the objective; lateral colour",
+    "ghosts of the objective; glare is uniform",
+    "polarised scenes; stress birefringence; bands other than 550 nm",
+    "twist of the liquid crystal; ripple of the panel within a slot",
+    "the error of the panel's grey curve beyond its exponent",
+    "blooming, lag and hot pixels of the CCD; smear is that of the frame's own light",
+    "jitter between panel and shutter",
     "drift of anything after calibration",
 )
 
@@ -112,19 +106,23 @@ class CodedCamera(Part):
         return self.slots_per_frame - int(np.ceil(self.sensor.readout_s / self.slot_s - 1e-9))
 
     @property
+    def exposure_s(self) -> float:
+        """Time in which the shutter is open, s."""
+        return self.coded_slots * self.slot_s
+
+    @property
     def contrast(self) -> float:
-        """Transmission of splitter, polarisers and panel fully on over fully off: an output."""
-        return 1 / leak(self.splitter, self.modulator)
+        """Transmission of splitter, polarisers and panel fully on over fully off, on axis: an output.
+
+        Infinite for parts without any leak.
+        """
+        dark = self._leaks(np.zeros(1))[0]
+        return 1 / float(dark) if dark > 0 else float("inf")
 
     @property
     def panel_response(self) -> PanelResponse:
-        """True response of the panel between its polarisers."""
-        return PanelResponse(
-            tau_on_s=self.modulator.tau_on_s,
-            tau_off_s=self.modulator.tau_off_s,
-            leak=leak(self.splitter, self.modulator),
-            drive_exponent=self.modulator.drive_exponent,
-        )
+        """True response of the panel between its polarisers, with the leak on axis."""
+        return self.modulator.response(float(self._leaks(np.zeros(1))[0]), self.panel_rows)
 
     @property
     def irradiance_per_radiance(self) -> float:
@@ -177,14 +175,14 @@ class CodedCamera(Part):
 
     def panel_at_rest(self) -> PanelState:
         """State of a panel that has been dark for long."""
-        return PanelState(np.zeros((self.panel_rows, self.panel_cols), np.float32))
+        return settled_panel(np.zeros((self.panel_rows, self.panel_cols), np.uint8), self.panel_response)
 
     def expose(
         self,
         truth: IrradianceVideo,
         index: int,
         code: ExposureCode,
-        panel: PanelState,
+        panel: PanelState | None,
         rng: Generator,
     ) -> tuple[CodedFrame, PanelState]:
         """Take one coded frame.
@@ -197,8 +195,8 @@ class CodedCamera(Part):
             Coded frame; it uses slots ``index * slots_per_frame`` and on.
         code : ExposureCode
             What to show, all slots of the period.
-        panel : PanelState
-            The panel when the frame begins.
+        panel : PanelState or None
+            The panel when the frame begins; None when an experiment does: it has shown a cycle of this code.
         rng : Generator
             Of this frame's shot and read noise.
 
@@ -215,28 +213,22 @@ class CodedCamera(Part):
             When code or truth are of another panel, slot or number of slots.
         """
         expected, after = self.expected_electrons(truth, index, code, panel)
-        dn, negative_light = self.sensor.digitise(expected, self.serial_number, rng)
+        dn, negative_light = self.sensor.digitise(expected, self.exposure_s, self.serial_number, rng)
         return CodedFrame(index, dn, code, negative_light), after
 
     def expected_electrons(
-        self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState
+        self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
     ) -> tuple[Doubles, PanelState]:
         """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
         self._check(truth)
-        expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
-        if code.levels.shape != expected:
-            raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
         n_sub = truth.instants_per_slot
-        stuck, stuck_levels = self._stuck
-        levels = code.levels.copy()
-        levels[self.coded_slots :] = 0
-        levels[:, stuck] = stuck_levels[stuck]
-        weights, after = slot_weights(levels, panel.retardance_rad, self.panel_response, self.slot_s, n_sub)
+        weights, after = self._weights(code, panel, n_sub)
         weights[self.coded_slots * n_sub :] = 0
-        weights *= self._panel_gain
-        energy = integrate_exposure(truth, index * self.slots_per_frame, weights)
+        weights *= self.panel_gain
+        borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
+        energy = integrate_exposure(truth, index * self.slots_per_frame, weights, borders)
         image = self.relay_operator(truth.samples_per_pitch).apply(energy)
-        return self._photon_electrons(image) + self._dark_e, PanelState(after)
+        return self.photon_electrons(image) + self.dark_e, after
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:
         """Return a perfect decoder's answer: slot means over pitch cells, objective shading undone.
@@ -254,10 +246,11 @@ class CodedCamera(Part):
         panel_f_number = self.objective.working_f_number
         transmission = self.relay.transmission * self.relay.accepted_share(panel_f_number)
         return self.relay.operator(
-            self._relay_geometry(samples_per_pitch),
+            self.relay_geometry(samples_per_pitch),
             panel_f_number,
             self.modulator.pitch_m / samples_per_pitch,
             transmission,
+            samples_per_pitch,
         )
 
     # -- what one knows before building it ----------------------------------------------------------------
@@ -281,8 +274,7 @@ class CodedCamera(Part):
             modulator=(self.modulator.rows, self.modulator.cols),
             ccd=(self.sensor.rows, self.sensor.cols),
             ratio=self.ratio,
-            shift_px=(self.relay.shift_y_px, self.relay.shift_x_px),
-            rotation_rad=self.relay.rotation_rad,
+            extent_px=self.relay_geometry().extent(),
             relay_accepts=self.relay.accepted_share(self.objective.working_f_number),
         )
 
@@ -296,62 +288,6 @@ class CodedCamera(Part):
             slack_s=(self.slots_per_frame - self.coded_slots) * self.slot_s,
         )
 
-    # -- calibrations that no bench measured --------------------------------------------------------------
-
-    def true_calibration(self) -> Calibration:
-        """Calibration copied from the parts; what it cannot hold is non-linearity."""
-        geometry = self._relay_geometry(SAMPLES_PER_PITCH)
-        row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH)
-        reach = min(REACH, (min(self.panel_rows, self.panel_cols) - 1) // 2)
-        view, sensor = self.view, self.sensor
-        shading = self.objective.shading(view.rows, view.cols, self.modulator.pitch_m / SAMPLES_PER_PITCH)
-        gain = self._panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
-        operator = self.relay_operator()
-        image = operator.apply(shading * gain * self.slot_s)
-        flat_e = self._photon_electrons(image)
-        offset_e = sensor.dark_signal_e(self.serial_number).astype(np.float64) + self._dark_e
-        return known_calibration(
-            "true",
-            sensor=sensor,
-            timing=self.timing(1),
-            coded_slots=self.coded_slots,
-            response=self.panel_response,
-            picks=(row, col, on_ccd & ~self._stuck[0]),
-            responsivity_e=np.maximum(flat_e[row, col], 1e-30),
-            offset_e=offset_e[row, col],
-            full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
-            crosstalk=crosstalk_kernels(
-                true_dots(operator, SAMPLES_PER_PITCH, row, col, reach),
-                geometry.pick_offsets_px(SAMPLES_PER_PITCH),
-                on_ccd,
-                reach,
-            ),
-            # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
-            veil=self.relay.glare_share * float(image.mean() / image[row, col].mean()),
-        )
-
-    def ideal_calibration(self) -> Calibration:
-        """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil."""
-        aligned = self.relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0})
-        nominal = self.model_copy(update={"relay": aligned})
-        electrons = {row.stage: row.value for row in self.ledger(1.0)}["electrons a slot"]
-        shape = (self.panel_rows, self.panel_cols)
-        return known_calibration(
-            "ideal",
-            sensor=self.sensor,
-            timing=self.timing(1),
-            coded_slots=self.coded_slots,
-            response=PanelResponse(
-                tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=self.modulator.drive_exponent
-            ),
-            picks=nominal._relay_geometry(SAMPLES_PER_PITCH).picks(SAMPLES_PER_PITCH),
-            responsivity_e=np.full(shape, electrons / self.irradiance_per_radiance),
-            offset_e=np.zeros(shape),
-            full_well_e=self.sensor.full_well_e,
-            crosstalk=np.ones((*shape, 1, 1), np.float32),
-            veil=0.0,
-        )
-
     # -- small shared pieces ------------------------------------------------------------------------------
 
     def _check(self, video: Video) -> None:
@@ -363,26 +299,53 @@ class CodedCamera(Part):
                 f"{self.slot_s * 1e3:.4g} ms (camera.modulator.field_rate_hz)"
             )
 
-    @property
-    def _panel_gain(self) -> Floats:
-        """Transmission of splitter and panel fully on, (v, u)."""
-        pattern = self.modulator.gain(self.panel_rows, self.panel_cols, self.serial_number)
-        return pattern * np.float32(throughput(self.splitter, self.modulator, np.pi))
+    def _weights(self, code: ExposureCode, panel: PanelState | None, n_sub: int) -> tuple[Floats, PanelState]:
+        """Weights of a code's instants, panel all on as 1, and the panel after it."""
+        expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
+        if code.levels.shape != expected:
+            raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
+        stuck, stuck_levels = self.stuck_pixels
+        levels = code.levels.copy()
+        levels[self.coded_slots :] = 0
+        levels[:, stuck] = stuck_levels[stuck]
+        response, slot_s = self.panel_response, self.slot_s
+        if panel is None:
+            _, panel = slot_weights(levels, self.panel_at_rest(), response, slot_s)
+        return slot_weights(levels, panel, response, slot_s, n_sub, self._leaks(self._column_places_m))
 
     @property
-    def _stuck(self) -> tuple[Bools, Bytes]:
+    def panel_gain(self) -> Floats:
+        """Transmission of splitter and panel fully on, (v, u)."""
+        pattern = self.modulator.gain(self.panel_rows, self.panel_cols, self.serial_number)
+        f_number = self.objective.working_f_number
+        on = throughput(self.splitter, self.modulator, np.pi, f_number, self._column_places_m)
+        return pattern * on.astype(np.float32)
+
+    def _leaks(self, x_m: Doubles) -> Doubles:
+        return leak(self.splitter, self.modulator, self.objective.working_f_number, x_m)
+
+    @property
+    def _column_places_m(self) -> Doubles:
+        column = np.arange(self.panel_cols, dtype=np.float64) + 0.5
+        return (column - self.panel_cols / 2) * self.modulator.pitch_m
+
+    @property
+    def stuck_pixels(self) -> tuple[Bools, Bytes]:
+        """Panel pixels that stand still, (v, u), and the level of each."""
         return self.modulator.stuck(self.panel_rows, self.panel_cols, self.serial_number)
 
     @property
-    def _dark_e(self) -> float:
-        return self.sensor.dark_current_e_s * self.coded_slots * self.slot_s
+    def dark_e(self) -> float:
+        """Dark signal of a frame, electrons."""
+        return self.sensor.dark_current_e_s * self.exposure_s
 
-    def _photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
+    def photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
         """Electrons that a radiant exposure of the CCD frees on average, (y, x)."""
         per_j_m2 = self.sensor.pixel_area_m2 * photons_per_joule() * self.sensor.quantum_efficiency
         return energy_j_m2 * (per_j_m2 * self.sensor.pixel_response(self.serial_number))
 
-    def _relay_geometry(self, samples_per_pitch: int) -> RelayGeometry:
+    def relay_geometry(self, samples_per_pitch: int = SAMPLES_PER_PITCH) -> RelayGeometry:
+        """Where the fine grid lands on the CCD."""
         return RelayGeometry(
             rows=self.panel_rows * samples_per_pitch,
             cols=self.panel_cols * samples_per_pitch,
@@ -393,4 +356,7 @@ class CodedCamera(Part):
             shift_y_px=self.relay.shift_y_px,
             shift_x_px=self.relay.shift_x_px,
             rotation_rad=self.relay.rotation_rad,
+            keystone_y=self.relay.keystone_y,
+            keystone_x=self.relay.keystone_x,
+            distortion=self.relay.distortion,
         )

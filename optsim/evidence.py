@@ -38,11 +38,14 @@ EFFECTS: dict[str, str] = {
     "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
     "hdr_wedge": "HDR merge over four decades",
     "pu21": "PU21 encoding of the scores",
-    "panel_response": "first-order liquid-crystal response with history",
+    "panel_response": "first-order liquid-crystal response with history, late rows and unequal fields",
+    "fringing": "fringing fields between panel pixels",
     "lens_psf": "diffraction and aberration blur of each lens group",
     "splitter_contrast": "system contrast of splitter, polarisers and panel",
     "veiling_glare": "uniform veiling glare of each lens group",
-    "relay_overlap": "panel to CCD mapping at any ratio",
+    "ghost": "mirrored, defocused ghost of the relay",
+    "relay_overlap": "panel to CCD mapping at any ratio, with keystone and distortion",
+    "smear": "smear of an interline CCD",
 }
 
 

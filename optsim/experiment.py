@@ -15,7 +15,8 @@ from optsim import hardware
 from optsim.camera import CodedCamera
 from optsim.coding import Scheme
 from optsim.config import Part, Table, build, override, read_toml
-from optsim.errors import unknown_name
+from optsim.effects import switched
+from optsim.errors import ConfigError, unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
@@ -192,14 +193,25 @@ def _find_footage(table: Table, folder: Path) -> None:
 
 
 def _on_hardware(table: object) -> object:
-    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names."""
-    if not isinstance(table, dict) or "hardware" not in table:
-        return cast("object", table)
+    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
+
+    The switches of its ``effects`` table come between: over the hardware, under what is set by hand.
+    """
+    if not isinstance(table, dict):
+        return table
     keys = dict(cast("Table", table))
-    name = str(keys.pop("hardware"))
-    if name not in hardware.ALL:
-        raise unknown_name("camera.hardware", name, hardware.ALL)
-    return _merged(hardware.ALL[name]().model_dump(), keys)
+    under: Table = {}
+    if "hardware" in keys:
+        name = str(keys.pop("hardware"))
+        if name not in hardware.ALL:
+            raise unknown_name("camera.hardware", name, hardware.ALL)
+        under = hardware.ALL[name]().model_dump()
+    switches = keys.pop("effects", {})
+    if not isinstance(switches, dict):
+        raise ConfigError(
+            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}"
+        )
+    return _merged(_merged(under, switched(cast("Table", switches))), keys)
 
 
 def _merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:

@@ -1,7 +1,8 @@
-"""What an experiment would be, before anything is rendered: geometry, photons, latency."""
+"""What an experiment would be, before anything is rendered: geometry, photons, latency, imperfections."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, cast
@@ -13,16 +14,17 @@ MID_GREY = 0.18
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
-    """Geometry, photon ledger and latency of an experiment, also of one whose geometry doesn't fit.
+    """Geometry, photon ledger, latency and effects of an experiment, also of one that doesn't fit.
 
     Returns
     -------
     dict
         JSON-able; ``geometry.fits`` says whether it can be run.
     """
+    from optsim.effect_sizes import effect_sizes
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
-    from optsim.truth import describe_truth
+    from optsim.truth import describe_truth, has_bright_outside
 
     try:
         experiment = load_experiment(name_or_path, assignments)
@@ -45,6 +47,16 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             name: {"radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
             for name, level in levels.items()
         },
+        "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
+        "effects": [
+            asdict(each)
+            for each in effect_sizes(
+                camera,
+                truth.white_w_m2_sr,
+                experiment.light.saturation_share,
+                window=has_bright_outside(experiment),
+            )
+        ],
     }
 
 
@@ -71,6 +83,16 @@ def show(record: dict[str, Any]) -> list[object]:
                 [tuple(row.values()) for row in rows],
             )
         )
+    effects = cast("list[dict[str, Any]]", record["effects"])
+    items.append(
+        table(
+            "what each imperfection changes in a frame of a small probe, rms, in units of the noise",
+            ("effect", "size", "what it is"),
+            [(row["effect"], row["size"], row["what"]) for row in effects],
+        )
+    )
+    contrast = "infinite" if record["contrast"] is None else f"{record['contrast']:.3g}"
+    items.append(f"contrast of splitter, polarisers and panel, on axis: {contrast}")
     if not geometry["fits"]:
         items.append("the geometry does not fit: this experiment cannot be run")
     return items

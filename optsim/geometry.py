@@ -29,13 +29,13 @@ class GeometryReport:
     ratio : float
         CCD pixels to a panel pixel.
     footprint_rows_px, footprint_cols_px : float
-        Extent of the panel's image, rotation included.
+        Extent of the panel's image, rotation, keystone and distortion included.
     margin_rows_px, margin_cols_px : float
         CCD left over on the narrower side; negative where the image falls off.
     moire_period_px : float or None
         Panel pixels after which the pick error repeats; None for an integer ratio.
     largest_panel_rows, largest_panel_cols : int
-        Most panel pixels that would fit at this ratio, shift and rotation apart.
+        Most panel pixels that would fit at this ratio, were it aligned and undistorted.
     relay_accepts : float
         Share of the light cone from the panel that passes the relay's stop.
     """
@@ -88,7 +88,7 @@ class GeometryReport:
                     f"camera.panel_{axis} = {used} at {self.ratio:.4g} CCD pixels a panel pixel needs "
                     f"{used * self.ratio:.1f} {axis} and falls {-margin:.1f} off a side of "
                     f"camera.sensor.{axis} = {ccd}; at most {largest} fit, or lower "
-                    "camera.relay.magnification, shift or rotation"
+                    "camera.relay.magnification, shift, rotation, keystone or distortion"
                 )
         return problems
 
@@ -99,25 +99,22 @@ def geometry_report(
     modulator: tuple[int, int],
     ccd: tuple[int, int],
     ratio: float,
-    shift_px: tuple[float, float],
-    rotation_rad: float,
+    extent_px: tuple[float, float, float, float],
     relay_accepts: float,
 ) -> GeometryReport:
-    """Compute where the panel's image lies; pairs are (rows, columns)."""
-    c, s = math.cos(rotation_rad), abs(math.sin(rotation_rad))
+    """Compute where the panel's image lies; pairs are (rows, columns), ``extent_px`` its four sides."""
     # A billionth of a pixel is rounding: 2.88 x 500 is 1440, without margin and without overlap.
-    height = round(ratio * (panel[0] * c + panel[1] * s), 9)
-    width = round(ratio * (panel[1] * c + panel[0] * s), 9)
+    top, bottom, left, right = (round(side, 9) for side in extent_px)
     off = abs(ratio - round(ratio))
     return GeometryReport(
         *panel,
         *modulator,
         *ccd,
         ratio,
-        height,
-        width,
-        (ccd[0] - height) / 2 - abs(shift_px[0]),
-        (ccd[1] - width) / 2 - abs(shift_px[1]),
+        round(bottom - top, 9),
+        round(right - left, 9),
+        min(top, ccd[0] - bottom),
+        min(left, ccd[1] - right),
         1 / off if off > 1e-9 else None,
         math.floor(ccd[0] / ratio + 1e-9),
         math.floor(ccd[1] / ratio + 1e-9),

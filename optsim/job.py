@@ -24,6 +24,7 @@ from optsim.experiment import Experiment
 from optsim.explain import MID_GREY
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import Gallery
+from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
 from optsim.progress import Progress, silent
@@ -80,7 +81,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     check_truth(experiment)
     if experiment.calibration == "bench":
         check_panel(experiment.camera)
-    ideal = experiment.camera.ideal_calibration()
+    ideal = ideal_calibration(experiment.camera)
     for method in experiment.methods:
         try:
             method.scheme.init(ideal, np.random.default_rng(0))

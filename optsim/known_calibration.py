@@ -1,4 +1,4 @@
-"""A calibration that no bench measured: known numbers of the camera put into the form that decoders use."""
+"""Calibrations that no bench measured: the true one, copied from the parts, and the paper's equations."""
 
 from __future__ import annotations
 
@@ -7,17 +7,68 @@ from typing import Literal
 import numpy as np
 
 from optsim.calibrate import Calibration
+from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.forward.crosstalk import REACH, crosstalk_kernels, true_dots
+from optsim.forward.fringing import border_shares
 from optsim.forward.panel import PanelResponse
-from optsim.quantities import Bools, Doubles, Floats, Ints, Timing
-from optsim.sensor import Ccd
+from optsim.quantities import Bools, Doubles, Floats, Ints
 
 
-def known_calibration(
+def true_calibration(camera: CodedCamera) -> Calibration:
+    """Calibration copied from the parts; what it cannot hold is non-linearity."""
+    geometry, sensor, modulator = camera.relay_geometry(), camera.sensor, camera.modulator
+    row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH)
+    reach = min(REACH, (min(camera.panel_rows, camera.panel_cols) - 1) // 2)
+    view = camera.view
+    shading = camera.objective.shading(view.rows, view.cols, modulator.pitch_m / SAMPLES_PER_PITCH)
+    gain = camera.panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
+    operator = camera.relay_operator()
+    image = operator.apply(shading * gain * camera.slot_s)
+    borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)
+    return _known(
+        "true",
+        camera,
+        response=camera.panel_response,
+        picks=(row, col, on_ccd & ~camera.stuck_pixels[0]),
+        responsivity_e=np.maximum(camera.photon_electrons(image)[row, col], 1e-30),
+        offset_e=(sensor.dark_signal_e(camera.serial_number).astype(np.float64) + camera.dark_e)[row, col],
+        full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
+        crosstalk=crosstalk_kernels(
+            true_dots(operator, borders, row, col, reach),
+            geometry.pick_offsets_px(SAMPLES_PER_PITCH),
+            on_ccd,
+            reach,
+        ),
+        # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+        veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
+    )
+
+
+def ideal_calibration(camera: CodedCamera) -> Calibration:
+    """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil."""
+    straight = ("shift_y_px", "shift_x_px", "rotation_rad", "keystone_y", "keystone_x", "distortion")
+    aligned = camera.relay.model_copy(update=dict.fromkeys(straight, 0.0))
+    nominal = camera.model_copy(update={"relay": aligned})
+    electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
+    shape = (camera.panel_rows, camera.panel_cols)
+    exponent = camera.modulator.drive_exponent
+    return _known(
+        "ideal",
+        camera,
+        response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=exponent),
+        picks=nominal.relay_geometry().picks(SAMPLES_PER_PITCH),
+        responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
+        offset_e=np.zeros(shape),
+        full_well_e=camera.sensor.full_well_e,
+        crosstalk=np.ones((*shape, 1, 1), np.float32),
+        veil=0.0,
+    )
+
+
+def _known(
     source: Literal["true", "ideal"],
+    camera: CodedCamera,
     *,
-    sensor: Ccd,
-    timing: Timing,
-    coded_slots: int,
     response: PanelResponse,
     picks: tuple[Ints, Ints, Bools],
     responsivity_e: Doubles,
@@ -26,33 +77,8 @@ def known_calibration(
     crosstalk: Floats,
     veil: float,
 ) -> Calibration:
-    """Make a calibration from electrons rather than from images.
-
-    Parameters
-    ----------
-    source : {"true", "ideal"}
-        Copied from the parts, or the paper's equations.
-    sensor : Ccd
-        For gain, black level, noise and converter.
-    timing : Timing
-        Slots and their period.
-    coded_slots : int
-        Slots with the shutter open.
-    response : PanelResponse
-        Of the panel.
-    picks : tuple of ndarray of shape (v, u)
-        Row, column and validity of each panel pixel's CCD pixel.
-    responsivity_e : ndarray of shape (v, u), float64
-        Electrons per W m^-2 and slot.
-    offset_e : ndarray of shape (v, u), float64
-        Signal in the dark above the black level, electrons.
-    full_well_e : float
-        Signal at which a pixel clips, electrons after the non-linearity.
-    crosstalk : ndarray of shape (v, u, k, k), float32
-        Kernel of each panel pixel; each sums to 1.
-    veil : float
-        Share of the light that is spread evenly.
-    """
+    """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
+    sensor = camera.sensor
     read_noise_dn = float(np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5))
     black_dn = sensor.black_dn + offset_e / sensor.gain_e
     # Four sigma below the clip: of saturated pixels one in 30 000 is missed.
@@ -60,9 +86,9 @@ def known_calibration(
     row, col, valid = picks
     return Calibration(
         source=source,
-        slot_s=timing.slot_s,
-        slots_per_frame=timing.slots_per_frame,
-        coded_slots=coded_slots,
+        slot_s=camera.slot_s,
+        slots_per_frame=camera.slots_per_frame,
+        coded_slots=camera.coded_slots,
         response=response,
         pick_row=row,
         pick_col=col,

@@ -2,9 +2,9 @@
 
 Everything is measured with the camera's true parameters and its photon noise. The source for flats is
 an integrating sphere that fills the field; its radiance is known, so is the f-number, hence the nominal
-irradiance on the modulator. A second source is a pulsed LED, synchronised to the panel, that lights the
-middle of the modulator for a tenth of a slot: so the panel can be seen inside a slot although the shutter
-only knows whole ones.
+irradiance on the modulator. A second source is a pulsed LED, synchronised to the panel, that lights a strip
+down the middle of the modulator for a tenth of a slot or a whole one: so the panel can be seen inside a slot
+although the shutter only knows whole frames.
 
 What a real bench has and this one has not: an error of the source's scale or uniformity, drift, dust,
 vibration between the frames.
@@ -20,14 +20,13 @@ from numpy.random import Generator
 from optsim.calibrate import Bench, Flat, Patches, Step
 from optsim.camera import CodedCamera
 from optsim.errors import ConfigError
-from optsim.forward.panel import settled_retardance
+from optsim.forward.panel import settled_panel
 from optsim.quantities import (
     Block,
     Bytes,
     ExposureCode,
     Floats,
     IrradianceVideo,
-    PanelState,
     RadianceVideo,
     Segment,
     Words,
@@ -46,7 +45,8 @@ _FLASHES_PER_SLOT = 10
 # Delays of the flash from half a slot before the step to two slots after, in flashes.
 _DELAYS = range(-5, 20)
 _STEP_SLOTS = 4
-_SPOT_PX = 48
+_FIELDS, _FIELD_LEVEL = 6, 128
+_STRIP_PX = 16
 _LEAST_GLARE_PX = 24
 LEAST_PANEL_PX = 24
 """Panel pixels each way below which the dots are too few for a map."""
@@ -95,6 +95,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         if half >= _LEAST_GLARE_PX
         else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
+        fields=tuple(lab.field(level, slot) for level in (_FIELD_LEVEL, 255) for slot in range(_FIELDS)),
     )
 
 
@@ -167,26 +168,40 @@ class _Laboratory:
 
         The shutter is open for four slots around the flash; the panel changes when the second begins.
         """
-        camera = self.camera.model_copy(update={"slots_per_frame": _STEP_SLOTS, "overlap": True})
-        view, flash_s = camera.view, camera.slot_s / _FLASHES_PER_SLOT
         slot, instant = divmod(_FLASHES_PER_SLOT + delay, _FLASHES_PER_SLOT)
-        side = min(_SPOT_PX * view.samples_per_pitch, view.rows, view.cols)
-        spot = np.zeros((_FLASHES_PER_SLOT, side, side), np.float32)
-        spot[instant] = self.irradiance(_FLASH_SHARE, 1 / _FLASHES_PER_SLOT)
+        pulse = np.zeros(_FLASHES_PER_SLOT, np.float32)
+        pulse[instant] = self.irradiance(_FLASH_SHARE, 1 / _FLASHES_PER_SLOT)
+        flash_s = self.camera.slot_s / _FLASHES_PER_SLOT
+        return Step(
+            before, after, delay * flash_s, flash_s, self._flashed(before, after, pulse, slot, _STEP_SLOTS)
+        )
+
+    def field(self, level: int, slot: int) -> Step:
+        """LED on for one whole slot, counted from 0, with the panel held at a level."""
+        pulse = np.full(1, self.irradiance(_FLASH_SHARE, 1), np.float32)
+        slot_s = self.camera.slot_s
+        return Step(level, level, slot * slot_s, slot_s, self._flashed(level, level, pulse, slot, _FIELDS))
+
+    def _flashed(self, before: int, after: int, pulse: Floats, slot: int, n_slots: int) -> Words:
+        """One frame of some slots, one of which the LED lights as ``pulse`` says, instant by instant."""
+        camera = self.camera.model_copy(update={"slots_per_frame": n_slots, "overlap": True})
+        view = camera.view
+        width = min(_STRIP_PX * view.samples_per_pitch, view.cols)
+        strip = np.broadcast_to(pulse[:, None, None], (len(pulse), view.rows, width))
         black = np.zeros((view.rows, view.cols), np.float32)
-        flash = Block((view.rows - side) // 2, (view.cols - side) // 2, spot)
+        flash = Block(0, (view.cols - width) // 2, np.ascontiguousarray(strip))
         led = IrradianceVideo(
             rows=view.rows,
             cols=view.cols,
             samples_per_pitch=view.samples_per_pitch,
             slot_s=camera.slot_s,
-            instants_per_slot=_FLASHES_PER_SLOT,
+            instants_per_slot=len(pulse),
             slots_per_segment=1,
-            n_slots=_STEP_SLOTS,
-            load=lambda index: Segment(black, black, (flash,) if index == slot else (), _FLASHES_PER_SLOT),
+            n_slots=n_slots,
+            load=lambda index: Segment(black, black, (flash,) if index == slot else (), len(pulse)),
         )
         first, second = (np.full(self.panel, level, np.uint8) for level in (before, after))
-        return Step(before, after, delay * flash_s, flash_s, self._take(camera, led, first, second, 1))
+        return self._take(camera, led, first, second, 1)
 
     def _take(
         self, camera: CodedCamera, light: IrradianceVideo, first: Bytes, then: Bytes, n_frames: int
@@ -195,9 +210,10 @@ class _Laboratory:
         levels = np.repeat(then[None], camera.slots_per_frame, axis=0)
         levels[0] = first
         code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
-        held: Floats = settled_retardance(first, camera.modulator.drive_exponent)
-        expected_e, _ = camera.expected_electrons(light, 0, code, PanelState(held))
+        held = settled_panel(first, camera.panel_response)
+        expected_e, _ = camera.expected_electrons(light, 0, code, held)
         frames = [
-            camera.sensor.digitise(expected_e, camera.serial_number, self.rng)[0] for _ in range(n_frames)
+            camera.sensor.digitise(expected_e, camera.exposure_s, camera.serial_number, self.rng)[0]
+            for _ in range(n_frames)
         ]
         return np.stack(frames)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from optsim.forward.radiometry import photons_per_joule
 from optsim.optics import Modulator, Objective, Relay, Splitter, stage_transmissions
 from optsim.sensor import Ccd
@@ -63,19 +65,22 @@ def photon_ledger(
     rows.append(
         LedgerRow(f"cone of f/{objective.working_f_number:g}", cone, cone * radiance_w_m2_sr, "W m^-2")
     )
-    into, panel, out = stage_transmissions(splitter, modulator, math.pi)
+    on_axis = np.zeros(1)
+    into, panel, out = stage_transmissions(
+        splitter, modulator, math.pi, objective.working_f_number, on_axis
+    ).ravel()
     for stage, factor in (
         ("objective glass", objective.transmission),
         ("neutral density: modulator irradiance", objective.nd_transmission),
         ("splitter in, polariser", into),
         ("panel's fill factor", modulator.fill_factor),
-        ("panel's mirrors, fully on", panel / modulator.fill_factor),
+        ("panel's mirrors and gaps, fully on", panel / modulator.fill_factor),
         ("splitter out, polariser, faces", out),
         ("relay glass", relay.transmission),
         ("relay stop", relay.accepted_share(objective.working_f_number)),
         ("magnification to the CCD", relay.magnification**-2),
     ):
-        rows.append(LedgerRow(stage, factor, factor * rows[-1].value, "W m^-2"))
+        rows.append(LedgerRow(stage, float(factor), float(factor * rows[-1].value), "W m^-2"))
     exposure_s = coded_slots / modulator.field_rate_hz
     photons = rows[-1].value * sensor.pixel_area_m2 * exposure_s * photons_per_joule()
     electrons = photons * sensor.quantum_efficiency

@@ -20,9 +20,17 @@ from optsim.camera import CodedCamera
 from optsim.errors import ConfigError
 from optsim.experiment import Experiment, Method
 from optsim.forward.integrate import cell_means
+from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.progress import Progress, silent
-from optsim.quantities import CodedFrame, Floats, IrradianceVideo, RadianceVideo, Reconstruction
+from optsim.quantities import (
+    CodedFrame,
+    Floats,
+    IrradianceVideo,
+    PanelState,
+    RadianceVideo,
+    Reconstruction,
+)
 
 Frames = dict[str, tuple[CodedFrame, ...]]
 
@@ -97,9 +105,9 @@ def calibrate(experiment: Experiment) -> Calibration:
     """Make what decoders will know of the camera: from the bench, or the true or ideal operator."""
     camera = experiment.camera.with_nd(1.0)
     if experiment.calibration == "true":
-        return camera.true_calibration()
+        return true_calibration(camera)
     if experiment.calibration == "ideal":
-        return camera.ideal_calibration()
+        return ideal_calibration(camera)
     return calibrate_from(measure_bench(camera, stream(experiment.seed, "laboratory")))
 
 
@@ -134,7 +142,7 @@ def capture(
         m.name: m.scheme.init(calibration, stream(experiment.seed, "code"))
         for m in experiment.methods
     }
-    panels = {m.name: camera.panel_at_rest() for m in experiment.methods}
+    panels: dict[str, PanelState | None] = {m.name: None for m in experiment.methods}
     for index in range(experiment.n_frames):
         for method in experiment.methods:
             name = method.name

@@ -13,6 +13,7 @@ from optsim import metrics
 from optsim.camera import CodedCamera
 from optsim.experiment import Experiment
 from optsim.forward.integrate import cell_means, slot_means
+from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
 from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
@@ -54,7 +55,7 @@ class Scorer:
             latency_frames=self.camera.latency_frames,
             coded_slots=self.camera.coded_slots,
         )
-        self._ideal_pixel = self.camera.true_calibration()
+        self._ideal_pixel = true_calibration(self.camera)
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance of each slot and pitch cell, array (slot, v, u), W m^-2, shading divided out."""

@@ -96,6 +96,13 @@ def camera_noise(experiment: Experiment) -> CameraNoise | None:
     return CameraNoise(per_pixel * pixels, camera.sensor.read_noise_e * math.sqrt(pixels))
 
 
+def has_bright_outside(experiment: Experiment) -> bool:
+    """Whether some lamp of the experiment's scene is a picture of the outside; False for footage."""
+    if experiment.scene is None:
+        return False
+    return any(lamp.picture is not None for lamp in chosen_scene(experiment).lamps.values())
+
+
 def chosen_scene(experiment: Experiment) -> Scene:
     """Load the scene of an experiment in the band that it sees.
 

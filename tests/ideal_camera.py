@@ -58,7 +58,7 @@ def expose(
     light: Floats,
     index: int,
     code: ExposureCode,
-    panel: PanelState,
+    panel: PanelState | None,
     rng: np.random.Generator | None,
 ) -> tuple[CodedFrame, PanelState]:
     """One frame of slot irradiances (slot, v, u); without noise if there is no generator."""
@@ -81,7 +81,7 @@ def film(
 ) -> list[CodedFrame]:
     """Run a scheme over frames of slot irradiances."""
     state = scheme.init(calibration, np.random.default_rng(5))
-    panel = calibration.panel_at_rest()
+    panel: PanelState | None = None
     frames: list[CodedFrame] = []
     for index, light in enumerate(lights):
         code, state = scheme.next(index, frames[: max(0, index - latency + 1)], state)

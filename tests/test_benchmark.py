@@ -9,7 +9,7 @@ from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
 from optsim.errors import ConfigError
 from optsim.hardware import demo
-from optsim.optics.objective import BLOCK_WING_SHARE
+from optsim.optics.objective import CORE_SHARE
 from optsim.progress import silent
 from optsim.quantities import ExposureCode
 
@@ -73,7 +73,7 @@ def test_the_picture_has_a_line_for_each_method_and_region():
 def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(share):
     """Without wings and glare, which ours treats more cheaply on what moves, both are the same numbers."""
     whole = demo().without_glare()
-    lens = whole.objective.model_copy(update={"wing_share": BLOCK_WING_SHARE})
+    lens = whole.objective.model_copy(update={"wing_share": CORE_SHARE})
     sensor = whole.sensor.model_copy(update={"rows": 80, "cols": 98})
     camera = whole.model_copy(
         update={"objective": lens, "sensor": sensor, "panel_rows": 24, "panel_cols": 30}

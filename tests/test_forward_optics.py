@@ -1,14 +1,17 @@
 """PSF, relay operator, crosstalk, Mueller algebra and radiometry: array functions against closed forms."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
 from optsim.forward.crosstalk import crosstalk_kernels, true_dots
+from optsim.forward.fringing import border_shares
 from optsim.forward.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
 from optsim.forward.psf import blur_block, extend, make_blur, psf_kernel
 from optsim.forward.radiometry import cos4, irradiance_factor, photons_per_joule
-from optsim.forward.relay import RelayGeometry, RelayOperator, overlap_operator
+from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
 from optsim.quantities import Block
 
 WAVELENGTH_M = 550e-9
@@ -74,7 +77,7 @@ def test_a_block_blurs_like_the_whole_image(row, col):
     excess = rng.normal(0, 1, (2, 7, 6)).astype(np.float32)
     whole = np.zeros((2, 32, 50), np.float32)
     whole[:, row : row + 7, col : col + 6] = excess
-    block = blur_block(Block(row, col, excess), kernel, (32, 50))
+    block = blur_block(Block(row, col, excess), half, partial(make_blur, kernel), (32, 50))
     ours = np.zeros((2, 32, 50))
     _, h, w = block.excess.shape
     ours[:, block.row : block.row + h, block.col : block.col + w] = block.excess
@@ -142,6 +145,69 @@ def test_a_rotation_moves_pixels_as_a_rotation_does():
     assert (image * x).sum() / image.sum() == pytest.approx(50 + 40 * np.cos(angle), abs=1e-4)
 
 
+def test_keystone_and_distortion_place_pixels_by_their_formulas_and_keep_the_energy():
+    geometry = RelayGeometry(90, 120, 110, 150, 1.1, 0.7, keystone_y=0.03, distortion=-0.02)
+    y, x = geometry.place(np.array([90.0, 45.0, 90.0]), np.array([60.0, 120.0, 120.0]))
+    # Half sides of 49.5 and 66; the corner is 82.5 away.
+    middle = 49.5 * (1 - 0.02 * 49.5**2 / 82.5**2) / 1.03
+    np.testing.assert_allclose([y[0] - 55, x[0] - 75], [middle, 0], atol=1e-9)
+    np.testing.assert_allclose([y[1] - 55, x[1] - 75], [0, 66 * (1 - 0.02 * 66**2 / 82.5**2)], atol=1e-9)
+    np.testing.assert_allclose([y[2] - 55, x[2] - 75], np.array([49.5, 66]) * 0.98 / 1.03, atol=1e-9)
+    matrix = overlap_operator(geometry, 0.9)
+    joules = np.asarray(matrix.sum(axis=0)).ravel() * geometry.magnification**2 / geometry.cell_px**2
+    np.testing.assert_allclose(joules, 0.9, rtol=1e-5)
+    lit = np.zeros((90, 120))
+    lit[80, 100] = 1
+    image = (matrix @ lit.ravel()).reshape(110, 150)
+    rows, cols = np.mgrid[:110, :150] + 0.5
+    centre = geometry.place(np.array([80.5]), np.array([100.5]))
+    assert (image * rows).sum() / image.sum() == pytest.approx(centre[0][0], abs=0.05)
+    assert (image * cols).sum() / image.sum() == pytest.approx(centre[1][0], abs=0.05)
+    # A flat gets brighter where the image is smaller: by the inverse of the local area.
+    flat = (matrix @ np.ones(90 * 120)).reshape(110, 150)
+    top, bottom = (geometry.place(np.array([v, v + 1.0]), np.array([60.0, 60.0]))[0] for v in (8, 80))
+    wide = [np.diff(geometry.place(np.full(2, v), np.array([59.5, 60.5]))[1])[0] for v in (8.5, 80.5)]
+    area = np.diff(top)[0] * wide[0] / (np.diff(bottom)[0] * wide[1])
+    assert flat[int(bottom[0]), 75] / flat[int(top[0]), 75] == pytest.approx(area, rel=5e-3)
+    assert area > 1.1
+
+
+def test_a_ghost_is_mirrored_keeps_its_share_and_has_an_exact_adjoint():
+    geometry = RelayGeometry(60, 90, 66, 96, 1.0, 0.681)
+    blur = make_blur(psf_kernel(1.0, 2.0, 1.0, 1.0, 0.1, diffraction=False), (20, 30))
+    plain = operator(geometry, glare=0)
+    haunted = RelayOperator(plain.blur, plain.overlap, 0.0, plain.ccd_shape, Ghost(0.1, blur, 3))
+    panel = np.zeros((60, 90))
+    panel[21:24, 30:33] = 1
+    ghost = haunted.apply(panel) - 0.9 * plain.apply(panel)
+    y, x = np.mgrid[:66, :96] + 0.5
+    # (22.5, 31.5) of (60, 90) is mirrored to (37.5, 58.5), and the border is 3 wide.
+    assert (ghost * y).sum() / ghost.sum() == pytest.approx(40.5, abs=0.05)
+    assert (ghost * x).sum() / ghost.sum() == pytest.approx(61.5, abs=0.05)
+    assert ghost.sum() == pytest.approx(0.1 * plain.apply(panel).sum(), rel=0.01)
+    rng = np.random.default_rng(3)
+    a, b = rng.random((60, 90)), rng.random((66, 96))
+    left, right = (haunted.apply(a) * b).sum(), (a * haunted.adjoint(b)).sum()
+    assert left == pytest.approx(right, rel=1e-6)
+
+
+def test_a_disc_of_confusion_has_its_diameter():
+    kernel = psf_kernel(2.0, 0.0, 2e-6, WAVELENGTH_M, 2e-2, disc_m=60e-6)
+    half = kernel.shape[0] // 2
+    radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1]) * 2e-6
+    assert kernel[radius < 27e-6].sum() == pytest.approx((27 / 30) ** 2, abs=0.03)
+    assert kernel[radius > 36e-6].sum() < 0.03
+    inside = kernel[radius < 22e-6]
+    assert inside.std() / inside.mean() < 0.15
+
+
+def test_without_diffraction_and_aberrations_nothing_is_blurred():
+    np.testing.assert_array_equal(psf_kernel(4.0, 0.0, 5e-6, WAVELENGTH_M, 1e-3, diffraction=False)[2, 2], 1)
+    wide = psf_kernel(4.0, 10e-6, 5e-6, WAVELENGTH_M, 1e-3, diffraction=False)
+    y = np.arange(len(wide)) - len(wide) // 2
+    assert (wide.sum(axis=1) * y**2).sum() == pytest.approx(4.0, rel=1e-4)
+
+
 def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
     geometry = RelayGeometry(90, 120, 98, 128, 1.0, 0.681)
     row, col, _ = geometry.picks(3)
@@ -150,9 +216,10 @@ def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
     )
     offset, good = geometry.pick_offsets_px(3), np.ones(row.shape, np.bool_)
     np.testing.assert_allclose(offset, 0, atol=1e-9)
-    kernel = crosstalk_kernels(true_dots(sharp, 3, row, col, 3), offset, good)
+    plain = border_shares(0.0, 3)
+    kernel = crosstalk_kernels(true_dots(sharp, plain, row, col, 3), offset, good)
     np.testing.assert_allclose(kernel[:, :, 3, 3], 1, atol=1e-6)
-    blurred = crosstalk_kernels(true_dots(operator(geometry), 3, row, col, 3), offset, good)[10, 10]
+    blurred = crosstalk_kernels(true_dots(operator(geometry), plain, row, col, 3), offset, good)[10, 10]
     assert blurred.sum() == pytest.approx(1)
     assert 0.8 < blurred[3, 3] < 0.99
     np.testing.assert_allclose(blurred, blurred.T, atol=1e-5)
@@ -162,7 +229,9 @@ def test_crosstalk_predicts_a_random_mosaic_at_a_ratio_that_shifts_every_pick():
     """Exposures 1 : 36 side by side at 2.88 CCD pixels: one kernel for all is off by whole slots."""
     geometry = RelayGeometry(300, 330, 300, 330, 0.96, 0.654)
     relay, (row, col, on_ccd) = operator(geometry), geometry.picks(3)
-    kernels = crosstalk_kernels(true_dots(relay, 3, row, col, 3), geometry.pick_offsets_px(3), on_ccd)
+    kernels = crosstalk_kernels(
+        true_dots(relay, border_shares(0.0, 3), row, col, 3), geometry.pick_offsets_px(3), on_ccd
+    )
     light = np.random.default_rng(4).choice([1.36, 3.3, 11.2, 36], row.shape)
 
     def at_picks(panel):

@@ -12,6 +12,7 @@ import pytest
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
 from optsim.hardware.cameras import prototype
+from optsim.known_calibration import true_calibration
 from optsim.laboratory import measure_bench
 from optsim.quantities import ExposureCode, RadianceVideo, Segment
 
@@ -63,8 +64,11 @@ def test_sensor(camera: CodedCamera, found: Calibration) -> None:
     assert found.dn_per_e == pytest.approx(1 / sensor.gain_e, rel=tolerance)
     clip = float(sensor.bent(np.array(sensor.full_well_e))) / sensor.gain_e
     below = clip - np.median(found.saturation_dn - found.black_dn)
-    # The clipped frames carry read noise and nothing else.
-    assert below == pytest.approx(4 * noise, abs=2)
+    # The clipped frames carry read noise, and smear of four times the light that fills the wells (shading,
+    # dark rows and the bend leave 0.5 to 0.8 of it); the threshold keeps a thousandth below.
+    smear = 4 * clip * sensor.smear_share * sensor.readout_s / camera.exposure_s
+    assert below == pytest.approx(4 * noise + 1e-3 * clip - 0.65 * smear, abs=3)
+    assert below > 4 * noise
 
 
 def test_panel(camera: CodedCamera, found: Calibration) -> None:
@@ -81,6 +85,7 @@ def test_panel(camera: CodedCamera, found: Calibration) -> None:
 def test_map(camera: CodedCamera, found: Calibration) -> None:
     centre = np.indices((48, 64)).reshape(2, -1).T + 0.5 - np.array([24, 32])
     c, s = np.cos(0.004), np.sin(0.004)
+    centre = centre * (1 + camera.relay.distortion * (centre**2).sum(axis=1, keepdims=True) / (24**2 + 32**2))
     y = camera.ratio * (c * centre[:, 0] + s * centre[:, 1]) + 78 + 2.3
     x = camera.ratio * (c * centre[:, 1] - s * centre[:, 0]) + 102 - 1.8
     picked = np.stack([found.pick_row, found.pick_col], axis=-1).reshape(-1, 2) + 0.5
@@ -93,7 +98,7 @@ def test_map(camera: CodedCamera, found: Calibration) -> None:
 def test_responsivity_is_the_true_one_within_its_stated_uncertainty(
     camera: CodedCamera, found: Calibration
 ) -> None:
-    true = camera.true_calibration()
+    true = true_calibration(camera)
     same = (found.pick_row == true.pick_row) & (found.pick_col == true.pick_col)
     assert same.mean() > 0.97
     error = (found.responsivity_dn / true.responsivity_dn - 1)[same]
@@ -103,7 +108,7 @@ def test_responsivity_is_the_true_one_within_its_stated_uncertainty(
 
 
 def test_crosstalk_is_that_of_the_true_operator(camera: CodedCamera, found: Calibration) -> None:
-    true = camera.true_calibration().crosstalk
+    true = true_calibration(camera).crosstalk
     inner = (slice(4, -4), slice(4, -4))
     error = found.crosstalk[inner] - true[inner]
     # Noise of the dots over 21 coefficients, and picks that differ where a centre lies on a border.
@@ -141,7 +146,7 @@ def test_uncoded_readout_slots_are_known_to_be_closed() -> None:
     bench = measure_bench(camera, np.random.default_rng(2))
     found = calibrate_from(bench)
     assert found.coded_slots == camera.coded_slots == 28
-    true = camera.true_calibration()
+    true = true_calibration(camera)
     same = (found.pick_row == true.pick_row) & (found.pick_col == true.pick_col)
     assert np.mean((found.responsivity_dn / true.responsivity_dn)[same]) == pytest.approx(1, abs=2e-3)
 

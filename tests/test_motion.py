@@ -18,7 +18,7 @@ ROWS, COLS = 96, 128
 
 
 def seen(calibration, frames, crosstalk="undone"):
-    panel = calibration.panel_at_rest()
+    panel = None
     result = []
     for frame in frames:
         sample, panel = take(calibration, frame, panel, crosstalk)

@@ -9,6 +9,7 @@ from optsim.quantities import Block, RadianceVideo, Segment
 from optsim.scene.footage import still
 
 PITCH_M = 20e-6
+AXIS = np.zeros(1)
 
 
 def imaged(lens, picture, pitch=3):
@@ -19,29 +20,50 @@ def imaged(lens, picture, pitch=3):
 
 def test_the_nominal_contrast_is_100_and_its_parts_add_up():
     panel, splitter = lcr720(), Splitter()
-    assert 1 / leak(splitter, panel) == pytest.approx(100, abs=10)
-    # By hand: half of the depolarised light gets through; p through a 3 % port and a 1000:1 polariser.
-    d = panel.depolarised_share
+    assert 1 / leak(splitter, panel, 6.0, AXIS) == pytest.approx(100, abs=10)
+    # By hand: half of the depolarised light gets through, and half of the gaps'; p through a 3 % port and a
+    # 1000:1 polariser.
+    d, gaps = panel.depolarised_share, 0.08 * 0.05 / (0.92 * panel.mirror_reflectivity)
     from_splitter = 0.03 / 1000 / 0.99 + 0.001 / 1000 / 0.95
-    assert leak(splitter, panel) == pytest.approx((d / 2) / (1 - d / 2) + from_splitter, rel=2e-3)
+    by_hand = (d / 2 + gaps / 2) / (1 - d / 2 + gaps / 2) + from_splitter
+    assert leak(splitter, panel, 6.0, AXIS) == pytest.approx(by_hand, rel=2e-3)
+    assert gaps / 2 > 0.2 * by_hand
 
 
 def test_without_polarisers_and_with_a_perfect_panel_the_splitter_alone_gives_about_32():
     bare = Splitter(cleanup_transmission=1, cleanup_contrast=1)
-    perfect = lcr720().model_copy(update={"depolarised_share": 0.0})
+    perfect = lcr720().model_copy(update={"depolarised_share": 0.0, "gap_reflectivity": 0.0})
     # (0.95 x 0.03 + 0.001 x 0.99) / (0.95 x 0.99 + 0.001 x 0.03)
-    assert 1 / leak(bare, perfect) == pytest.approx(31.9, abs=0.1)
+    assert 1 / leak(bare, perfect, 6.0, AXIS) == pytest.approx(31.9, abs=0.1)
 
 
 def test_throughput_lists_every_loss_once_and_follows_the_retardance():
-    panel, splitter = lcr720(), Splitter(rs=0.95, cleanup_transmission=1, cleanup_contrast=1e9)
-    on, off = (throughput(splitter, panel, g) for g in (np.pi, 0.0))
+    panel = lcr720().model_copy(update={"gap_reflectivity": 0.0})
+    splitter = Splitter(rs=0.95, cleanup_transmission=1, cleanup_contrast=1e9)
+    on, off = (throughput(splitter, panel, g, 6.0, AXIS) for g in (np.pi, 0.0))
     # 0.5 x 0.95 x 0.70 x 0.95 x 0.97 x (relay 0.92) = 0.28; half of the depolarised share is lost.
-    assert on * prototype_relay().transmission == pytest.approx(0.2819 * (1 - 0.0198 / 2), rel=2e-3)
-    assert np.prod(stage_transmissions(splitter, panel, np.pi)) == pytest.approx(on)
+    assert float(on[0]) * prototype_relay().transmission == pytest.approx(0.2819 * (1 - 0.0137 / 2), rel=2e-3)
+    assert np.prod(stage_transmissions(splitter, panel, np.pi, 6.0, AXIS)) == pytest.approx(on)
     gamma = 1.1
     middle = off + (on - off) * np.sin(gamma / 2) ** 2
-    assert throughput(splitter, panel, gamma) == pytest.approx(middle, rel=1e-12)
+    assert throughput(splitter, panel, gamma, 6.0, AXIS) == pytest.approx(middle, rel=1e-12)
+
+
+def test_in_collimated_space_the_splitter_shades_the_ends_of_the_rows_and_in_converging_space_it_leaks():
+    panel, x_m = lcr720(), np.array([-6e-3, 0.0, 2e-3, 6e-3])
+    along, cone = Splitter(), Splitter(placement="converging")
+    on = throughput(along, panel, np.pi, 6.0, x_m)
+    assert on[0] == pytest.approx(on[3])
+    assert on[1] == pytest.approx(on[2]), "within the acceptance"
+    # 6 mm / 75 mm is 3.0 degrees in glass: rp grows from 3 % to 3 % x (3.0 / 2.0)^2, and tp loses as much.
+    growth = (np.arcsin(np.sin(np.arctan(0.08)) / 1.52) / 0.035) ** 2
+    in_, out = (0.95 - 0.03 * (growth - 1)) / 0.95, (0.99 - 0.001 * (growth - 1)) / 0.99
+    assert on[0] / on[1] == pytest.approx(in_ * out, rel=3e-4)
+    dark = leak(cone, panel, 6.0, x_m) - leak(along, panel, 6.0, AXIS)
+    # Small angles: 1 / (2 N n)^2 of the light, whatever the column; what the coating lets through of the
+    # wrong polarisation, 0.03 of 0.99 and 0.001 of 0.95, is in phase and against it.
+    against = 1 - (np.sqrt(0.03 / 0.99) + np.sqrt(0.001 / 0.95)) / 2
+    np.testing.assert_allclose(dark, (against / (2 * 6 * 1.52)) ** 2, rtol=0.03)
 
 
 def test_a_flat_scene_becomes_cos4_times_the_analytic_irradiance():

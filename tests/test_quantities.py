@@ -26,9 +26,9 @@ def test_negative_light_is_an_error_unless_allowed() -> None:
 
 def test_wrong_rank_and_dtype() -> None:
     with pytest.raises(ValueCheckError, match="axes"):
-        PanelState(np.zeros(3, np.float32))
+        PanelState(np.zeros(3, np.float32), np.zeros((3, 3), np.uint8))
     with pytest.raises(ValueCheckError, match="dtype"):
-        PanelState(np.zeros((3, 3)))
+        PanelState(np.zeros((3, 3)), np.zeros((3, 3), np.uint8))
     code = ExposureCode(np.zeros((2, 3, 4), np.uint8), np.zeros((3, 4), np.bool_))
     with pytest.raises(ValueCheckError, match="dtype"):
         CodedFrame(0, np.zeros((3, 4), np.uint8), code)

@@ -69,7 +69,7 @@ def test_the_light_rule_predicts_what_the_camera_reads(overlap: str) -> None:
     assert light.saturation_dn == pytest.approx(np.median(clip), rel=1e-6)
     assert light.nd_transmission < 1
     code = ExposureCode(np.full((36, ROWS, COLS), 255, np.uint8), np.zeros((ROWS, COLS), np.bool_))
-    settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32))
+    settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
     frame, _ = camera.expose(camera.form_image(radiance), 0, code, settled, np.random.default_rng(0))
     raw = frame.dn[calibration.pick_row, calibration.pick_col] - calibration.black_dn
     inside = calibration.valid & ~outside.reshape(ROWS, 3, COLS, 3).any(axis=(1, 3))
@@ -83,7 +83,7 @@ def test_capture_passes_the_panel_on_and_draws_new_photons() -> None:
     camera, _ = set_light(experiment, radiance, calibration)
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, calibration)["normal"]
-    panel = camera.panel_at_rest()
+    panel = None
     for index, frame in enumerate(frames):
         photons = stream(experiment.seed, "shot", "normal", index)
         again, panel = camera.expose(truth, index, frame.code, panel, photons)
@@ -143,7 +143,7 @@ def test_photons_are_electrons() -> None:
     frames = capture(experiment, scores.camera, scores.truth, calibration)
     row = next(r for r in scores.photons(frames) if r["method"] == "normal")
     frame = frames["normal"][1]
-    settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32))
+    settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
     expected, _ = scores.camera.expected_electrons(scores.truth, 1, frame.code, settled)
     picked = expected[calibration.pick_row, calibration.pick_col][calibration.valid]
     # The first slot of the first frame finds the panel dark; the gain is 0.96 e-/DN.

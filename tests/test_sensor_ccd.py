@@ -6,14 +6,14 @@ from optsim.sensor import Ccd
 
 
 def plain(**changes) -> Ccd:
-    """The ICX674 without fixed patterns and bend, small."""
-    ideal = {"rows": 300, "cols": 400, "prnu": 0.0, "dsnu_e": 0.0, "bend_at_full_well": 0.0}
-    return icx674().model_copy(update=ideal | changes)
+    """The ICX674 without fixed patterns, bend and smear, small."""
+    off = ("prnu", "dsnu_e", "bend_at_full_well", "smear_share")
+    return icx674().model_copy(update={"rows": 300, "cols": 400} | dict.fromkeys(off, 0.0) | changes)
 
 
 def frame(sensor, electrons, seed=0):
     return sensor.digitise(
-        np.full((sensor.rows, sensor.cols), float(electrons)), 1, np.random.default_rng(seed)
+        np.full((sensor.rows, sensor.cols), float(electrons)), 0.2, 1, np.random.default_rng(seed)
     )
 
 
@@ -64,7 +64,7 @@ def test_negative_light_is_counted_and_taken_as_dark():
     sensor = plain(rows=4, cols=5)
     expected = np.zeros((4, 5))
     expected[1, 2], expected[3, 3] = -4.0, -1e-9  # the second is rounding
-    dn, count = sensor.digitise(expected, 1, np.random.default_rng(0))
+    dn, count = sensor.digitise(expected, 0.2, 1, np.random.default_rng(0))
     assert count == 1
     assert dn[1, 2] > 0
 
@@ -81,3 +81,23 @@ def test_data_sheet_instances_reproduce_their_own_derived_figures():
     assert 20 * np.log10(ccd.full_well_e / ccd.read_noise_e) == pytest.approx(63.9, abs=1)
     cmos = imx174()
     assert 20 * np.log10(cmos.full_well_e / cmos.read_noise_e) == pytest.approx(73, abs=0.5)
+
+
+def test_smear_is_the_column_sum_times_shield_and_dwell_and_passes_a_full_well():
+    sensor = plain(rows=100, cols=6, smear_share=1e-3, readout_s=0.04, read_noise_e=0.0, gain_e=1.1)
+    expected = np.zeros((100, 6))
+    expected[20:40, 3] = 1000 * sensor.full_well_e
+    expected[10, 1] = 1.0
+    smear = sensor.smear_e(expected, 0.2)
+    # 20 rows of 1000 wells, through a shield of 0.1 %, each for 0.04 s / 100 of 0.2 s.
+    assert smear[3] == pytest.approx(20 * 1000 * sensor.full_well_e * 1e-3 * 0.04 / 100 / 0.2)
+    seen = np.stack([sensor.digitise(expected, 0.2, 1, np.random.default_rng(i))[0] for i in range(40)])
+    seen = (seen - sensor.black_dn) * sensor.gain_e
+    dark = np.r_[:20, 40:100]
+    # 3200 Poisson samples of 631 electrons: the mean within 5 x 0.44, the variance within 5 x 2.5 %.
+    assert seen[:, dark, 3].mean() == pytest.approx(smear[3], abs=2.5)
+    assert seen[:, dark, 3].var() == pytest.approx(smear[3], rel=0.13)
+    assert np.abs(seen[:, :, [0, 2, 4, 5]]).max() < 1
+    assert seen[0, 20:40, 3].min() > sensor.full_well_e
+    none = sensor.model_copy(update={"smear_share": 0.0})
+    assert not none.smear_e(expected, 0.2).any()

@@ -18,7 +18,12 @@ dots          lattices of single bright pixels on black
 glare         a bright patch of a fifth of the picture or so on black, more than 16 panel pixels from much of
               the rest; in two corners in turn (may be empty: veiling glare then counts as none)
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
-              both directions, from half a slot before to two slots after; it may light a part of the panel
+              both directions, from half a slot before to two slots after, the change being at the second
+              slot of a frame; the flash may light a part of the panel,
+              but to tell how the rows are scanned, more than a quarter of its height
+fields        a flash as long as a slot, in each of six successive slots in turn from a frame's first one on,
+              with the panel held at a grey level, and again held at 255 (may be empty: all slots of a
+              colour-sequential panel then count as alike)
 ============  ==========================================================================================
 
 "Held" means shown for at least ten response times before the exposure, and during all of it.
@@ -38,7 +43,7 @@ from optsim.errors import BenchError, StorageError
 from optsim.files import read_json, write_json, write_png16
 from optsim.quantities import Bytes, Words, checked
 
-_FORMAT = "optsim bench 1"
+_FORMAT = "optsim bench 2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,8 @@ class Patches:
 class Step:
     """Frames lit by one flash each, around a change of the whole panel from one held level to another.
 
+    With both levels the same there is no change; the delay then counts from the frame's first field sync.
+
     Parameters
     ----------
     before, after : int
@@ -131,7 +138,7 @@ class Bench:
         Panel pixels used (v, u).
     darks : ndarray of shape (frame, y, x), uint16
         Frames without light.
-    flats, off, greys, saturated, anchors, dots, glare, steps
+    flats, off, greys, saturated, anchors, dots, glare, steps, fields
         See the module's table.
     """
 
@@ -144,6 +151,7 @@ class Bench:
         "dots",
         "glare",
         "steps",
+        "fields",
     )
     slot_s: float
     slots_per_frame: int
@@ -158,6 +166,7 @@ class Bench:
     dots: tuple[Patches, ...]
     glare: tuple[Patches, ...]
     steps: tuple[Step, ...]
+    fields: tuple[Step, ...] = ()
 
     def __post_init__(self) -> None:
         ccd = self.darks.shape[1:]
@@ -239,6 +248,7 @@ class Bench:
             dots=tuple(_patches(t) for t in table.tables("dots")),
             glare=tuple(_patches(t) for t in table.tables("glare")),
             steps=tuple(_step(t) for t in table.tables("steps")),
+            fields=tuple(_step(t) for t in table.tables("fields")),
         )
 
 

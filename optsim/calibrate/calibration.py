@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from optsim.errors import ValueCheckError
-from optsim.forward.panel import PanelResponse, slot_weights
+from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
 
 
@@ -149,17 +149,17 @@ class Calibration:
 
     def panel_at_rest(self) -> PanelState:
         """State of a panel that has been dark for long."""
-        return PanelState(np.zeros(self.shape, np.float32))
+        return settled_panel(np.zeros(self.shape, np.uint8), self.response)
 
-    def weights(self, code: ExposureCode, panel: PanelState) -> tuple[Floats, PanelState]:
+    def weights(self, code: ExposureCode, panel: PanelState | None) -> tuple[Floats, PanelState]:
         """Weight of each slot at each panel pixel by itself.
 
         Parameters
         ----------
         code : ExposureCode
             All slots of a frame's period.
-        panel : PanelState
-            The panel when the frame starts.
+        panel : PanelState or None
+            The panel when the frame starts; None when an experiment does: it has shown a cycle of this code.
 
         Returns
         -------
@@ -176,11 +176,13 @@ class Calibration:
         expected = (self.slots_per_frame, *self.shape)
         if code.levels.shape != expected:
             raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
-        weights, end_rad = slot_weights(code.levels, panel.retardance_rad, self.response, self.slot_s)
+        if panel is None:
+            _, panel = slot_weights(code.levels, self.panel_at_rest(), self.response, self.slot_s)
+        weights, after = slot_weights(code.levels, panel, self.response, self.slot_s)
         weights[self.coded_slots :] = 0
-        return weights, PanelState(end_rad)
+        return weights, after
 
-    def effective_weights(self, code: ExposureCode, panel: PanelState) -> tuple[Floats, PanelState]:
+    def effective_weights(self, code: ExposureCode, panel: PanelState | None) -> tuple[Floats, PanelState]:
         """Weights with the neighbours' share added: the diagonal approximation of the whole operator.
 
         Exact where the irradiance is the same over the reach of the crosstalk. Arguments and

@@ -9,8 +9,9 @@ from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.pixel_map import map_pixels
 from optsim.calibrate.sensor_noise import photon_transfer, saturation_threshold
 from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading, veil
-from optsim.calibrate.step_response import response_times
+from optsim.calibrate.step_response import field_drive, response_times
 from optsim.errors import BenchError
+from optsim.forward.panel import PanelResponse
 
 _MARGIN = 1  # CCD pixels at the border that are not used: their light may be cut
 
@@ -61,9 +62,14 @@ def calibrate_from(bench: Bench) -> Calibration:
     # Pixels without meaning get the typical value, so that nobody divides by zero or meets a NaN.
     responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
     saturation_dn = np.where(valid, picker.saturation_dn, np.median(picker.saturation_dn[valid]))
-    response = response_times(
-        bench.steps, picker, valid, bench.slot_s, flat.leak, drive_exponent(bench.greys, picker, flat)
-    )
+    response = PanelResponse(leak=flat.leak)
+    # Each needs the others; fields that differ by 5 % are settled after two rounds.
+    for _ in range(2):
+        exponent = drive_exponent(bench.greys, picker, flat, response.field_drive)
+        if exponent is not None:
+            response = response.model_copy(update={"drive_exponent": exponent})
+        response = response_times(bench.steps, picker, valid, bench.slot_s, response)
+        response = field_drive(bench.fields, picker, valid, bench.slot_s, response)
     return Calibration(
         source="bench",
         slot_s=bench.slot_s,

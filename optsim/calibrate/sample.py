@@ -52,7 +52,7 @@ class Sample:
 
 
 def take(
-    calibration: Calibration, frame: CodedFrame, panel: PanelState, crosstalk: Crosstalk
+    calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
 ) -> tuple[Sample, PanelState]:
     """Observe a frame and separate its pixels.
 
@@ -62,8 +62,8 @@ def take(
         The camera as the bench knows it.
     frame : CodedFrame
         The frame.
-    panel : PanelState
-        The panel when the frame started.
+    panel : PanelState or None
+        The panel when the frame started; None for the first frame of an experiment.
     crosstalk : {"undone", "row_summed"}
         "undone" inverts the calibrated kernel, which acts on the image after the slots have been summed, so
         this is right for every code and scene; "row_summed" leaves the light where it is and adds the

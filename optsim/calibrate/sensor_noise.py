@@ -18,6 +18,9 @@ from optsim.quantities import Bools, Floats, Words
 
 # One clipped sample in 30 000 (Gaussian) falls below the threshold and passes as good.
 _SATURATION_SIGMAS = 4.0
+# No source, a sensible default: frames that fill the wells several times are smeared by a little more than
+# those to come, so the clip is taken to be lower by this share.
+_SMEAR_MARGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,8 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
 def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise) -> Floats:
     """Least raw DN that counts as saturated: the clipped mean of each pixel less four standard deviations.
 
+    And less a thousandth of itself, for smear.
+
     Parameters
     ----------
     clipped : ndarray of shape (frame, v, u), uint16
@@ -101,4 +106,5 @@ def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise:
             "a clip; take them with at least three times the light that fills the wells"
         )
     sigma = max(float(np.sqrt(variance)), noise.read_noise_dn)
-    return (mean - _SATURATION_SIGMAS * sigma).astype(np.float32)
+    margin = _SATURATION_SIGMAS * sigma + _SMEAR_MARGIN * np.maximum(mean - black_dn, 0)
+    return (mean - margin).astype(np.float32)

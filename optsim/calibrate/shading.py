@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, median_filter
+from scipy.optimize import root_scalar
 
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
@@ -23,6 +24,8 @@ from optsim.quantities import Bools, Doubles, Floats, Ints
 # No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
 # still reads its neighbours' 0.2 to 0.4), and stuck on above this share of its own light when told off.
 _DEAD, _STUCK = 0.5, 0.5
+# Grey curves are looked for between these exponents.
+_EXPONENTS = (0.02, 50.0)
 # Farther than this from a bright patch, panel pixels, what is seen of it is veil and no blur.
 _FAR = 16
 
@@ -188,8 +191,20 @@ def veil(glare: Sequence[Patches], picker: Picker, flat: Shading) -> float:
     return float(np.clip(excess / light, 0, 0.5)) if light else 0.0
 
 
-def drive_exponent(greys: Sequence[Flat], picker: Picker, flat: Shading) -> float | None:
-    """Exponent of retardance against level, from flats at levels between 0 and 255; None without any."""
+def drive_exponent(
+    greys: Sequence[Flat], picker: Picker, flat: Shading, field_drive: Sequence[float]
+) -> float | None:
+    """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
+
+    Flats are means over slots, whose fields may be driven differently: ``field_drive`` says how.
+    """
+    drive = np.array(field_drive)
+
+    def opened(exponent: float, level: int) -> float:
+        share_of_pi = (level / 255) ** exponent
+        seen, full = (np.mean(np.sin(np.pi / 2 * share * drive) ** 2) for share in (share_of_pi, 1.0))
+        return float(seen / full)
+
     exponents: list[float] = []
     on = float(flat.responsivity_dn[flat.valid].sum())
     for grey in greys:
@@ -200,6 +215,9 @@ def drive_exponent(greys: Sequence[Flat], picker: Picker, flat: Shading) -> floa
                 f"bench greys: level {grey.level} lets {open_share:.3g} of the light through, expected a "
                 "level and a share strictly between off and on"
             )
-        share_of_pi = 2 / np.pi * np.arcsin(np.sqrt(open_share))
-        exponents.append(float(np.log(share_of_pi) / np.log(grey.level / 255)))
+
+        def off(exponent: float, level: int = grey.level, seen: float = open_share) -> float:
+            return opened(exponent, level) - seen
+
+        exponents.append(float(root_scalar(off, bracket=_EXPONENTS).root))
     return float(np.mean(exponents)) if exponents else None

@@ -30,8 +30,8 @@ class Watch:
         The camera as the bench knows it.
     static, moving : TiledCode
         The two codes it chooses from.
-    panel : PanelState
-        The panel after the last frame that arrived.
+    panel : PanelState or None
+        The panel after the last frame that arrived; None before there is one.
     n_seen : int
         Frames that have arrived.
     last : Sample or None
@@ -45,7 +45,7 @@ class Watch:
     calibration: Calibration
     static: TiledCode
     moving: TiledCode
-    panel: PanelState
+    panel: PanelState | None
     n_seen: int
     last: Sample | None
     estimate: Floats
@@ -91,12 +91,12 @@ class MotionAdaptive(Part):
     crosstalk: Crosstalk = "undone"
 
     def init(self, calibration: Calibration, rng: np.random.Generator) -> Watch:
-        """Begin with nothing seen and the panel at rest."""
+        """Begin with nothing seen."""
         return Watch(
             calibration,
             self.static.init(calibration, rng),
             self.moving.init(calibration, rng),
-            calibration.panel_at_rest(),
+            None,
             n_seen=0,
             last=None,
             estimate=np.full(calibration.shape, np.nan, np.float32),

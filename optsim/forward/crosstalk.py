@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from optsim.forward.integrate import fine_image
 from optsim.forward.relay import RelayOperator
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
@@ -98,15 +99,17 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
     return kernels.astype(np.float32)
 
 
-def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Ints, reach: int) -> list[Dots]:
-    """Answer of the true operator, blur and overlap without veil, to lattices of dots: enough for a fit.
+def true_dots(
+    operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, reach: int
+) -> list[Dots]:
+    """Answer of fringing and true operator, without veil, to lattices of dots: enough for a fit.
 
     Parameters
     ----------
     operator : RelayOperator
         From the fine panel grid to the CCD.
-    pitch : int
-        Fine cells to a panel pixel.
+    borders : ndarray of shape (fine cells to a panel pixel, 3), float64
+        From :func:`optsim.forward.fringing.border_shares`.
     pick_row, pick_col : ndarray of shape (v, u), int64
         Picked CCD pixels.
     reach : int
@@ -115,8 +118,7 @@ def true_dots(operator: RelayOperator, pitch: int, pick_row: Ints, pick_col: Int
     rows, cols = pick_row.shape
 
     def at_picks(panel: Doubles) -> Doubles:
-        fine = panel.repeat(pitch, axis=0).repeat(pitch, axis=1)
-        return operator.project(operator.blur.apply(fine))[pick_row, pick_col]
+        return operator.project(operator.blur.apply(fine_image(panel, borders)))[pick_row, pick_col]
 
     flat = np.maximum(at_picks(np.ones((rows, cols))), 1e-30)
     found: list[Dots] = []

@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from optsim.errors import ValueCheckError
-from optsim.quantities import Doubles, Floats, Video
+from optsim.forward.bands import in_bands
+from optsim.quantities import Doubles, Floats, Segment, Video
 
 
-def integrate_exposure(video: Video, first_slot: int, weights: Floats) -> Floats:
+def integrate_exposure(
+    video: Video, first_slot: int, weights: Floats, borders: Doubles | None = None
+) -> Floats:
     """Radiant exposure behind the panel: the sum over instants of weight x light x duration.
 
     Parameters
@@ -26,6 +30,9 @@ def integrate_exposure(video: Video, first_slot: int, weights: Floats) -> Floats
         Slot of the video at which the weights begin.
     weights : ndarray of shape (t, v, u), float32
         Weight of each panel pixel in each instant.
+    borders : ndarray of shape (samples_per_pitch, 3), float64, optional
+        Shares of the neighbours' weights in the fine samples of a pixel, from
+        :func:`optsim.forward.fringing.border_shares`; beyond the panel's edge the nearest pixel counts.
 
     Returns
     -------
@@ -44,43 +51,114 @@ def integrate_exposure(video: Video, first_slot: int, weights: Floats) -> Floats
             f"{video.instants_per_slot} instants a slot; expected (slots * instants_per_slot, v, u)"
         )
     pitch = video.samples_per_pitch
+    shares = np.tile([0.0, 1.0, 0.0], (pitch, 1)) if borders is None else borders
     energy = np.zeros((video.rows, video.cols), np.float64)
     last_slot = first_slot + n_instants // video.instants_per_slot
     for slot, segment in video.segments(first_slot, last_slot):
         first = (slot - first_slot) * video.instants_per_slot
-        part = weights[first : first + segment.n_instants]
-        share = (np.arange(segment.n_instants) + 0.5) / segment.n_instants
-        total = part.sum(axis=0, dtype=np.float64)
-        late = np.zeros_like(total)
-        for instant, a in enumerate(share):
-            late += a * part[instant]
-        _add_base(energy, segment.start, segment.stop, total - late, late, pitch)
-        for block in segment.blocks:
-            _add_block(energy, block.excess, block.row, block.col, part, pitch)
+        _add_segment(energy, segment, weights[first : first + segment.n_instants], shares)
     energy *= video.slot_s / video.instants_per_slot
     return energy.astype(np.float32)
 
 
+def _add_segment(energy: Doubles, segment: Segment, weights: Floats, shares: Doubles) -> None:
+    early, late = np.zeros(weights.shape[1:]), np.zeros(weights.shape[1:])
+
+    def sums(first: int, end: int) -> None:
+        _hat_sums(weights[:, first:end], early[first:end], late[first:end])
+
+    def light(top: int, bottom: int) -> None:
+        _add_base(energy, top, bottom, segment.start, segment.stop, early, late, shares)
+        for block in segment.blocks:
+            _add_block(energy, top, bottom, block.excess, block.row, block.col, weights, shares)
+
+    in_bands(len(early), sums)
+    in_bands(len(energy), light)
+
+
+def fine_image(panel: Doubles, borders: Doubles) -> Doubles:
+    """Panel values on the fine grid, (v, u) to (y, x), the neighbours' shares in; as in an exposure."""
+    pitch = len(borders)
+    fine = np.empty((panel.shape[0] * pitch, panel.shape[1] * pitch))
+    for y, row in enumerate(fine):
+        _fine_row(panel, y, borders, 0, row)
+    return fine
+
+
+@njit(nogil=True, cache=True)
+def _hat_sums(weights: Floats, early: Doubles, late: Doubles) -> None:
+    """Sum the weights against the falling and the rising line of a segment."""
+    n, rows, cols = weights.shape
+    for t in range(n):
+        share = (t + 0.5) / n
+        for v in range(rows):
+            for u in range(cols):
+                late[v, u] += share * weights[t, v, u]
+                early[v, u] += (1 - share) * weights[t, v, u]
+
+
+@njit(nogil=True, cache=True)
+def _fine_row(image: Floats | Doubles, y: int, shares: Doubles, first: int, fine: Doubles) -> None:
+    """Fine row y of panel values, with the neighbours' shares; ``fine`` begins at panel column ``first``."""
+    rows, cols = image.shape
+    pitch = shares.shape[0]
+    v, part = y // pitch, shares[y % pitch]
+    above, below = max(v - 1, 0), min(v + 1, rows - 1)
+    u = max(first - 1, 0)
+    before = own = part[0] * image[above, u] + part[1] * image[v, u] + part[2] * image[below, u]
+    if u < first:
+        own = part[0] * image[above, first] + part[1] * image[v, first] + part[2] * image[below, first]
+    for cell in range(fine.size // pitch):
+        u = min(first + cell + 1, cols - 1)
+        after = part[0] * image[above, u] + part[1] * image[v, u] + part[2] * image[below, u]
+        for k in range(pitch):
+            fine[cell * pitch + k] = shares[k, 0] * before + shares[k, 1] * own + shares[k, 2] * after
+        before, own = own, after
+
+
 @njit(nogil=True, cache=True)
 def _add_base(
-    energy: Doubles, start: Floats, stop: Floats, early: Doubles, late: Doubles, pitch: int
+    energy: Doubles,
+    top: int,
+    bottom: int,
+    start: Floats,
+    stop: Floats,
+    early: Doubles,
+    late: Doubles,
+    shares: Doubles,
 ) -> None:
-    for y in range(energy.shape[0]):
-        v = y // pitch
-        for u in range(early.shape[1]):
-            a, b = early[v, u], late[v, u]
-            for x in range(u * pitch, (u + 1) * pitch):
-                energy[y, x] += a * start[y, x] + b * stop[y, x]
+    """Add the base to the rows from top to bottom."""
+    width = energy.shape[1]
+    first, then = np.empty(width), np.empty(width)
+    for y in range(top, bottom):
+        _fine_row(early, y, shares, 0, first)
+        _fine_row(late, y, shares, 0, then)
+        for x in range(width):
+            energy[y, x] += first[x] * start[y, x] + then[x] * stop[y, x]
 
 
 @njit(nogil=True, cache=True)
-def _add_block(energy: Doubles, excess: Floats, row: int, col: int, weights: Floats, pitch: int) -> None:
-    for t in range(excess.shape[0]):
-        for y in range(excess.shape[1]):
-            weight = weights[t, (row + y) // pitch]
-            target = energy[row + y]
-            for x in range(excess.shape[2]):
-                target[col + x] += weight[(col + x) // pitch] * excess[t, y, x]
+def _add_block(
+    energy: Doubles,
+    top: int,
+    bottom: int,
+    excess: Floats,
+    row: int,
+    col: int,
+    weights: Floats,
+    shares: Doubles,
+) -> None:
+    """Add a block to the rows from top to bottom, as far as it has any."""
+    pitch = shares.shape[0]
+    n, height, width = excess.shape
+    first = col // pitch
+    fine = np.empty(((col + width - 1) // pitch + 1 - first) * pitch)
+    shift = col - first * pitch
+    for t in range(n):
+        for y in range(max(row, top), min(row + height, bottom)):
+            _fine_row(weights[t], y, shares, first, fine)
+            for x in range(width):
+                energy[y, col + x] += fine[shift + x] * excess[t, y - row, x]
 
 
 def slot_means(video: Video, first_slot: int, n_slots: int) -> Floats:
@@ -114,11 +192,14 @@ def slot_means(video: Video, first_slot: int, n_slots: int) -> Floats:
     return means.astype(np.float32)
 
 
-def cell_means(image: Floats, pitch: int) -> Doubles:
+def cell_means(image: NDArray[np.floating], pitch: int) -> Doubles:
     """Mean of an image over cells of pitch x pitch samples: shape (y, x) -> (v, u), float64."""
-    rows, cols = image.shape
-    cells = image.reshape(rows // pitch, pitch, cols // pitch, pitch)
-    return cells.sum(axis=(1, 3), dtype=np.float64) / pitch**2
+    total = np.zeros((image.shape[0] // pitch, image.shape[1] // pitch))
+    # Ten times as fast as one sum over two short axes.
+    for y in range(pitch):
+        for x in range(pitch):
+            total += image[y::pitch, x::pitch]
+    return total / pitch**2
 
 
 @njit(nogil=True, cache=True)

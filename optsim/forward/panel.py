@@ -7,17 +7,24 @@ Gamma being its round-trip retardance (D.-K. Yang and S.-T. Wu, *Fundamentals of
 with one time constant towards larger and another towards smaller retardance. A field-sequential panel
 has a slot of a few such constants, so each slot carries some of the one before.
 
+The panel is not told everything at once: its rows are written one after the other, all of them some time
+after the shutter's clock, and until its turn a row goes on towards the level of the slot before. A colour-
+sequential panel drives its three fields differently and turns the sign of its voltage from field to field;
+neither is quite balanced, so the retardance that a level asks for repeats only after some slots.
+
 The mean over an interval is closed form. With D = Gamma(0) - Gamma_inf and d = D exp(-dt / tau),
 
     mean cos Gamma = cos Gamma_inf (1 - tau/dt (Cin D - Cin d)) - sin Gamma_inf tau/dt (Si D - Si d)
 
-where Cin x = integral of (1 - cos z) / z from 0 to x (NIST DLMF, section 6.2). It is tabulated over the start
-retardance for each level in use, and interpolated linearly: off by at most ``TABLE_ERROR``.
+where Cin x = integral of (1 - cos z) / z from 0 to x (NIST DLMF, section 6.2). Cin and Si are tabulated and
+interpolated linearly: off by at most ``TABLE_ERROR`` times the larger of 1 and tau/dt.
 
-Not modelled: the twist of twisted-nematic panels, row scan, polarity ripple, fringing fields.
+Not modelled: the twist of twisted-nematic panels, ripple faster than a slot.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -27,11 +34,15 @@ from scipy.special import sici
 
 from optsim.config import Part
 from optsim.errors import ValueCheckError
-from optsim.quantities import Bytes, Doubles, Floats
+from optsim.forward.bands import in_bands
+from optsim.quantities import Bytes, Doubles, Floats, Ints, PanelState
 
-_CELLS = 512
-# Linear interpolation errs by h^2/8 max|f''| with h = pi/512 and |f''| <= 1/2, plus float32 rounding.
-TABLE_ERROR = 3e-6
+_CELLS = 4096
+# Nearer than this to its target a pixel stays there: it changes a weight by less than 1e-14.
+_SETTLED_RAD = 1e-7
+# Steps of retardance are at most 2 pi; linear interpolation errs by h^2/8 max|f''| with h = 2 pi/4096 and
+# |f''| <= 1/2 for each of the four values, plus float32 rounding of the weight.
+TABLE_ERROR = 6e-7
 
 
 class PanelResponse(Part):
@@ -45,51 +56,74 @@ class PanelResponse(Part):
         Transmission of the whole chain fully off over fully on, 1/CR; 0 is infinite contrast.
     drive_exponent : float
         Exponent of retardance against level; 1.2 has no source, it is a sensible default.
+    field_drive : tuple of float
+        Relative retardance of successive slots, repeated; (1,) for a panel that drives all alike.
+    delay_s, scan_s : float
+        When the first row turns to a slot's level, after the slot has begun, and how much later the row
+        after the last one would; together less than a slot.
     """
 
     tau_on_s: float = Field(default=0.5e-3, ge=0)
     tau_off_s: float = Field(default=1.0e-3, ge=0)
     leak: float = Field(default=0.01, ge=0, le=1)
     drive_exponent: float = Field(default=1.2, gt=0)
+    field_drive: tuple[float, ...] = (1.0,)
+    delay_s: float = Field(default=0.0, ge=0)
+    scan_s: float = Field(default=0.0, ge=0)
+
+    def row_delays_s(self, rows: int) -> Doubles:
+        """When each row of the panel turns to a slot's level, after the slot has begun, s."""
+        return self.delay_s + self.scan_s * (np.arange(rows) + 0.5) / rows
 
 
 def settled_retardance(levels: Bytes, drive_exponent: float) -> Floats:
     """Retardance that each drive level reaches if it is held, rad: pi (level / 255)^exponent."""
-    curve = np.pi * (np.arange(256) / 255.0) ** drive_exponent
-    return curve.astype(np.float32)[levels]
+    return _curve(drive_exponent).astype(np.float32)[levels]
+
+
+def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
+    """Panel that has held an image of levels, (v, u), for many response times.
+
+    Between fields that are driven differently it never quite settles: off by their difference times
+    exp(-slot / tau).
+    """
+    held = settled_retardance(levels, response.drive_exponent) * np.float32(response.field_drive[-1])
+    return PanelState(held, levels, 0)
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
-    """Weight of each drive level if it is held for ever; 1 at level 255."""
+    """Weight of each drive level if it is held for ever, all fields driven alike; 1 at level 255."""
     intensity = np.sin(settled_retardance(levels, response.drive_exponent) / 2) ** 2
     return (response.leak + (1 - response.leak) * intensity).astype(np.float32)
 
 
-def mean_intensity(start_rad: ArrayLike, target_rad: float, duration_s: float, tau_s: float) -> Doubles:
+def mean_intensity(
+    start_rad: ArrayLike, target_rad: ArrayLike, duration_s: ArrayLike, tau_s: ArrayLike
+) -> Doubles:
     """Mean of sin^2(Gamma / 2) over an interval in which Gamma relaxes from start towards target.
 
     Parameters
     ----------
     start_rad : array_like
-        Retardance at the beginning, rad; any shape.
-    target_rad : float
+        Retardance at the beginning, rad.
+    target_rad : array_like
         Retardance that the drive asks for, rad.
-    duration_s, tau_s : float
-        Length of the interval (> 0) and time constant (>= 0), s.
+    duration_s, tau_s : array_like
+        Length of the interval (> 0) and time constant (> 0), s.
 
     Returns
     -------
-    ndarray of the shape of ``start_rad``, float64
+    ndarray of the arguments' common shape, float64
         Mean intensity, 0..1.
     """
-    step = np.asarray(start_rad, np.float64) - target_rad
-    if tau_s == 0:
-        return np.full(step.shape, np.sin(target_rad / 2) ** 2)
-    share = tau_s / duration_s
-    rest = step * np.exp(-duration_s / tau_s)
+    start, target, duration, tau = (
+        np.asarray(a, np.float64) for a in (start_rad, target_rad, duration_s, tau_s)
+    )
+    step, share = start - target, tau / duration
+    rest = step * np.exp(-1 / share)
     (si_step, cin_step), (si_rest, cin_rest) = _si_cin(step), _si_cin(rest)
-    cosine = np.cos(target_rad) * (1 - share * (cin_step - cin_rest))
-    cosine -= np.sin(target_rad) * share * (si_step - si_rest)
+    cosine = np.cos(target) * (1 - share * (cin_step - cin_rest))
+    cosine = cosine - np.sin(target) * share * (si_step - si_rest)
     return (1 - cosine) / 2
 
 
@@ -105,102 +139,173 @@ def _si_cin(x: Doubles) -> tuple[Doubles, Doubles]:
 
 def slot_weights(
     levels: Bytes,
-    retardance_rad: Floats,
+    panel: PanelState,
     response: PanelResponse,
     slot_s: float,
     instants_per_slot: int = 1,
-) -> tuple[Floats, Floats]:
+    leak: Doubles | None = None,
+) -> tuple[Floats, PanelState]:
     """Effective weight of every panel pixel in every instant, with the pixel's history.
 
     Parameters
     ----------
     levels : ndarray of shape (slot, v, u), uint8
         Drive levels.
-    retardance_rad : ndarray of shape (v, u), float32
-        Retardance when the first slot begins, 0..pi.
+    panel : PanelState
+        The panel when the first slot begins.
     response : PanelResponse
         True or estimated response.
     slot_s : float
         Duration of a slot, s.
     instants_per_slot : int
         Instants to a slot.
+    leak : ndarray of shape (u,), float64, optional
+        Off over on of each column, where it isn't the same everywhere.
 
     Returns
     -------
     weights : ndarray of shape (slot * instants_per_slot, v, u), float32
         Mean over the instant of leak + (1 - leak) sin^2(Gamma / 2): 1 for a pixel that has always been on.
-    end_retardance : ndarray of shape (v, u), float32
-        Retardance when the last slot ends.
+    panel : PanelState
+        The panel when the last slot ends.
 
     Raises
     ------
     ValueCheckError
-        When the shapes of levels and retardance don't agree.
+        When the shapes don't agree, or the last row's turn comes after the slot.
     """
-    if levels.ndim != 3 or levels.shape[1:] != retardance_rad.shape:
+    if levels.ndim != 3 or levels.shape[1:] != panel.retardance_rad.shape:
         raise ValueCheckError(
-            f"levels {levels.shape} and retardance {retardance_rad.shape} are of different panels; "
+            f"levels {levels.shape} and panel state {panel.retardance_rad.shape} are of different panels; "
             "expected (slot, v, u) and (v, u)"
         )
-    tables, targets, decays = _tables(levels, response, slot_s / instants_per_slot)
-    n_slots, n_v, n_u = levels.shape
-    weights = np.empty((n_slots * instants_per_slot, n_v * n_u), np.float32)
-    state = np.clip(retardance_rad, 0, np.pi).astype(np.float32).ravel()
-    flat = np.ascontiguousarray(levels).reshape(n_slots, -1)
-    _run(flat, state, tables, targets, decays, instants_per_slot, weights)
-    return weights.reshape(-1, n_v, n_u), state.reshape(n_v, n_u)
+    n_slots, rows, cols = levels.shape
+    if response.delay_s + response.scan_s >= slot_s:
+        raise ValueCheckError(
+            f"delay_s + scan_s: got {response.delay_s + response.scan_s:g} s, expected less than the slot of "
+            f"{slot_s:g} s"
+        )
+    # Drive of the slot before the first, then of each slot.
+    n_fields = len(response.field_drive)
+    drive = [response.field_drive[(panel.slots_shown + k) % n_fields] for k in range(-1, n_slots)]
+    targets = np.array(drive)[:, None] * _curve(response.drive_exponent)
+    instant_s = slot_s / instants_per_slot
+    delays_s = response.row_delays_s(rows)
+    turn = np.floor(delays_s / instant_s).astype(np.int64)
+    early_s = delays_s - turn * instant_s
+    taus = np.array([response.tau_on_s, response.tau_off_s])
+    leaks = np.full(cols, response.leak) if leak is None else np.asarray(leak, np.float64)
+    weights = np.empty((n_slots * instants_per_slot, rows, cols), np.float32)
+    retardance, shown = panel.retardance_rad.copy(), panel.levels.copy()
+
+    def band(first: int, end: int) -> None:
+        part = slice(first, end)
+        _run(
+            levels[:, part], retardance[part], shown[part], targets, np.cos(targets), np.sin(targets), taus,
+            turn[part], early_s[part], instant_s, leaks, _si_cin_table(), weights[:, part],
+        )  # fmt: skip
+
+    in_bands(rows, band)
+    return weights, PanelState(retardance, shown, panel.slots_shown + n_slots)
 
 
-def _tables(levels: Bytes, response: PanelResponse, duration_s: float) -> tuple[Floats, Floats, Floats]:
-    """Weights over start retardance, targets and decays for the levels in use: [level, 2, node] and so on.
+def _curve(drive_exponent: float) -> Doubles:
+    return np.pi * (np.arange(256) / 255.0) ** drive_exponent
 
-    Index 0 holds starts below the target (tau_on), index 1 starts above it: the kink between the two
-    time constants falls on a node.
-    """
-    targets = settled_retardance(np.arange(256, dtype=np.uint8), response.drive_exponent)
-    tables = np.zeros((256, 2, _CELLS + 1), np.float32)
-    taus = (response.tau_on_s, response.tau_off_s)
-    for level in np.flatnonzero(_used(np.ascontiguousarray(levels).ravel())):
-        target = float(targets[level])
-        ends = ((0.0, target), (target, np.pi))
-        for side in (0, 1):
-            start = np.linspace(*ends[side], _CELLS + 1)
-            intensity = mean_intensity(start, target, duration_s, taus[side])
-            tables[level, side] = response.leak + (1 - response.leak) * intensity
-    decays = [np.exp(-duration_s / tau) if tau > 0 else 0.0 for tau in taus]
-    return tables, targets, np.array(decays, np.float32)
+
+@lru_cache(maxsize=1)
+def _si_cin_table() -> Doubles:
+    """Si and Cin side by side at equal steps from 0 to 2 pi."""
+    return np.stack(_si_cin(np.linspace(0, 2 * np.pi, _CELLS + 1)), axis=1)
 
 
 @njit(nogil=True, cache=True)
-def _used(levels: Bytes) -> Bytes:
-    used = np.zeros(256, np.uint8)
-    for level in levels:
-        used[level] = 1
-    return used
+def _relax(
+    gamma: float,
+    target: float,
+    cosine: float,
+    sine: float,
+    length_s: float,
+    decays: tuple[float, float],
+    taus: Doubles,
+    table: Doubles,
+) -> tuple[float, float]:
+    """Retardance after an interval, and the integral of its cosine over it, s."""
+    step = gamma - target
+    if abs(step) < _SETTLED_RAD:
+        return gamma, cosine * length_s
+    side = 0 if step < 0 else 1
+    rest = step * decays[side]
+    si_step, cin_step = _look_up(abs(step), table)
+    si_rest, cin_rest = _look_up(abs(rest), table)
+    si = si_step - si_rest if step > 0 else si_rest - si_step
+    return target + rest, cosine * (length_s - taus[side] * (cin_step - cin_rest)) - sine * taus[side] * si
+
+
+@njit(nogil=True, cache=True)
+def _look_up(size: float, table: Doubles) -> tuple[float, float]:
+    place = size * (_CELLS / (2 * np.pi))
+    cell = min(int(place), _CELLS - 1)
+    part = place - cell
+    si = table[cell, 0] + part * (table[cell + 1, 0] - table[cell, 0])
+    return si, table[cell, 1] + part * (table[cell + 1, 1] - table[cell, 1])
+
+
+@njit(nogil=True, cache=True)
+def _decays(length_s: float, taus: Doubles) -> tuple[float, float]:
+    on = np.exp(-length_s / taus[0]) if taus[0] > 0 else 0.0
+    return on, np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
 
 
 @njit(nogil=True, cache=True)
 def _run(
     levels: Bytes,
-    state: Floats,
-    tables: Floats,
-    targets: Floats,
-    decays: Floats,
-    n_sub: int,
+    retardance: Floats,
+    shown: Bytes,
+    targets: Doubles,
+    cosines: Doubles,
+    sines: Doubles,
+    taus: Doubles,
+    turn: Ints,
+    early_s: Doubles,
+    instant_s: float,
+    leaks: Doubles,
+    table: Doubles,
     weights: Floats,
 ) -> None:
-    pi = np.float32(np.pi)
-    for slot in range(levels.shape[0]):
-        for sub in range(n_sub):
-            row = weights[slot * n_sub + sub]
-            for pixel in range(levels.shape[1]):
-                level = levels[slot, pixel]
-                start, target = state[pixel], targets[level]
-                side = 0 if start < target else 1
-                low, high = (np.float32(0), target) if side == 0 else (target, pi)
-                place = (start - low) / max(high - low, np.float32(1e-12)) * np.float32(_CELLS)
-                cell = min(max(int(place), 0), _CELLS - 1)
-                part = place - np.float32(cell)
-                table = tables[level, side]
-                row[pixel] = table[cell] + part * (table[cell + 1] - table[cell])
-                state[pixel] = target + (start - target) * decays[side]
+    """Walk through the slots; a row's turn comes in instant ``turn``, ``early_s`` after its start."""
+    n_slots, rows, cols = levels.shape
+    n_sub = weights.shape[0] // n_slots
+    whole = _decays(instant_s, taus)
+    for slot in range(n_slots):
+        for v in range(rows):
+            split = _decays(early_s[v], taus), _decays(instant_s - early_s[v], taus)
+            for sub in range(n_sub):
+                row = weights[slot * n_sub + sub, v]
+                # Lengths before and after the row's turn, of which one is usually nothing.
+                if sub == turn[v]:
+                    first_s, then_s, first, then = early_s[v], instant_s - early_s[v], split[0], split[1]
+                elif sub < turn[v]:
+                    first_s, then_s, first, then = instant_s, 0.0, whole, whole
+                else:
+                    first_s, then_s, first, then = 0.0, instant_s, whole, whole
+                for u in range(cols):
+                    gamma, cosine = float(retardance[v, u]), 0.0
+                    if first_s > 0:
+                        old = shown[v, u]
+                        gamma, cosine = _relax(
+                            gamma, targets[slot, old], cosines[slot, old], sines[slot, old],
+                            first_s, first, taus, table,
+                        )  # fmt: skip
+                    if then_s > 0:
+                        new = levels[slot, v, u]
+                        gamma, after = _relax(
+                            gamma, targets[slot + 1, new], cosines[slot + 1, new], sines[slot + 1, new],
+                            then_s, then, taus, table,
+                        )  # fmt: skip
+                        cosine += after
+                    retardance[v, u] = gamma
+                    # Dark is dark: the table's error must not make light negative.
+                    row[u] = leaks[u] + (1 - leaks[u]) * max(0.5 - 0.5 * cosine / instant_s, 0.0)
+            for u in range(cols):
+                shown[v, u] = levels[slot, v, u]

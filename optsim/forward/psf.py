@@ -15,16 +15,20 @@ Not modelled: variation over the field, coma and astigmatism, colour.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft as _scipy_fft
+from scipy.special import j1, ndtr
 
-from optsim.quantities import Block, Doubles, Floats
+from optsim.forward.bands import CORES
+from optsim.quantities import Block, Doubles
 
 fft: Any = _scipy_fft  # comes without types
+_GAUSSIAN_REACH = 5.0  # sigmas: 3e-7 of the energy lies beyond
 
 
 def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
@@ -43,7 +47,14 @@ def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, wing_
 
 
 def psf_kernel(
-    f_number: float, sigma_m: float, cell_m: float, wavelength_m: float, wing_share: float
+    f_number: float,
+    sigma_m: float,
+    cell_m: float,
+    wavelength_m: float,
+    wing_share: float,
+    *,
+    disc_m: float = 0.0,
+    diffraction: bool = True,
 ) -> Doubles:
     """Kernel of diffraction and aberrations on a grid of square cells.
 
@@ -59,16 +70,23 @@ def psf_kernel(
         Wavelength, m.
     wing_share : float
         Share of the energy that may be folded back from outside the window.
+    disc_m : float
+        Diameter of the disc of confusion of geometrical optics, for a plane out of focus, m.
+    diffraction : bool
+        False leaves Gaussian and disc alone.
 
     Returns
     -------
     ndarray of shape (2 h + 1, 2 h + 1), float64
         Not negative, symmetric, sums to 1.
     """
-    half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share)
-    size = 2 * half + 1
-    cutoff = cell_m / (wavelength_m * f_number)  # cycles a cell, like all frequencies here
     variance = max((sigma_m / cell_m) ** 2 - 1 / 12, 0.0)
+    if not diffraction:
+        # A disc has a sixteenth of its squared diameter of variance along each axis.
+        return _gaussian_kernel(np.sqrt(variance + (disc_m / cell_m) ** 2 / 16))
+    half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share) + int(np.ceil(disc_m / cell_m / 2))
+    cutoff = cell_m / (wavelength_m * f_number)  # cycles a cell, like all frequencies here
+    size = 2 * half + 1
     base = np.fft.fftfreq(size)
     reach = int(np.ceil(cutoff + 0.5))
     transfer = np.zeros((size, size))
@@ -78,14 +96,32 @@ def psf_kernel(
             fx = base + fold_x
             square = fx**2 + fy**2
             blur = np.exp(-2 * np.pi**2 * variance * square) * np.sinc(fx) * np.sinc(fy)
-            transfer += diffraction_mtf(np.sqrt(square), cutoff) * blur
+            disc = _disc_transfer(np.sqrt(square) * disc_m / cell_m)
+            transfer += diffraction_mtf(np.sqrt(square), cutoff) * disc * blur
     kernel: Doubles = np.maximum(np.fft.fftshift(np.fft.ifft2(transfer).real), 0)
     return kernel / kernel.sum()
+
+
+def _disc_transfer(cycles: Doubles) -> Doubles:
+    """Transfer function of an even disc, frequency in cycles a diameter: 2 J1(pi f) / (pi f)."""
+    x = np.pi * np.maximum(cycles, 1e-9)
+    return 2 * j1(x) / x
+
+
+def _gaussian_kernel(sigma: float) -> Doubles:
+    """Gaussian of a standard deviation in cells, integrated over cells."""
+    half = max(2, int(np.ceil(_GAUSSIAN_REACH * sigma)))
+    edges = np.arange(-half, half + 2) - 0.5
+    line = np.diff(ndtr(edges / sigma) if sigma > 0 else (edges > 0).astype(np.float64))
+    return np.outer(line, line) / line.sum() ** 2
 
 
 @dataclass(frozen=True, eq=False)
 class Blur:
     """Convolution with a symmetric kernel on a grid of one size, dark outside: its own adjoint.
+
+    Transforms are taken in the transfer function's precision. In float32 they leave 1e-7 of an image's rms
+    in every sample, less than the wings of its bright places reach.
 
     Parameters
     ----------
@@ -93,59 +129,68 @@ class Blur:
         Rows and columns of the grid.
     padded : tuple of int
         Size of the transforms: the grid plus the kernel's reach, so that nothing wraps around.
-    transfer : ndarray, float64
+    transfer : ndarray, float64 or float32
         Real transfer function on the half plane of ``rfft2``.
     """
 
     shape: tuple[int, int]
     padded: tuple[int, int]
-    transfer: Doubles
+    transfer: NDArray[np.floating]
 
     def apply(self, image: NDArray[np.floating]) -> Doubles:
-        """Convolve an image of shape (..., y, x), or a stack of them; float64."""
+        """Convolve an image of shape (..., y, x), or a stack of them, in the transfer's precision."""
         rows, cols = self.shape
-        spectrum = fft.rfft2(image.astype(np.float64), s=self.padded)
+        exact = image.astype(self.transfer.dtype, copy=False)
+        spectrum = fft.rfft2(exact, s=self.padded, workers=CORES)
         spectrum *= self.transfer
-        return np.asarray(fft.irfft2(spectrum, s=self.padded)[..., :rows, :cols])
+        whole = fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True)
+        return np.asarray(whole[..., :rows, :cols])
 
 
-def make_blur(kernel: Doubles, shape: tuple[int, int]) -> Blur:
-    """Prepare a kernel (odd sides, symmetric) for images of one shape."""
+def make_blur(kernel: Doubles, shape: tuple[int, int], dtype: type = np.float64) -> Blur:
+    """Prepare a kernel (odd sides, symmetric) for images of one shape, in float64 or float32."""
     half = kernel.shape[0] // 2
     padded = (fft.next_fast_len(shape[0] + half, real=True), fft.next_fast_len(shape[1] + half, real=True))
     padded = (max(padded[0], kernel.shape[0]), max(padded[1], kernel.shape[1]))
     wrapped = np.zeros(padded)
     wrapped[: 2 * half + 1, : 2 * half + 1] = kernel
     wrapped = np.roll(wrapped, (-half, -half), axis=(0, 1))
-    return Blur(shape, padded, np.ascontiguousarray(fft.rfft2(wrapped).real))
+    transfer: NDArray[np.floating] = np.ascontiguousarray(fft.rfft2(wrapped).real.astype(dtype))
+    return Blur(shape, padded, transfer)
 
 
-def extend(image: Floats, reach: int) -> Floats:
+def extend(image: NDArray[np.floating], reach: int) -> NDArray[np.floating]:
     """Continue an image beyond its border with its border's values: the scene does not end there."""
     return np.pad(image, reach, mode="edge")
 
 
-def blur_block(block: Block, kernel: Doubles, shape: tuple[int, int]) -> Block:
+def blur_block(
+    block: Block,
+    half: int,
+    blur: Callable[[tuple[int, int]], Blur],
+    shape: tuple[int, int],
+) -> Block:
     """Convolve a moving block; it grows by the kernel's half width, within the image.
 
     Parameters
     ----------
     block : Block
         Excess in a rectangle.
-    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
-        Symmetric kernel.
+    half : int
+        Half width of the kernel.
+    blur : callable
+        Prepares the kernel for a shape.
     shape : tuple of int
         Rows and columns of the whole image; where the block touches its border, the excess continues
         beyond it, as :func:`extend` continues the base.
     """
-    half = kernel.shape[0] // 2
     _, height, width = block.excess.shape
     starts, ends = (block.row, block.col), (block.row + height, block.col + width)
     border = [(half * (a == 0), half * (b == n)) for a, b, n in zip(starts, ends, shape, strict=True)]
     inner = [(half - a, half - b) for a, b in border]
     wide = np.pad(block.excess, ((0, 0), *border), mode="edge")
     wide = np.pad(wide, ((0, 0), *inner))
-    blurred = make_blur(kernel, (height + 2 * half, width + 2 * half)).apply(wide)
+    blurred = blur((height + 2 * half, width + 2 * half)).apply(wide)
     row, col = max(block.row - half, 0), max(block.col - half, 0)
     top, left = row - (block.row - half), col - (block.col - half)
     bottom = min(ends[0] + half, shape[0]) - (block.row - half)

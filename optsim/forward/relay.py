@@ -1,18 +1,19 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""From the panel to the CCD: one sparse area-overlap operator, a blur before it and a veil behind it.
+"""From the panel to the CCD: one sparse area-overlap operator, a blur before it, a ghost and a veil.
 
-    ccd = (1 - g) A B energy + g mean over the CCD of (A B energy)
+    ccd = V A ((1 - h) B + h G) energy,    V image = (1 - g) image + g mean over the CCD of image
 
-B is the relay's PSF on the fine panel grid, A the overlap of each cell's image with the CCD pixels, and
-g the share of the light that veiling glare (ISO 9358) spreads evenly over the CCD: a rank-one term.
+B is the relay's PSF on the fine panel grid, A the overlap of each cell's image with the CCD pixels, G the
+light that comes back from a face and lands mirrored and far out of focus, and g the share that veiling
+glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that panel pixels hold it.
 
-A cell's image is taken as an upright square around its warped centre. Under a rotation phi its corners
-are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad, with no energy gained or lost.
-Images are stored upright: the inversion by the relay and the mirror flip by the splitter are undone by
-the order of readout, so panel row and CCD row increase together.
+A cell's image is taken as an upright rectangle around its warped centre, as large as the map makes it there.
+Under a rotation phi its corners are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad,
+with no energy gained or lost. Images are stored upright: the inversion by the relay and the mirror flip by
+the splitter are undone by the order of readout, so panel row and CCD row increase together.
 
-Not modelled: distortion, keystone, ghosts, shading of the relay.
+Not modelled: lateral colour, shading of the relay, a blur that varies over the field.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur
 from optsim.quantities import Bools, Doubles, Floats, Ints
+
+_OUTLINE = 101  # points along a side of the panel
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,11 @@ class RelayGeometry:
         Shift of the image, CCD pixels.
     rotation_rad : float
         Rotation of the image about the shifted centre, from x towards y.
+    keystone_y, keystone_x : float
+        By how much smaller the last row, or column, is imaged than the middle one, relative: a tilted panel.
+    distortion : float
+        Relative change of the distance from the centre at the panel's corners, growing with its square:
+        positive is a pincushion.
     """
 
     rows: int
@@ -57,11 +66,19 @@ class RelayGeometry:
     shift_y_px: float = 0.0
     shift_x_px: float = 0.0
     rotation_rad: float = 0.0
+    keystone_y: float = 0.0
+    keystone_x: float = 0.0
+    distortion: float = 0.0
 
     def place(self, y: Doubles, x: Doubles) -> tuple[Doubles, Doubles]:
         """CCD coordinates (pixel centres at +0.5) of fine coordinates (cell centres at +0.5)."""
         c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
         dy, dx = (y - self.rows / 2) * self.cell_px, (x - self.cols / 2) * self.cell_px
+        if self.distortion or self.keystone_y or self.keystone_x:
+            half_y, half_x = self.rows / 2 * self.cell_px, self.cols / 2 * self.cell_px
+            scale = 1 + self.distortion * (dy**2 + dx**2) / (half_y**2 + half_x**2)
+            scale = scale / (1 + self.keystone_y * dy / half_y + self.keystone_x * dx / half_x)
+            dy, dx = dy * scale, dx * scale
         return (
             c * dy + s * dx + self.ccd_rows / 2 + self.shift_y_px,
             c * dx - s * dy + self.ccd_cols / 2 + self.shift_x_px,
@@ -94,6 +111,14 @@ class RelayGeometry:
         y, x = self._pixel_centres(pitch)
         return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
 
+    def extent(self) -> tuple[float, float, float, float]:
+        """Top, bottom, left and right of the panel's image, CCD coordinates."""
+        y, x = np.linspace(0, self.rows, _OUTLINE), np.linspace(0, self.cols, _OUTLINE)
+        rim_y = np.concatenate([y, y, 0 * x, 0 * x + self.rows])
+        rim_x = np.concatenate([0 * y, 0 * y + self.cols, x, x])
+        on_y, on_x = self.place(rim_y, rim_x)
+        return float(on_y.min()), float(on_y.max()), float(on_x.min()), float(on_x.max())
+
     def _pixel_centres(self, pitch: int) -> tuple[Doubles, Doubles]:
         """CCD coordinates of the centres of the panel pixels, each (v, u)."""
         v = (np.arange(self.rows // pitch) + 0.5)[:, None] * pitch
@@ -118,29 +143,39 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
         its exact adjoint.
     """
     g = geometry
-    # A square of side s overlaps at most floor(s) + 2 pixels along an axis.
-    reach = int(np.floor(g.cell_px)) + 2
-    warp = np.array([np.cos(g.rotation_rad), np.sin(g.rotation_rad)]) * g.cell_px
-    centre = np.array([g.ccd_rows / 2 + g.shift_y_px, g.ccd_cols / 2 + g.shift_x_px])
+    boxes = _boxes(g)
+    # A side s overlaps at most floor(s) + 2 pixels.
+    reach = int(np.floor(max(float(boxes[2].max()), float(boxes[3].max())))) + 2
     counts = np.zeros(g.rows * g.cols + 1, np.int64)
     empty_rows, empty_values = np.empty(0, np.int32), np.empty(0, np.float32)
-    size = (g.rows, g.cols, g.ccd_rows, g.ccd_cols)
-    scale = transmission / g.magnification**2
-    _overlaps(size, g.cell_px, warp, centre, reach, scale, counts, empty_rows, empty_values, False)
+    ccd = (g.ccd_rows, g.ccd_cols)
+    scale = transmission * g.cell_px**2 / g.magnification**2
+    _overlaps(ccd, boxes, reach, scale, counts, empty_rows, empty_values, False)
     pointers = np.cumsum(counts)
     indices = np.empty(pointers[-1], np.int32)
     values = np.empty(pointers[-1], np.float32)
-    _overlaps(size, g.cell_px, warp, centre, reach, scale, pointers, indices, values, True)
+    _overlaps(ccd, boxes, reach, scale, pointers, indices, values, True)
     shape = (g.ccd_rows * g.ccd_cols, g.rows * g.cols)
     return sparse.csc_array((values, indices, pointers.astype(np.int32)), shape=shape)
 
 
+def _boxes(geometry: RelayGeometry) -> Doubles:
+    """Top, left, height and width of each cell's image, CCD pixels: array (4, row, col)."""
+    y = (np.arange(geometry.rows) + 0.5)[:, None]
+    x = np.arange(geometry.cols) + 0.5
+    sides: list[Doubles] = []
+    for step_y, step_x in ((0.5, 0.0), (0.0, 0.5)):
+        ahead = geometry.place(y + step_y + 0 * x, x + step_x + 0 * y)
+        behind = geometry.place(y - step_y + 0 * x, x - step_x + 0 * y)
+        sides.append(np.hypot(ahead[0] - behind[0], ahead[1] - behind[1]))
+    centre_y, centre_x = geometry.place(y + 0 * x, x + 0 * y)
+    return np.stack([centre_y - sides[0] / 2, centre_x - sides[1] / 2, *sides])
+
+
 @njit(nogil=True, cache=True)
 def _overlaps(
-    size: tuple[int, int, int, int],
-    side: float,
-    warp: Doubles,
-    centre: Doubles,
+    ccd: tuple[int, int],
+    boxes: Doubles,
     reach: int,
     scale: float,
     pointers: Ints,
@@ -149,30 +184,53 @@ def _overlaps(
     fill: bool,
 ) -> None:
     """Count the entries of every column (fill False), or write them from their pointers on."""
-    rows, cols, ccd_rows, ccd_cols = size
+    ccd_rows, ccd_cols = ccd
+    _, rows, cols = boxes.shape
     for row in range(rows):
         for col in range(cols):
-            dy, dx = row + 0.5 - rows / 2, col + 0.5 - cols / 2
-            top = warp[0] * dy + warp[1] * dx + centre[0] - side / 2
-            left = warp[0] * dx - warp[1] * dy + centre[1] - side / 2
+            top, left, height, width = boxes[:, row, col]
             first_y, first_x = int(np.floor(top)), int(np.floor(left))
             column = row * cols + col
             at = pointers[column]
             for y in range(max(first_y, 0), min(first_y + reach, ccd_rows)):
-                high = min(top + side, y + 1.0) - max(top, float(y))
+                high = min(top + height, y + 1.0) - max(top, float(y))
                 # Less than a billionth of a pixel is rounding, not overlap.
                 if high < 1e-9:
                     continue
                 for x in range(max(first_x, 0), min(first_x + reach, ccd_cols)):
-                    wide = min(left + side, x + 1.0) - max(left, float(x))
+                    wide = min(left + width, x + 1.0) - max(left, float(x))
                     if wide < 1e-9:
                         continue
                     if fill:
                         indices[at] = y * ccd_cols + x
-                        values[at] = high * wide * scale
+                        values[at] = high * wide / (height * width) * scale
                         at += 1
                     else:
                         pointers[column + 1] += 1
+
+
+@dataclass(frozen=True, eq=False)
+class Ghost:
+    """Light that lands mirrored through the axis and out of focus; its own adjoint.
+
+    Parameters
+    ----------
+    share : float
+        Of the light.
+    blur : Blur
+        On the grid of panel pixels.
+    pitch : int
+        Fine cells to a panel pixel.
+    """
+
+    share: float
+    blur: Blur
+    pitch: int
+
+    def apply(self, energy: NDArray[np.floating]) -> Doubles:
+        """Image of the fine panel grid on itself, (y, x)."""
+        mirrored = self.blur.apply(cell_means(energy, self.pitch)[::-1, ::-1])
+        return mirrored.repeat(self.pitch, axis=0).repeat(self.pitch, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,16 +247,19 @@ class RelayOperator:
         Share of the light on the CCD that is spread evenly over it.
     ccd_shape : tuple of int
         CCD rows and columns.
+    ghost : Ghost, optional
+        Mirrored light.
     """
 
     blur: Blur
     overlap: sparse.csc_array
     glare_share: float
     ccd_shape: tuple[int, int]
+    ghost: Ghost | None = None
 
     def apply(self, energy: NDArray[np.floating]) -> Doubles:
         """Radiant exposure on the CCD, (y, x) of its pixels, from that on the panel, (y, x) fine; J m^-2."""
-        return self._veil(self.project(self.blur.apply(energy)))
+        return self._veil(self.project(self._spread(energy)))
 
     def project(self, energy: Doubles) -> Doubles:
         """Area overlap alone: no blur, no veil."""
@@ -208,7 +269,14 @@ class RelayOperator:
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
         """Transpose of :meth:`apply`: from the CCD's grid to the fine panel grid."""
         back = self.overlap.T @ self._veil(image.astype(np.float64)).ravel()
-        return self.blur.apply(back.reshape(self.blur.shape))
+        return self._spread(back.reshape(self.blur.shape))
+
+    def _spread(self, energy: NDArray[np.floating]) -> Doubles:
+        """Blur and ghost: symmetric, each by itself."""
+        direct = self.blur.apply(energy)
+        if self.ghost is None or self.ghost.share == 0:
+            return direct
+        return (1 - self.ghost.share) * direct + self.ghost.share * self.ghost.apply(energy)
 
     def _veil(self, image: Doubles) -> Doubles:
         return (1 - self.glare_share) * image + self.glare_share * image.mean()

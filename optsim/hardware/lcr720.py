@@ -18,15 +18,24 @@ def lcr720() -> Modulator:
         # of the whole cell, gaps included (the note doesn't say).
         mirror_reflectivity=0.70 / 0.92,
         fill_factor=0.92,
+        # No source: half a percent of the area as bright as aluminium.
+        gap_reflectivity=0.05,
         # No source for the split. The same note says "< 3 ms" without defining it; 10-90 % times of
         # 2.2 tau, rise and fall together, are then 3.3 ms.
         tau_on_s=0.5e-3,
         tau_off_s=1.0e-3,
         # No source: no measured grey curve was found.
         drive_exponent=1.2,
+        # No source for the next four. Fields that differ by 1 %, a polarity that is 1 % off balance, rows
+        # written at once (what the panel really does was not found), and a border between black and white
+        # that takes 0.2 pixels or 4 um, one or two cell gaps, from 10 to 90 %.
+        field_drive=(1.01, 1.0, 0.99),
+        polarity_drive=0.01,
+        scan_s=0.0,
+        fringing_px=0.12,
         # No source: chosen so that the nominal system contrast comes out at 100. Other panels reach 10 %
         # (Opt. Express 16(3) 1669 and 1965, 2008).
-        depolarised_share=0.0198,
+        depolarised_share=0.0137,
         # No source for either; sensible defaults.
         nonuniformity_rms=0.02,
         stuck_share=1e-5,

@@ -32,6 +32,8 @@ def icx674() -> Ccd:
         bend_at_full_well=0.03,
         # Read-out table of beam-line software for this camera model.
         readout_s=39.1e-3,
+        # No source; interline shields of about 0.1 % (ccd-sensor.de, "Smear").
+        smear_share=1e-3,
     )
 
 

@@ -1,13 +1,17 @@
+# pyright: reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
 """The objective applied to a video: lazy, linear, negative light kept."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
+from numba import njit
 
+from optsim.forward.bands import in_bands
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur, blur_block, extend, make_blur
+from optsim.forward.wings import core_and_wings, far_light, make_wings, moving_ends
 from optsim.optics.objective import Objective
 from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
@@ -17,8 +21,8 @@ def form_image(
 ) -> IrradianceVideo:
     """Irradiance on the modulator: blur, cos^4, radiance to irradiance, veiling glare.
 
-    The glare of moving blocks is spread over the whole field as the straight line in time that fits it
-    best within a segment; what deviates from the line is dropped (far below the glare itself).
+    The far wings of the PSF and the veiling glare get moving light as the straight line in time that fits
+    it best within a segment; what deviates from the line is dropped (far below the wings and the glare).
 
     Parameters
     ----------
@@ -37,41 +41,64 @@ def form_image(
         On the same grid; nothing is computed until a segment is asked for.
     """
     shape = (radiance.rows, radiance.cols)
-    cell_m = pitch_m / radiance.samples_per_pitch
-    kernel, block_kernel = objective.kernel(cell_m), objective.block_kernel(cell_m)
+    pitch = radiance.samples_per_pitch
+    cell_m = pitch_m / pitch
+    kernel = objective.kernel(cell_m)
+    core, rest = core_and_wings(kernel, objective.core_half_width(cell_m))
+    wings = make_wings(rest, pitch, shape)
+    core_blur = lru_cache(maxsize=32)(partial(make_blur, core, dtype=np.float32))
     reach = kernel.shape[0] // 2
     blur = make_blur(kernel, (shape[0] + 2 * reach, shape[1] + 2 * reach))
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
-    keys: list[tuple[Floats, Doubles]] = []
+    seen_keys: list[tuple[Floats, Doubles]] = []
 
     def key_image(image: Floats) -> Doubles:
         """Image of a key, remembered: a segment starts with the key that the last one stopped with."""
-        for seen, result in keys:
+        for seen, result in seen_keys:
             if seen is image or np.array_equal(seen, image):
                 return result
         result = _sharp_to_blurred(image, blur, reach) * factor
-        keys.append((image, result))
-        del keys[:-2]
+        seen_keys.append((image, result))
+        del seen_keys[:-2]
         return result
+
+    share = objective.glare_share
+    near = ((1 - share) * factor).astype(np.float32)
 
     def load(index: int) -> Segment:
         segment = radiance.load(index)
-        start = key_image(segment.start)
-        stop = key_image(segment.stop)
-        blocks = [_shaded(blur_block(b, block_kernel, shape), factor) for b in segment.blocks]
-        return _with_glare(start, stop, blocks, segment.n_instants, objective.glare_share)
+        keys = (key_image(segment.start), key_image(segment.stop))
+        if not segment.blocks:
+            early = _with_glare(keys[0], keys[0].mean(), share)
+            late = early if keys[0] is keys[1] else _with_glare(keys[1], keys[1].mean(), share)
+            return Segment(early, late, (), segment.n_instants)
+        moving = moving_ends(segment)
+        fluxes = [
+            float(key.mean()) + float((line * factor).mean()) for key, line in zip(keys, moving, strict=True)
+        ]
+        if wings is None:
+            ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
+        else:
+            far = far_light(moving, wings, pitch)
+            ends = [
+                _with_far_light(key, wide, near, flux * share, 1 - share)
+                for key, wide, flux in zip(keys, far, fluxes, strict=True)
+            ]
+        blurred = (blur_block(block, core.shape[0] // 2, core_blur, shape) for block in segment.blocks)
+        blocks = tuple(_shaded(block, near) for block in blurred)
+        return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(
         rows=radiance.rows,
         cols=radiance.cols,
-        samples_per_pitch=radiance.samples_per_pitch,
+        samples_per_pitch=pitch,
         slot_s=radiance.slot_s,
         instants_per_slot=radiance.instants_per_slot,
         slots_per_segment=radiance.slots_per_segment,
         n_slots=radiance.n_slots,
         load=lru_cache(maxsize=kept_segments)(load),
-        shading=cell_means(relative.astype(np.float32), radiance.samples_per_pitch).astype(np.float32),
+        shading=cell_means(relative.astype(np.float32), pitch).astype(np.float32),
     )
 
 
@@ -80,31 +107,31 @@ def _sharp_to_blurred(image: Floats, blur: Blur, reach: int) -> Doubles:
     return blur.apply(extend(image, reach))[reach : reach + rows, reach : reach + cols]
 
 
-def _shaded(block: Block, factor: Doubles) -> Block:
+def _shaded(block: Block, factor: Floats) -> Block:
     _, height, width = block.excess.shape
     part = factor[block.row : block.row + height, block.col : block.col + width]
-    return Block(block.row, block.col, (block.excess * part).astype(np.float32))
+    return Block(block.row, block.col, block.excess * part)
 
 
-def _with_glare(start: Doubles, stop: Doubles, blocks: list[Block], n_instants: int, share: float) -> Segment:
-    """Spread a share of the light evenly over the field, and make the segment."""
-    flux = np.zeros(n_instants)
-    for block in blocks:
-        flux += block.excess.sum(axis=(1, 2), dtype=np.float64) / start.size
-    at_start, at_stop = _line(flux)
-    early = ((1 - share) * start + share * (start.mean() + at_start)).astype(np.float32)
-    still = stop is start and at_start == at_stop
-    late = early if still else ((1 - share) * stop + share * (stop.mean() + at_stop)).astype(np.float32)
-    kept = [Block(b.row, b.col, b.excess * np.float32(1 - share)) for b in blocks]
-    return Segment(early, late, tuple(kept), n_instants)
+def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
+    """Take a share of the light away and spread as much of the mean light evenly over the field."""
+    return ((1 - share) * image + share * flux).astype(np.float32)
 
 
-def _line(series: Doubles) -> tuple[float, float]:
-    """Return the ends of the least-squares line through values at the middles of n instants."""
-    n = series.size
-    if n == 1:
-        return float(series[0]), float(series[0])
-    a = (np.arange(n) + 0.5) / n - 0.5
-    slope = float(a @ series / (a @ a))
-    mean = float(series.mean())
-    return mean - slope / 2, mean + slope / 2
+def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
+    """Keep a share of a key's image; add far light, given on panel pixels, and glare."""
+    result = np.empty(key.shape, np.float32)
+    in_bands(len(key), lambda a, b: _add_far(key, far, factor, evenly, kept, a, b, result))
+    return result
+
+
+@njit(nogil=True, cache=True)
+def _add_far(
+    key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
+) -> None:
+    pitch = key.shape[0] // far.shape[0]
+    for y in range(top, bottom):
+        for u in range(far.shape[1]):
+            light = far[y // pitch, u]
+            for x in range(u * pitch, (u + 1) * pitch):
+                out[y, x] = kept * key[y, x] + factor[y, x] * light + evenly

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.config import Part
 from optsim.forward.mueller import depolariser, mirror, retarder_45
+from optsim.forward.panel import PanelResponse
 from optsim.quantities import Bools, Bytes, Doubles, Floats
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
+_TAU_PER_DEGREE = 0.03
+_Drive = Annotated[float, Field(ge=0.5, le=1.5)]
 
 
 class Modulator(Part):
@@ -28,12 +32,27 @@ class Modulator(Part):
     mirror_reflectivity : float
         Of the pixels' mirrors.
     fill_factor : float
-        Share of a pitch cell that its mirror covers. The gaps reflect nothing; the fine grid is too coarse to
-        show them, so their loss is spread evenly.
+        Share of a pitch cell that its mirror covers. The fine grid is too coarse to show the gaps, so
+        their loss and their light are spread evenly.
+    gap_reflectivity : float
+        Of the gaps between the mirrors. Nothing drives the crystal there, and all states of polarisation
+        come back: as unpolarised light.
     tau_on_s, tau_off_s : float
-        Time constants towards larger and smaller retardance.
+        Time constants towards larger and smaller retardance, at 25 degrees C.
+    temperature_c : float
+        Of the crystal, degrees C: the time constants fall by 3 % a degree (no source, a sensible default).
     drive_exponent : float
         Exponent of retardance against level.
+    field_drive : tuple of three float
+        Relative retardance of the three colour fields, shown in turn; all 1 for a panel without colours.
+    polarity_drive : float
+        Relative change of the retardance with the sign of the voltage, which turns from slot to slot.
+    delay_s : float
+        When the first row of the used panel turns to a slot's level, after the shutter's clock.
+    scan_s : float
+        How much later the row after the panel's last one would.
+    fringing_px : float
+        Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
     depolarised_share : float
         Share of the reflected light that is no longer polarised; half of it passes the analyser.
     nonuniformity_rms : float
@@ -48,17 +67,59 @@ class Modulator(Part):
     field_rate_hz: float = Field(gt=0)
     mirror_reflectivity: float = Field(gt=0, le=1)
     fill_factor: float = Field(gt=0, le=1)
+    gap_reflectivity: float = Field(default=0.0, ge=0, le=1)
     tau_on_s: float = Field(ge=0)
     tau_off_s: float = Field(ge=0)
+    temperature_c: float = Field(default=25.0, ge=-20, le=90)
     drive_exponent: float = Field(gt=0)
+    field_drive: tuple[_Drive, _Drive, _Drive] = (1.0, 1.0, 1.0)
+    polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
+    delay_s: float = Field(default=0.0, ge=0)
+    scan_s: float = Field(default=0.0, ge=0)
+    fringing_px: float = Field(default=0.0, ge=0, le=0.25)
     depolarised_share: float = Field(ge=0, le=1)
     nonuniformity_rms: float = Field(ge=0, le=0.2)
     stuck_share: float = Field(ge=0, le=1)
 
+    @model_validator(mode="after")
+    def _rows_turn_within_a_slot(self) -> Modulator:
+        if self.delay_s + self.scan_s >= 1 / self.field_rate_hz:
+            raise ValueError(
+                f"delay_s + scan_s: got {self.delay_s + self.scan_s:g} s, expected less than a slot of "
+                f"{1 / self.field_rate_hz:g} s; lower one of them"
+            )
+        return self
+
     @property
     def reflectivity(self) -> float:
-        """Of a whole pitch cell."""
+        """Of the mirrors, on a whole pitch cell."""
         return self.mirror_reflectivity * self.fill_factor
+
+    def response(self, leak: float, rows: int) -> PanelResponse:
+        """How the panel answers its drive.
+
+        Parameters
+        ----------
+        leak : float
+            Off over on of the whole chain.
+        rows : int
+            Rows used, from the middle of the panel.
+        """
+        slower = np.exp(-_TAU_PER_DEGREE * (self.temperature_c - 25))
+        first = (self.rows - rows) / 2 / self.rows
+        drive = [
+            field * (1 + sign * self.polarity_drive)
+            for sign, field in zip((1, -1) * 3, self.field_drive * 2, strict=True)
+        ]
+        return PanelResponse(
+            tau_on_s=self.tau_on_s * slower,
+            tau_off_s=self.tau_off_s * slower,
+            leak=leak,
+            drive_exponent=self.drive_exponent,
+            field_drive=tuple(drive) if len(set(drive)) > 1 else (drive[0],),
+            delay_s=self.delay_s + self.scan_s * first,
+            scan_s=self.scan_s * rows / self.rows,
+        )
 
     def mueller(self, retardance_rad: float) -> Doubles:
         """Mueller matrix of the panel in reflection, the mirror's flip included once.
@@ -67,7 +128,8 @@ class Modulator(Part):
         after it, retardance 0 stays dark and pi is bright between crossed polarisers.
         """
         retarder = mirror() @ retarder_45(retardance_rad)
-        return self.reflectivity * depolariser(self.depolarised_share) @ retarder
+        pixels = self.reflectivity * depolariser(self.depolarised_share) @ retarder
+        return pixels + (1 - self.fill_factor) * self.gap_reflectivity * depolariser(1.0)
 
     def gain(self, rows: int, cols: int, serial_number: int) -> Floats:
         """Relative reflectivity of the used pixels, (v, u), mean about 1."""

@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from optsim.config import Part
-from optsim.forward.psf import psf_kernel
+from optsim.forward.psf import kernel_half_width, psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, cos4, irradiance_factor
 from optsim.quantities import Doubles
 
-# Moving blocks get a smaller window, so that they stay small: this share of their energy is moved inwards.
-BLOCK_WING_SHARE = 5e-3
+# Beyond this share of the PSF's energy, moving blocks get its wings coarser (see forward/wings.py).
+CORE_SHARE = 5e-3
 
 
 class Objective(Part):
@@ -33,6 +33,8 @@ class Objective(Part):
         Of a neutral density in front: the knob of the light rule.
     aberration_m : float
         Standard deviation of the aberrations' Gaussian on the modulator; 3 um has no source.
+    diffraction : bool
+        Whether its aperture blurs; its aberrations do anyway.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.25 % has no source.
     natural_vignetting : bool
@@ -47,6 +49,7 @@ class Objective(Part):
     transmission: float = Field(default=0.9, gt=0, le=1)
     nd_transmission: float = Field(default=1.0, gt=0, le=1)
     aberration_m: float = Field(default=3e-6, ge=0)
+    diffraction: bool = True
     glare_share: float = Field(default=0.0025, ge=0, lt=1)
     natural_vignetting: bool = True
     wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
@@ -72,15 +75,14 @@ class Objective(Part):
         return cos4(rows, cols, cell_m * self.tan_per_metre())
 
     def kernel(self, cell_m: float) -> Doubles:
-        """PSF on a grid of square cells, for what stands still."""
-        return _kernel(self.working_f_number, self.aberration_m, cell_m, self.wing_share)
+        """PSF on a grid of square cells."""
+        return _kernel(self.working_f_number, self.aberration_m, cell_m, self.wing_share, self.diffraction)
 
-    def block_kernel(self, cell_m: float) -> Doubles:
-        """PSF with a smaller window, for moving blocks."""
-        share = max(self.wing_share, BLOCK_WING_SHARE)
-        return _kernel(self.working_f_number, self.aberration_m, cell_m, share)
+    def core_half_width(self, cell_m: float) -> int:
+        """Cells from the centre to the edge of the part of the PSF that moving light gets in each instant."""
+        return kernel_half_width(MONO_WAVELENGTH_M, self.working_f_number, cell_m, CORE_SHARE)
 
 
 @lru_cache(maxsize=8)
-def _kernel(f_number: float, sigma_m: float, cell_m: float, wing_share: float) -> Doubles:
-    return psf_kernel(f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share)
+def _kernel(f_number: float, sigma_m: float, cell_m: float, wing_share: float, diffraction: bool) -> Doubles:
+    return psf_kernel(f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share, diffraction=diffraction)

@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false
 """The relay from the panel to the CCD: its numbers and the operator they give."""
 
 from __future__ import annotations
@@ -5,11 +6,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 from pydantic import Field
+from scipy import sparse
 
 from optsim.config import Part
-from optsim.forward.psf import make_blur, psf_kernel
+from optsim.forward.psf import Blur, make_blur, psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.forward.relay import RelayGeometry, RelayOperator, overlap_operator
+from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
 
 
 class Relay(Part):
@@ -25,12 +27,25 @@ class Relay(Part):
         Of all passes through its lenses.
     aberration_m : float
         Standard deviation of the aberrations' Gaussian on the CCD.
+    diffraction : bool
+        Whether its stop blurs; its aberrations do anyway.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over the CCD.
+    defocus_m : float
+        Distance of the CCD from the sharp image; it blurs by a disc, as in geometrical optics.
+    ghost_share : float
+        Share of the light that comes back from a face, mirrored through the axis and out of focus.
+    ghost_blur_px : float
+        Standard deviation of the ghost's blur, panel pixels; no source.
     shift_y_px, shift_x_px : float
         Shift of the panel's image from the centre of the CCD, CCD pixels.
     rotation_rad : float
         Rotation of the panel's image, rad.
+    keystone_y, keystone_x : float
+        By how much smaller the last used row, or column, is imaged than the middle one, relative.
+    distortion : float
+        Relative change of the distance from the centre at the corners of the used panel; positive is a
+        pincushion.
     wing_share : float
         Share of the PSF's energy that may be folded back from outside its window.
     """
@@ -39,10 +54,17 @@ class Relay(Part):
     f_number: float = Field(gt=0.5)
     transmission: float = Field(gt=0, le=1)
     aberration_m: float = Field(ge=0)
+    diffraction: bool = True
     glare_share: float = Field(ge=0, lt=1)
+    defocus_m: float = 0.0
+    ghost_share: float = Field(default=0.0, ge=0, lt=1)
+    ghost_blur_px: float = Field(default=20.0, gt=0, le=200)
     shift_y_px: float = 0.0
     shift_x_px: float = 0.0
     rotation_rad: float = Field(default=0.0, ge=-0.05, le=0.05)
+    keystone_y: float = Field(default=0.0, ge=-0.2, le=0.2)
+    keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
+    distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
     wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
 
     def image_f_number(self, panel_f_number: float) -> float:
@@ -54,7 +76,12 @@ class Relay(Part):
         return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
 
     def operator(
-        self, geometry: RelayGeometry, panel_f_number: float, cell_m: float, transmission: float
+        self,
+        geometry: RelayGeometry,
+        panel_f_number: float,
+        cell_m: float,
+        transmission: float,
+        samples_per_pitch: int,
     ) -> RelayOperator:
         """Operator from the fine panel grid to the CCD; kept for the next call with the same numbers.
 
@@ -68,24 +95,40 @@ class Relay(Part):
             Side of a fine cell on the panel, m.
         transmission : float
             Of everything that the operator stands for; at most 1.
+        samples_per_pitch : int
+            Fine cells to a panel pixel.
         """
         f_number = self.image_f_number(panel_f_number)
         cell_on_ccd_m = cell_m * self.magnification
-        return _operator(
-            geometry,
-            (f_number, self.aberration_m, cell_on_ccd_m, MONO_WAVELENGTH_M, self.wing_share),
+        shape = (geometry.rows, geometry.cols)
+        psf = (f_number, self.aberration_m, cell_on_ccd_m, MONO_WAVELENGTH_M, self.wing_share)
+        ghost = None
+        if self.ghost_share:
+            coarse = (shape[0] // samples_per_pitch, shape[1] // samples_per_pitch)
+            ghost = Ghost(self.ghost_share, _ghost_blur(self.ghost_blur_px, coarse), samples_per_pitch)
+        return RelayOperator(
+            _blur(psf, abs(self.defocus_m) / f_number, self.diffraction, shape),
+            _overlap(geometry, transmission),
             self.glare_share,
-            transmission,
+            (geometry.ccd_rows, geometry.ccd_cols),
+            ghost,
         )
 
 
+# Kept apart, so that a change of shift, rotation or focus makes only its own part anew.
 @lru_cache(maxsize=4)
-def _operator(
-    geometry: RelayGeometry,
-    psf: tuple[float, float, float, float, float],
-    glare_share: float,
-    transmission: float,
-) -> RelayOperator:
-    blur = make_blur(psf_kernel(*psf), (geometry.rows, geometry.cols))
-    overlap = overlap_operator(geometry, transmission)
-    return RelayOperator(blur, overlap, glare_share, (geometry.ccd_rows, geometry.ccd_cols))
+def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
+    return overlap_operator(geometry, transmission)
+
+
+@lru_cache(maxsize=8)
+def _blur(
+    psf: tuple[float, float, float, float, float], disc_m: float, diffraction: bool, shape: tuple[int, int]
+) -> Blur:
+    return make_blur(psf_kernel(*psf, disc_m=disc_m, diffraction=diffraction), shape)
+
+
+@lru_cache(maxsize=8)
+def _ghost_blur(sigma_px: float, shape: tuple[int, int]) -> Blur:
+    # The Gaussian alone, on a grid whose cells are panel pixels.
+    return make_blur(psf_kernel(1.0, sigma_px, 1.0, 1.0, 0.1, diffraction=False), shape)

@@ -60,8 +60,7 @@ def checked(
         raise ValueCheckError(f"{label}: got an empty array of shape {array.shape}")
     if array.dtype.kind == "f":
         # A sum is finite only if every element is: one cheap pass for the good case.
-        if not np.isfinite(np.sum(array, dtype=np.float64)):
-            bad = np.argwhere(~np.isfinite(array))
+        if not np.isfinite(np.sum(array)) and len(bad := np.argwhere(~np.isfinite(array))):
             raise ValueCheckError(
                 f"{label}: {len(bad)} values are not finite, the first at {tuple(map(int, bad[0]))}"
             )

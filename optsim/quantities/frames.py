@@ -36,18 +36,30 @@ class ExposureCode:
 
 @dataclass(frozen=True, eq=False)
 class PanelState:
-    """Retardance of every panel pixel at the end of a frame: the panel's only memory.
+    """What the panel remembers from one frame to the next.
 
     Parameters
     ----------
     retardance_rad : ndarray of shape (v, u), float32
         Round-trip retardance, 0 (dark) to pi (bright).
+    levels : ndarray of shape (v, u), uint8
+        Drive levels of the last slot: rows whose turn comes late go on towards them.
+    slots_shown : int
+        Slots since the panel was switched on: which of its fields comes next.
     """
 
     retardance_rad: Floats
+    levels: Bytes
+    slots_shown: int = 0
 
     def __post_init__(self) -> None:
         checked("retardance", self.retardance_rad, axes=("v", "u"), dtype=np.float32, unit="rad")
+        checked("levels", self.levels, axes=("v", "u"), dtype=np.uint8, unit="drive level")
+        if self.levels.shape != self.retardance_rad.shape:
+            raise ValueCheckError(
+                f"panel state: levels {self.levels.shape} and retardance {self.retardance_rad.shape} are of "
+                "different panels"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from optsim.calibrate.sample import (
 )
 from optsim.config import Part
 from optsim.forward.motion import Bounds, changed, without_specks
-from optsim.quantities import Bools, CodedFrame, Floats, Reconstruction
+from optsim.quantities import Bools, CodedFrame, Floats, PanelState, Reconstruction
 from optsim.reconstruct.layer import Layer
 
 # Saturated neighbours and the dark samples between them are estimated from each other: each pass leaves about
@@ -74,7 +74,7 @@ class HdrMerge(Part):
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, before negative light is clipped: one image a frame."""
-        panel = calibration.panel_at_rest()
+        panel: PanelState | None = None
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
         for frame in frames:

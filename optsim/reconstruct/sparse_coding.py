@@ -13,7 +13,7 @@ from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Crosstalk, Sample, separate, take
 from optsim.config import Part
 from optsim.errors import ConfigError
-from optsim.quantities import Bools, CodedFrame, Reconstruction
+from optsim.quantities import Bools, CodedFrame, PanelState, Reconstruction
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.reconstruct.layer import Layer
 from optsim.reconstruct.patch_codes import CodedImage, PatchCoder, nominal_tile, overlap, patch_corners
@@ -69,7 +69,7 @@ class SparseCoding(Part):
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, before negative light is clipped and with the opacity of the seam."""
         coder = PatchCoder.of(self._dictionary(calibration))
-        panel = calibration.panel_at_rest()
+        panel: PanelState | None = None
         estimate = np.full(calibration.shape, np.nan, np.float32)
         for frame in frames:
             sample, panel = take(calibration, frame, panel, self.crosstalk)

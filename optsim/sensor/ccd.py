@@ -1,16 +1,22 @@
 """The CCD: from photons to digital numbers, by EMVA 1288 with a physical full well.
 
     e  = Poisson(QE (1 + PRNU) photons + dark current x time), clipped at the full well
-    DN = round((bend(e) + read noise + DSNU) / gain + black level), clipped by the converter
+    DN = round((bend(e + smear) + read noise + DSNU) / gain + black level), clipped by the converter
 
 Source: EMVA Standard 1288, release 4.0 Linear (2021), section 2; the order of clip and noise is that of an
 interline CCD, whose well clips before its output amplifier adds noise.
 
-Not modelled: smear, blooming, lag, charge-transfer loss, hot pixels, fixed row and column patterns.
+Smear: while a row is shifted down its column to the output, a little light gets under the shield of each
+row that it passes. Over one readout every pixel of a column passes, in the same time, all of its rows; so it
+collects the column's sum times the shield's leak times the dwell in a row over the exposure. What the column
+sees meanwhile is taken to be what it saw in this very exposure; really it is the beginning of the next.
+
+Not modelled: blooming, lag, charge-transfer loss, hot pixels, fixed row and column patterns.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
@@ -18,10 +24,12 @@ from numpy.random import Generator
 from pydantic import Field
 
 from optsim.config import Part
+from optsim.forward.bands import CORES
 from optsim.quantities import Doubles, Floats, Words
 
 # Below this an expected signal under zero is rounding of the optics' transforms, not negative light.
 _ROUNDING_E = 1e-6
+_STREAMS = 8
 _PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
 
 
@@ -56,6 +64,8 @@ class Ccd(Part):
         Share of the signal that is missing at the full well; grows with the fifth power of the signal.
     readout_s : float
         Time to read a frame out.
+    smear_share : float
+        Share of the light on a pixel that gets under the shield of its column's register; 0 for CMOS.
     """
 
     rows: int = Field(ge=1)
@@ -72,6 +82,7 @@ class Ccd(Part):
     black_dn: float = Field(ge=0)
     bend_at_full_well: float = Field(ge=0, le=0.1)
     readout_s: float = Field(gt=0)
+    smear_share: float = Field(default=0.0, ge=0, le=1)
 
     @property
     def max_dn(self) -> int:
@@ -98,13 +109,29 @@ class Ccd(Part):
         x2 = x * x
         return electrons * (1 - self.bend_at_full_well * x2 * x2 * x)
 
-    def digitise(self, expected_e: Doubles, serial_number: int, rng: Generator) -> tuple[Words, int]:
+    def smear_e(self, expected_e: Doubles, exposure_s: float) -> Doubles:
+        """Electrons that smear adds to every pixel of a column on average, (x,): wells never limit it."""
+        dwell_s = self.readout_s / self.rows
+        return self.smear_share * dwell_s / exposure_s * np.maximum(expected_e, 0).sum(axis=0)
+
+    def signal_e(self, electrons: Doubles, smear_e: Doubles | float, serial_number: int) -> Doubles:
+        """Signal of collected electrons before read noise, electrons: clip, smear, bend and fixed pattern."""
+        return self._bent_signal(electrons, smear_e) + self.dark_signal_e(serial_number)
+
+    def _bent_signal(self, electrons: Doubles, smear_e: Doubles | float) -> Doubles:
+        return self.bent(np.minimum(electrons, self.full_well_e) + smear_e)
+
+    def digitise(
+        self, expected_e: Doubles, exposure_s: float, serial_number: int, rng: Generator
+    ) -> tuple[Words, int]:
         """Take a frame of given expected electrons.
 
         Parameters
         ----------
         expected_e : ndarray of shape (y, x), float64
             Before any clip; negative where the light is (Monte-Carlo noise).
+        exposure_s : float
+            Time in which they were collected.
         serial_number : int
             Seed of the fixed patterns.
         rng : Generator
@@ -117,13 +144,28 @@ class Ccd(Part):
         negative_light : int
             Pixels whose expected light was negative, taken as dark.
         """
-        negative_light = int(np.count_nonzero(expected_e < -_ROUNDING_E))
-        electrons = rng.poisson(np.maximum(expected_e, 0)).astype(np.float64)
-        signal = self.bent(np.minimum(electrons, self.full_well_e))
-        signal += rng.standard_normal(signal.shape, np.float32) * np.float32(self.read_noise_e)
-        signal += self.dark_signal_e(serial_number)
-        dn = np.rint(signal / self.gain_e + self.black_dn)
-        return np.clip(dn, 0, self.max_dn).astype(np.uint16), negative_light
+        smear = self.smear_e(expected_e, exposure_s)
+        # Its shot noise is Gaussian where it is more than read noise.
+        noise = np.sqrt(self.read_noise_e**2 + smear).astype(np.float32)
+        dark = self.dark_signal_e(serial_number)
+        dn = np.empty(expected_e.shape, np.uint16)
+        negative = np.zeros(_STREAMS, np.int64)
+        edges = [self.rows * stream // _STREAMS for stream in range(_STREAMS + 1)]
+
+        def strip(stream: int, draw: Generator) -> None:
+            rows = slice(edges[stream], edges[stream + 1])
+            expected = expected_e[rows]
+            negative[stream] = np.count_nonzero(expected < -_ROUNDING_E)
+            electrons = draw.poisson(np.maximum(expected, 0)).astype(np.float64)
+            signal = self._bent_signal(electrons, smear) + dark[rows]
+            signal += draw.standard_normal(signal.shape, np.float32) * noise
+            np.clip(np.rint(signal / self.gain_e + self.black_dn), 0, self.max_dn, out=signal)
+            dn[rows] = signal
+
+        # As many streams of noise as strips, whatever the number of cores: frames don't depend on it.
+        with ThreadPoolExecutor(CORES) as pool:
+            list(pool.map(strip, range(_STREAMS), rng.spawn(_STREAMS)))
+        return dn, int(negative.sum())
 
 
 @lru_cache(maxsize=4)

@@ -46,7 +46,8 @@ def _worst(broken: float) -> float:
 def _deviation(level: int, broken: float) -> float:
     camera = demo()
     sensor = camera.sensor.model_copy(update={"prnu": 0.0, "dark_current_e_s": 0.0})
-    modulator = camera.modulator.model_copy(update={"nonuniformity_rms": 0.0, "stuck_share": 0.0})
+    even = {"nonuniformity_rms": 0.0, "stuck_share": 0.0, "field_drive": (1.0,) * 3, "polarity_drive": 0.0}
+    modulator = camera.modulator.model_copy(update=even)
     relay = camera.relay.model_copy(update={"transmission": camera.relay.transmission * broken})
     lens = camera.objective.model_copy(update={"natural_vignetting": False, "glare_share": 0.0})
     camera = camera.model_copy(
@@ -57,7 +58,7 @@ def _deviation(level: int, broken: float) -> float:
     light = camera.form_image(still(picture, n_slots=36, slot_s=1 / 180, samples_per_pitch=3))
     shown = ExposureCode(np.full((36, 120, 160), level, np.uint8), np.zeros((120, 160), np.bool_))
     gamma = np.float32(np.pi if level else 0.0)
-    panel = PanelState(np.full((120, 160), gamma, np.float32))
+    panel = PanelState(np.full((120, 160), gamma, np.float32), np.full((120, 160), level, np.uint8))
     collected = camera.expected_electrons(light, 0, shown, panel)[0].sum()
     return float(collected / _oracle(on=level > 0) - 1)
 
@@ -74,6 +75,7 @@ def _oracle(*, on: bool) -> float:
         analyser = np.array([0.03 * 0.9 / 1000, 0.99 * 0.9]) * 0.97  # powers of p and s
         kept = (analyser * after**2).sum()
         lost = analyser.mean() * (before**2).sum()  # depolarised: half p, half s
-        total += 0.5 * 0.70 * ((1 - 0.0198) * kept + 0.0198 * lost)
+        total += 0.5 * 0.70 * ((1 - 0.0137) * kept + 0.0137 * lost)
+        total += 0.5 * 0.08 * 0.05 * lost  # gaps between the mirrors: unpolarised
     photon_j = 6.62607015e-34 * 299792458.0 / 550e-9
     return joules * total * 0.92 / photon_j * 0.663

@@ -45,6 +45,6 @@ def _pair(sensor: Ccd, electrons: float, rng: np.random.Generator, packet: float
     """Mean and temporal variance of two flats; the difference takes the fixed patterns away."""
     expected = electrons * sensor.pixel_response(3).astype(np.float64) / packet
     coarse = sensor.model_copy(update={"gain_e": sensor.gain_e / packet})
-    frames = [coarse.digitise(expected, 3, rng)[0].astype(np.float64) for _ in range(2)]
+    frames = [coarse.digitise(expected, 0.2, 3, rng)[0].astype(np.float64) for _ in range(2)]
     difference = frames[0] - frames[1]
     return float((frames[0] + frames[1]).mean() / 2), float(difference.var() / 2)

@@ -1,0 +1,168 @@
+"""Every imperfection of the camera by name: how to switch it off, and how bad it could be.
+
+The nominal state is the hardware as its data-sheet instance has it. A switch changes fields of parts, so
+whatever is set by hand in the same table wins over it. Pessimistic values have no source unless the part
+or the hardware says otherwise: they are this project's judgement of what a bad specimen would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from optsim.camera import CodedCamera
+from optsim.errors import ConfigError, unknown_name
+
+STATES = ("ideal", "nominal", "pessimistic")
+Changes = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An imperfection that can be switched.
+
+    Parameters
+    ----------
+    what : str
+        In a few words.
+    ideal, pessimistic : mapping
+        Part -> field -> value.
+    """
+
+    what: str
+    ideal: Changes
+    pessimistic: Changes
+
+
+ALL: dict[str, Effect] = {
+    "contrast": Effect(
+        "light that a dark pixel lets through",
+        {
+            "modulator": {"depolarised_share": 0.0, "gap_reflectivity": 0.0},
+            # Perfect polarisers: the cube may leak and shade as it does.
+            "splitter": {"cleanup_contrast": 1e12, "placement": "collimated"},
+        },
+        {"modulator": {"depolarised_share": 0.09, "gap_reflectivity": 0.1}},
+    ),
+    "response": Effect(
+        "time that the liquid crystal takes, with its history",
+        {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
+        {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
+    ),
+    "fields": Effect(
+        "colour fields and polarities that are driven differently",
+        {"modulator": {"field_drive": (1.0, 1.0, 1.0), "polarity_drive": 0.0}},
+        {"modulator": {"field_drive": (1.03, 1.0, 0.97), "polarity_drive": 0.03}},
+    ),
+    "row_scan": Effect(
+        "rows that are written one after the other, and a panel late on the shutter's clock",
+        {"modulator": {"delay_s": 0.0, "scan_s": 0.0}},
+        {"modulator": {"delay_s": 0.5e-3, "scan_s": 1.7e-3}},
+    ),
+    "fringing": Effect(
+        "fringing fields between panel pixels",
+        {"modulator": {"fringing_px": 0.0}},
+        {"modulator": {"fringing_px": 0.24}},
+    ),
+    "panel_uniformity": Effect(
+        "reflectivity that varies over the panel, and stuck pixels",
+        {"modulator": {"nonuniformity_rms": 0.0, "stuck_share": 0.0}},
+        {"modulator": {"nonuniformity_rms": 0.05, "stuck_share": 1e-4}},
+    ),
+    "splitter_shading": Effect(
+        "splitter that passes less at the ends of the rows",
+        {"splitter": {"acceptance_rad": 1.0}},
+        {"splitter": {"acceptance_rad": 0.02}},
+    ),
+    "vignetting": Effect(
+        "natural vignetting of the objective",
+        {"objective": {"natural_vignetting": False}},
+        {},
+    ),
+    "objective_blur": Effect(
+        "diffraction and aberrations of the objective",
+        {"objective": {"aberration_m": 0.0, "diffraction": False}},
+        {"objective": {"aberration_m": 10e-6}},
+    ),
+    "relay_blur": Effect(
+        "diffraction and aberrations of the relay",
+        {"relay": {"aberration_m": 0.0, "diffraction": False}},
+        {"relay": {"aberration_m": 10e-6}},
+    ),
+    "objective_glare": Effect(
+        "veiling glare of the objective",
+        {"objective": {"glare_share": 0.0}},
+        {"objective": {"glare_share": 0.01}},
+    ),
+    "relay_glare": Effect(
+        "veiling glare of the relay",
+        {"relay": {"glare_share": 0.0}},
+        {"relay": {"glare_share": 0.01}},
+    ),
+    "ghost": Effect(
+        "light that comes back mirrored and out of focus",
+        {"relay": {"ghost_share": 0.0}},
+        {"relay": {"ghost_share": 0.01}},
+    ),
+    "distortion": Effect(
+        "distortion and keystone of the relay",
+        {"relay": {"distortion": 0.0, "keystone_y": 0.0, "keystone_x": 0.0}},
+        {"relay": {"distortion": -0.01, "keystone_y": 0.002}},
+    ),
+    "pixel_response": Effect(
+        "CCD pixels that respond differently, in light and in the dark",
+        {"sensor": {"prnu": 0.0, "dsnu_e": 0.0}},
+        {"sensor": {"prnu": 0.016, "dsnu_e": 3.0}},
+    ),
+    "smear": Effect(
+        "light that gets under the shield while the CCD is read out",
+        {"sensor": {"smear_share": 0.0}},
+        {"sensor": {"smear_share": 1e-2}},
+    ),
+    "dark_current": Effect(
+        "electrons that no light freed",
+        {"sensor": {"dark_current_e_s": 0.0}},
+        {"sensor": {"dark_current_e_s": 10.0}},
+    ),
+    "bend": Effect(
+        "response that bends below the full well",
+        {"sensor": {"bend_at_full_well": 0.0}},
+        {"sensor": {"bend_at_full_well": 0.06}},
+    ),
+}
+
+
+def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
+    """Fields of the parts that a table of switches changes.
+
+    Parameters
+    ----------
+    switches : mapping
+        Effect -> "ideal", "nominal" or "pessimistic"; ``all`` stands for every effect not named.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown effect or state.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for name in switches:
+        if name != "all" and name not in ALL:
+            raise unknown_name("camera.effects", name, ["all", *ALL])
+    for name, effect in ALL.items():
+        state = switches.get(name, switches.get("all", "nominal"))
+        if state not in STATES:
+            raise ConfigError(f"camera.effects.{name}: got {state!r}, expected one of {', '.join(STATES)}")
+        chosen = {"ideal": effect.ideal, "pessimistic": effect.pessimistic}.get(str(state), {})
+        for part, fields in chosen.items():
+            changes.setdefault(part, {}).update(fields)
+    return changes
+
+
+def with_effects(camera: CodedCamera, switches: Mapping[str, object]) -> CodedCamera:
+    """Return a camera with effects switched; arguments as of :func:`switched`."""
+    parts = {
+        part: getattr(camera, part).model_copy(update=fields) for part, fields in switched(switches).items()
+    }
+    return camera.model_copy(update=parts)

@@ -1,0 +1,46 @@
+# pyright: reportMissingTypeStubs=false
+"""Fringing fields: what a pixel's neighbours do to its rim.
+
+The voltage of a pixel does not end at its border, and the liquid crystal is elastic: so the retardance is
+blurred across it. Intensity is a bent function of retardance, hence pixels interact; but across a border
+between black and white it is known how, whatever the neighbours beyond: with a Gaussian blur of standard
+deviation sigma, at a distance x into the black pixel,
+
+    share of the white one's reflectance = sin^2(pi/2 Phi(-x / sigma))
+
+That share is taken for all levels and times, row by column: weights are mixed with those of the
+neighbours, linearly. ``validation/fringing`` measures what that leaves out, on grey levels, in corners and
+in passing from level to level.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import ndtr
+
+from optsim.quantities import Doubles
+
+_STEPS = 2000
+
+
+def border_shares(sigma_px: float, pitch: int) -> Doubles:
+    """Whose reflectance the fine cells of a pixel have along one axis.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Standard deviation of the blur of the retardance, panel pixels; at most 0.25, where the rim of the
+        next but one pixel is still out of reach.
+    pitch : int
+        Fine cells to a pixel.
+
+    Returns
+    -------
+    ndarray of shape (pitch, 3), float64
+        Shares of the pixel before, of the pixel itself and of the pixel after; each row sums to 1.
+    """
+    x = (np.arange(_STEPS * pitch) + 0.5) / (_STEPS * pitch)
+    spill = np.sin(np.pi / 2 * ndtr(-x / sigma_px)) ** 2 if sigma_px > 0 else np.zeros_like(x)
+    before = spill.reshape(pitch, _STEPS).mean(axis=1)
+    after = before[::-1]
+    return np.stack([before, 1 - before - after, after], axis=1)

@@ -1,0 +1,88 @@
+# pyright: reportUnknownMemberType=false
+"""The far wings of a PSF on moving light: coarse in space, a straight line in time.
+
+A PSF window wide enough for a bright window's wings is far larger than the movers that cross it, and would
+be paid for in every instant. So moving blocks get the PSF's core in each instant, and its wings on the
+straight line in time that fits the block best within its segment, on panel pixels instead of fine samples.
+What is left out is the wings' share of what deviates from that line: nothing for light that comes and goes
+evenly, and nothing at all in the mean over the segment.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from optsim.forward.integrate import cell_means
+from optsim.forward.psf import Blur, extend, make_blur
+from optsim.quantities import Doubles, Segment
+
+
+def core_and_wings(kernel: Doubles, half: int) -> tuple[Doubles, Doubles]:
+    """Split a kernel (odd sides) into its middle, (2 half + 1)^2, and the rest; they add up to it."""
+    margin = kernel.shape[0] // 2 - half
+    if margin <= 0:
+        return kernel, np.zeros_like(kernel)
+    core = kernel[margin:-margin, margin:-margin].copy()
+    wings = kernel.copy()
+    wings[margin:-margin, margin:-margin] = 0
+    return core, wings
+
+
+def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
+    """Kernel between cells of pitch x pitch samples: mean over both, (odd, odd), of the same sum."""
+    triangle = (pitch - np.abs(np.arange(1 - pitch, pitch))) / pitch
+    half = kernel.shape[0] // 2
+    reach = -(-(half + pitch - 1) // pitch)
+    # Sample k of the padded kernel lies k - reach * pitch - (pitch - 1) samples from its centre.
+    wide = np.pad(kernel, reach * pitch + pitch - 1 - half)
+    n = len(wide) - 2 * (pitch - 1)
+    down = sum((part * wide[k : k + n] for k, part in enumerate(triangle)), np.zeros((n, len(wide))))
+    both = sum((part * down[:, k : k + n] for k, part in enumerate(triangle)), np.zeros((n, n)))
+    return np.ascontiguousarray(both[::pitch, ::pitch])
+
+
+def line_ends(n: int) -> Doubles:
+    """Weights of n instants in the two ends of the least-squares line through them: array (2, n)."""
+    if n == 1:
+        return np.ones((2, 1))
+    a = (np.arange(n) + 0.5) / n - 0.5
+    slope = a / (a @ a) / 2
+    return np.stack([1 / n - slope, 1 / n + slope])
+
+
+def moving_ends(segment: Segment) -> Doubles:
+    """Find the ends of straight lines through all moving light of a segment: array (2, y, x), float64."""
+    ends = np.zeros((2, *segment.start.shape))
+    lines = line_ends(segment.n_instants).astype(np.float32)
+    for block in segment.blocks:
+        n, height, width = block.excess.shape
+        line = (lines @ block.excess.reshape(n, -1)).reshape(2, height, width)
+        ends[:, block.row : block.row + height, block.col : block.col + width] += line
+    return ends
+
+
+def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> Blur | None:
+    """Prepare the wings of a PSF for moving light on a fine grid of one shape; None if there are none."""
+    if not wings.any():
+        return None
+    coarse = coarse_kernel(wings, pitch)
+    reach = coarse.shape[0] // 2
+    return make_blur(coarse, (shape[0] // pitch + 2 * reach, shape[1] // pitch + 2 * reach))
+
+
+def far_light(ends: Doubles, wings: Blur, pitch: int) -> Doubles:
+    """Light in the wings of the moving light's straight lines, on panel pixels: array (2, v, u).
+
+    Parameters
+    ----------
+    ends : ndarray of shape (2, y, x), float64
+        From :func:`moving_ends`.
+    wings : Blur
+        From :func:`make_wings`.
+    pitch : int
+        Fine samples to a panel pixel.
+    """
+    rows, cols = ends.shape[1] // pitch, ends.shape[2] // pitch
+    reach = (wings.shape[0] - rows) // 2
+    coarse = [extend(cell_means(end, pitch), reach) for end in ends]
+    return wings.apply(np.stack(coarse))[:, reach : reach + rows, reach : reach + cols]

@@ -1,0 +1,145 @@
+"""Each imperfection by itself: nothing where it is off, and about what it should be where it is on."""
+
+import numpy as np
+import pytest
+
+from optsim.effect_sizes import effect_sizes, shrunk
+from optsim.effects import ALL, STATES, switched, with_effects
+from optsim.errors import ConfigError
+from optsim.experiment import load_experiment
+from optsim.hardware import prototype
+from optsim.quantities import ExposureCode
+from optsim.scene.footage import still
+
+IDEAL = with_effects(shrunk(prototype()), {"all": "ideal"})
+
+
+def frame(camera, level=255):
+    """Electrons after the sensor's clip and bend, of a flat at half of the full well."""
+    view = camera.view
+    flat = np.full((view.rows, view.cols), 0.08, np.float32)
+    light = camera.form_image(still(flat, n_slots=36, slot_s=camera.slot_s, samples_per_pitch=3))
+    rows, cols = camera.panel_rows, camera.panel_cols
+    levels = np.broadcast_to(np.uint8(level), (36, rows, cols)).copy()
+    code = ExposureCode(levels, np.zeros((rows, cols), np.bool_))
+    electrons, _ = camera.expected_electrons(light, 0, code, None)
+    smear = camera.sensor.smear_e(electrons, camera.exposure_s)
+    return camera.sensor.signal_e(electrons, smear, camera.serial_number)
+
+
+def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():
+    seen = frame(IDEAL)[20:-20, 20:-20]
+    expected = {row.stage: row.value for row in IDEAL.ledger(0.08)}["electrons a frame"]
+    np.testing.assert_allclose(seen, expected, rtol=1e-5)
+    assert np.abs(frame(IDEAL, 0)).max() < 1e-6 * expected
+    assert IDEAL.contrast > 1e9
+    assert all(each.size < 1e-4 for each in effect_sizes(IDEAL, 0.1, 0.8, window=True))
+
+
+def _border(camera):
+    """Contrast of the border between a dark and a bright half, over one CCD pixel; its steepest row."""
+    levels = np.zeros((36, camera.panel_rows, camera.panel_cols), np.uint8)
+    levels[:, :, camera.panel_cols // 2 :] = 255
+    seen = frame(camera, levels)
+    middle = seen.shape[1] // 2
+    return np.abs(np.diff(seen[20:-20, middle - 6 : middle + 6], axis=1)).max() / seen[20:-20, 20:-20].max()
+
+
+def mean(camera, level=255):
+    """Mean of a flat away from the border."""
+    return frame(camera, level)[20:-20, 20:-20].mean()
+
+
+# What of the picture each effect changes: a measure, and bounds on it, nominal and all else ideal.
+MEASURES = {
+    "contrast": (lambda c: mean(c, 0) / mean(c), 0.0095, 0.0101),
+    "response": (lambda c: mean(c, blinking(c)) / mean(c), 0.51, 0.56),
+    "fields": (lambda c: mean(c, 128) / mean(IDEAL, 128) - 1, 1e-6, 1e-3),
+    "fringing": (lambda c: 1 - _border(c) / _border(IDEAL), 0.05, 0.2),
+    "panel_uniformity": (lambda c: frame(c)[20:-20, 20:-20].std() / frame(c).max(), 0.01, 0.025),
+    "splitter_shading": (lambda c: 1 - frame(c)[80, 9] / frame(c)[80, 96], 0.02, 0.07),
+    "vignetting": (lambda c: 1 - frame(c)[9, 9] / frame(c)[80, 96], 0.2, 0.35),
+    "objective_blur": (lambda c: 1 - frame(c)[9, 96] / frame(c)[80, 96], -1e-3, 1e-3),
+    "relay_blur": (lambda c: 1 - _border(c) / _border(IDEAL), 0.2, 0.6),
+    "objective_glare": (lambda c: abs(frame(c)[80, 96] / frame(IDEAL)[80, 96] - 1), 0.0, 1e-5),
+    "relay_glare": (lambda c: frame(c)[1, 1] / frame(c)[80, 96], 0.0015, 0.003),
+    "ghost": (lambda c: frame(c, corner(c))[-30:-10, -30:-10].mean() / mean(c), 1e-4, 2e-3),
+    "distortion": (lambda c: width(IDEAL) - width(c), 0.9, 1.5),
+    "smear": (lambda c: mean(c) / mean(IDEAL) - 1, 1.8e-4, 2.1e-4),
+    "pixel_response": (lambda c: frame(c)[20:-20, 20:-20].std() / frame(c).mean(), 0.006, 0.012),
+    "dark_current": (lambda c: frame(c, 0).mean(), 0.25, 0.26),
+    "bend": (lambda c: 1 - frame(c)[80, 96] / frame(IDEAL)[80, 96], 3e-4, 6e-4),
+}  # fmt: skip
+
+
+def corner(camera):
+    """Only the first quarter bright: its ghost lies opposite."""
+    levels = np.zeros((36, camera.panel_rows, camera.panel_cols), np.uint8)
+    levels[:, : camera.panel_rows // 2, : camera.panel_cols // 2] = 255
+    return levels
+
+
+def width(camera):
+    """Light of the middle row over its brightest: 0.3 pixels narrower, and by 0.5 % brighter at the ends."""
+    row = frame(camera)[80]
+    return row.sum() / row.max()
+
+
+def blinking(camera):
+    """Every other slot bright."""
+    levels = np.zeros((36, camera.panel_rows, camera.panel_cols), np.uint8)
+    levels[::2] = 255
+    return levels
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_each_effect_is_absent_when_off_and_of_its_size_when_on(name):
+    measure, low, high = MEASURES[name]
+    alone = with_effects(shrunk(prototype()), {"all": "ideal", name: "nominal"})
+    assert low <= measure(alone) <= high
+
+
+def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured_above():
+    assert set(MEASURES) | {"row_scan"} == set(ALL)
+    late = with_effects(IDEAL, {"row_scan": "pessimistic"})
+    assert late.panel_response.row_delays_s(10)[0] > 0.5e-3
+
+
+@pytest.mark.parametrize("name", sorted(ALL))
+def test_states_go_from_better_to_worse(name):
+    """The predicted size of each effect grows with its state, and its fields exist."""
+    sizes = {}
+    for state in STATES:
+        camera = with_effects(shrunk(prototype(), 32), {name: state})
+        type(camera).model_validate(camera.model_dump())
+        found = effect_sizes(camera, 0.1, 0.8, window=False)
+        sizes[state] = next(each.size for each in found if each.effect == name)
+    assert sizes["ideal"] < 1e-4
+    # Under light that stands still only the difference of the time constants shows, which is smaller.
+    if name != "response":
+        assert sizes["nominal"] <= sizes["pessimistic"] * (1 + 1e-6)
+    assert sizes["pessimistic"] > 5e-4
+
+
+def test_unknown_effects_and_states_are_named_with_the_cure():
+    with pytest.raises(ConfigError, match=r"camera\.effects.*fringing"):
+        switched({"fringe": "ideal"})
+    with pytest.raises(ConfigError, match=r"camera\.effects\.response: got 'off', expected one of ideal"):
+        switched({"response": "off"})
+    with pytest.raises(ConfigError, match=r"camera\.effects: got 'ideal'"):
+        load_experiment("demo", ["camera.effects=ideal"])
+
+
+def test_a_switch_changes_the_hardware_and_a_value_set_by_hand_wins():
+    assignments = ["camera.effects.response=pessimistic", "camera.modulator.tau_on_s=0.0007"]
+    panel = load_experiment("demo", assignments).camera.modulator
+    assert (panel.tau_on_s, panel.tau_off_s) == (0.0007, 1.4e-3)
+    assert load_experiment("demo").camera.modulator.tau_off_s == 1.0e-3
+
+
+def test_the_probe_sees_the_field_of_the_camera_it_stands_for():
+    whole, probe = prototype(), shrunk(prototype())
+    assert probe.view.tan_half_width == pytest.approx(whole.view.tan_half_width, rel=0.01)
+    assert probe.ratio == pytest.approx(whole.ratio)
+    assert probe.panel_gain[:, -1].mean() == pytest.approx(whole.panel_gain[:, -1].mean(), rel=0.02)
+    assert probe.geometry().fits

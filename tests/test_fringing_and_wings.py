@@ -1,0 +1,96 @@
+"""Rims of panel pixels and far wings of the PSF: against the same thing done without the short cut."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from optsim.forward.fringing import border_shares
+from optsim.forward.integrate import fine_image, integrate_exposure
+from optsim.forward.psf import extend, make_blur, psf_kernel
+from optsim.forward.wings import coarse_kernel, core_and_wings, far_light, line_ends, make_wings, moving_ends
+from optsim.quantities import Block, IrradianceVideo, Segment
+
+
+@pytest.mark.parametrize("pitch", [1, 3, 5])
+def test_a_border_between_black_and_white_is_that_of_blurred_retardance(pitch):
+    sigma, steps = 0.12, 600
+    gamma = np.pi * np.repeat([0.0, 0, 1, 1], steps)
+    blurred = np.sin(gaussian_filter1d(gamma, sigma * steps, truncate=6) / 2) ** 2
+    cells = blurred.reshape(4 * pitch, -1).mean(axis=1)
+    ours = fine_image(np.array([[0.0, 0, 1, 1]]), border_shares(sigma, pitch))[0]
+    np.testing.assert_allclose(ours[pitch : 3 * pitch], cells[pitch : 3 * pitch], atol=2e-4)
+    if pitch > 1:
+        assert ours[2 * pitch - 1] > 0.05
+
+
+def test_without_fringing_each_pixel_is_itself_and_shares_always_sum_to_one():
+    panel = np.random.default_rng(1).random((5, 7))
+    plain = panel.repeat(3, axis=0).repeat(3, axis=1)
+    np.testing.assert_array_equal(fine_image(panel, border_shares(0.0, 3)), plain)
+    shares = border_shares(0.2, 3)
+    np.testing.assert_allclose(shares.sum(axis=1), 1)
+    np.testing.assert_allclose(shares[:, 0], shares[::-1, 2])
+    assert fine_image(panel, shares).mean() == pytest.approx(panel.mean(), rel=0.02)
+    assert np.abs(fine_image(panel, shares) - plain).max() > 0.05
+
+
+def test_an_exposure_mixes_weights_on_base_and_blocks_alike():
+    """Light as base and blocks, or as whole pictures: the same energy behind the panel."""
+    rng = np.random.default_rng(2)
+    start, stop = rng.random((2, 18, 24)).astype(np.float32)
+    blocks = (
+        Block(2, 1, rng.standard_normal((4, 9, 13)).astype(np.float32)),
+        Block(10, 11, rng.standard_normal((4, 8, 13)).astype(np.float32)),
+    )
+    segment = Segment(start, stop, blocks, 4)
+    video = IrradianceVideo(
+        rows=18, cols=24, samples_per_pitch=3, slot_s=0.1, instants_per_slot=2, slots_per_segment=2,
+        n_slots=2, load=lambda _: segment, shading=np.ones((6, 8), np.float32),
+    )  # fmt: skip
+    weights = rng.random((4, 6, 8)).astype(np.float32)
+    borders = border_shares(0.15, 3)
+    whole = sum(fine_image(weights[t].astype(float), borders) * segment.instant(t) for t in range(4)) * 0.05
+    found = integrate_exposure(video, 0, weights, borders)
+    np.testing.assert_allclose(found, whole, atol=2e-7)
+    assert np.abs(integrate_exposure(video, 0, weights) - whole).max() > 0.01
+
+
+def test_core_and_wings_add_up_and_the_coarse_kernel_keeps_the_light():
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
+    core, wings = core_and_wings(kernel, 10)
+    margin = kernel.shape[0] // 2 - 10
+    np.testing.assert_allclose(np.pad(core, margin) + wings, kernel)
+    assert 0.002 < wings.sum() < 0.02
+    for pitch in (1, 3, 4):
+        coarse = coarse_kernel(wings, pitch)
+        assert coarse.shape[0] % 2 == 1
+        assert coarse.sum() == pytest.approx(wings.sum(), rel=1e-9)
+        np.testing.assert_allclose(coarse, coarse[::-1, ::-1], atol=1e-12)
+    np.testing.assert_allclose(coarse_kernel(wings, 1), wings)
+    assert make_wings(core_and_wings(kernel, 200)[1], 3, (30, 30)) is None
+
+
+def test_lines_in_time_are_least_squares():
+    t = (np.arange(7) + 0.5) / 7
+    signal = np.random.default_rng(3).random(7)
+    slope, offset = np.polyfit(t, signal, 1)
+    np.testing.assert_allclose(line_ends(7) @ signal, [offset, offset + slope])
+    np.testing.assert_allclose(line_ends(1) @ [3.0], [3, 3])
+
+
+def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
+    _, wings = core_and_wings(kernel, 10)
+    shape = (60, 90)
+    excess = np.ones((3, 20, 30), np.float32) * np.array([1, 2, 3], np.float32)[:, None, None]
+    segment = Segment(*np.zeros((2, *shape), np.float32), (Block(40, 33, excess),), 3)
+    ends = moving_ends(segment)
+    np.testing.assert_allclose(ends[:, 45, 40], [0.5, 3.5], rtol=1e-6)
+    far = far_light(ends, make_wings(wings, 3, shape), 3)
+    reach = kernel.shape[0] // 2
+    wide = np.stack([extend(end, reach) for end in ends])
+    whole = make_blur(wings, wide.shape[1:]).apply(wide)[:, reach:-reach, reach:-reach]
+    means = whole.reshape(2, 20, 3, 30, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(far, means, rtol=0.02, atol=0.01 * means.max())
+    fine = far.repeat(3, axis=1).repeat(3, axis=2)
+    assert np.abs(fine - whole).max() < 0.15 * whole.max()
