@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,10 +46,10 @@ class Span:
         """Equal steps of the segment."""
         return self.tracks[0].n_steps
 
-    def time_s(self, pose: int) -> float:
-        """When a pose is."""
-        last_slot = self.first_slot + self.plan.segment_slots
-        return self.plan.times_s(self.first_slot, last_slot, self.n_poses)[pose]
+    @cached_property
+    def times_s(self) -> list[float]:
+        """When each pose is."""
+        return self.plan.times_s(self.first_slot, self.first_slot + self.plan.segment_slots, self.n_poses)
 
     def due(self, pose: int) -> list[Track]:
         """Tracks that have a pose then."""
@@ -60,7 +61,7 @@ class Span:
 
     def places(self, track: Track, pose: int) -> Doubles:
         """Where a mover's vertices are in the picture: row, column, depth."""
-        time_s = self.time_s(pose)
+        time_s = self.times_s[pose]
         vertices = vertices_at(self.plan.scene.singles()[track.name], time_s)
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
@@ -162,7 +163,7 @@ def _counts_beside(span: Span, change: Sequence[Tiles]) -> list[dict[str, Floats
 
 def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) -> tuple[Key, Tiles]:
     """Follow whole paths where movers are that have a key at a pose, and pool their statistics."""
-    plan, time_s, moving = span.plan, span.time_s(pose), span.difference.moving
+    plan, time_s, moving = span.plan, span.times_s[pose], span.difference.moving
     wanted = np.zeros(plan.view.rows * plan.view.cols, np.int64)
     for track in filter(span.matt, span.due_keys(pose)):
         pixels = np.flatnonzero(plan.own(time_s, movers=[track.name]))
@@ -186,7 +187,7 @@ def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) ->
 
 def _beside(span: Span, pose: int, turn: int, counts: dict[str, Floats], light: Key) -> dict[str, Floats]:
     """Radiance beside the movers at a pose, in tracks that have a key then; NaN where movers cover all."""
-    due, time_s = span.due_keys(pose), span.time_s(pose)
+    due, time_s = span.due_keys(pose), span.times_s[pose]
     pixels = np.concatenate([track.pixels for track in due])
     bare = np.flatnonzero(~span.plan.own(time_s).ravel()[pixels])
     samples = np.concatenate([counts[track.name] for track in due])[bare]

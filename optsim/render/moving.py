@@ -104,12 +104,12 @@ def _look(
     """Find both halves of some tracks at a pose, (2, samples of these tracks), and statistics."""
     pixels = np.concatenate([track.pixels for track in due])
     seen = np.concatenate([_beside_at(span, keys, pose, track) for track in due], axis=1)
-    covered = span.plan.own(span.time_s(pose)).ravel()[pixels]
+    covered = span.plan.own(span.times_s[pose]).ravel()[pixels]
     chosen = np.flatnonzero(covered | np.isnan(seen).any(axis=0))
     if not len(chosen):
         return seen, own
     moving = span.difference.moving
-    moving.pose(span.time_s(pose))
+    moving.pose(span.times_s[pose])
     seeds = np.repeat(np.asarray(span.plan.seeds("look", span.first_slot), np.int64), len(chosen))
     steps = np.concatenate([np.full(len(track.pixels), track.n_steps) for track in due])[chosen]
     rays = np.tile(_looks_a_pose(steps / span.plan.segment_slots), 2)

@@ -107,9 +107,10 @@ class Plan:
     def own(self, *times_s: float, movers: Iterable[str] | None = None) -> Bools:
         """Fine samples in which movers, all or some, may be seen at any of some instants: (y, x)."""
         singles, mask = self.scene.singles(), np.zeros(self.shape, np.bool_)
+        chosen = [singles[name] for name in (singles if movers is None else movers)]
         for time_s in times_s:
-            for mover in (singles[name] for name in (singles if movers is None else movers)):
-                camera = self.scene.camera.at(time_s)
+            camera = self.scene.camera.at(time_s)
+            for mover in chosen:
                 cover(mask, vertices_at(mover, time_s), faces_of(mover), camera, self.view)
         return mask
 
