@@ -41,6 +41,8 @@ def true_calibration(camera: CodedCamera) -> Calibration:
         ),
         # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
         veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
+        ghost=camera.relay.ghost_share,
+        ghost_blur_px=camera.relay.ghost_blur_px,
     )
 
 
@@ -62,6 +64,8 @@ def ideal_calibration(camera: CodedCamera) -> Calibration:
         full_well_e=camera.sensor.full_well_e,
         crosstalk=np.ones((*shape, 1, 1), np.float32),
         veil=0.0,
+        ghost=0.0,
+        ghost_blur_px=camera.relay.ghost_blur_px,
     )
 
 
@@ -76,6 +80,8 @@ def _known(
     full_well_e: float,
     crosstalk: Floats,
     veil: float,
+    ghost: float,
+    ghost_blur_px: float,
 ) -> Calibration:
     """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
     sensor = camera.sensor
@@ -103,4 +109,6 @@ def _known(
         leak_uncertainty=0.0,
         map_residual_px=0.0,
         veil=veil,
+        ghost=ghost,
+        ghost_blur_px=ghost_blur_px,
     )

@@ -6,12 +6,14 @@ of photons and pixels allow, plus the stated model errors.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
-from optsim.hardware.cameras import prototype
+from optsim.hardware.cameras import demo, prototype
 from optsim.known_calibration import true_calibration
 from optsim.laboratory import measure_bench
 from optsim.quantities import ExposureCode, RadianceVideo, Segment
@@ -166,3 +168,22 @@ def test_the_same_seed_gives_the_same_bench(camera: CodedCamera, bench: Bench) -
     again = measure_bench(camera, np.random.default_rng(11))
     np.testing.assert_array_equal(again.steps[-1].dn, bench.steps[-1].dn)
     np.testing.assert_array_equal(again.flats[1].dn, bench.flats[1].dn)
+
+
+def test_a_ghost_is_told_from_the_veil() -> None:
+    full = demo()
+    relay = full.relay.model_copy(update={"ghost_share": 0.004, "ghost_blur_px": 15.0, "glare_share": 0.003})
+    camera = full.model_copy(update={"relay": relay})
+    found = calibrate_from(measure_bench(camera, np.random.default_rng(8)))
+    true = true_calibration(camera)
+    assert found.ghost == pytest.approx(0.004, rel=0.1)
+    assert found.ghost_blur_px == pytest.approx(15, rel=0.15)
+    # Diffraction's wings 16 pixels away, and what of so wide a ghost looks like a veil, count as veil.
+    assert found.veil == pytest.approx(true.veil, abs=8e-4)
+    # What a dark corner sees of a bright one opposite, through the mixing that decoders undo.
+    light = np.zeros(found.shape, np.float32)
+    light[:20, :20] = 1
+    ours, theirs = (c.mix(light)[-20:-5, -20:-5] for c in (found, true))
+    np.testing.assert_allclose(ours.mean(), theirs.mean(), rtol=0.12)  # a tenth by that veil
+    blind = replace(found, ghost=0.0)
+    assert blind.mix(light)[-20:-5, -20:-5].mean() < 0.5 * theirs.mean()

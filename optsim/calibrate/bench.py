@@ -16,7 +16,7 @@ saturated     held at 255, at least 3 times the light that fills the wells; at l
 anchors       three single bright patches on black, well inside the picture and not in one line
 dots          lattices of single bright pixels on black
 glare         a bright patch of a fifth of the picture or so on black, more than 16 panel pixels from much of
-              the rest; in two corners in turn (may be empty: veiling glare then counts as none)
+              the rest; in two corners in turn (may be empty: stray light then counts as none)
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
               both directions, from half a slot before to two slots after, the change being at the second
               slot of a frame; the flash may light a part of the panel,

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit
 
 from optsim.errors import ValueCheckError
+from optsim.forward.ghost import mirrored
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
-from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
+from optsim.quantities import Bools, CodedFrame, Doubles, ExposureCode, Floats, Ints, PanelState, checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ class Calibration:
 
     With ``light = sum over slots of weight x irradiance``, a frame measures :meth:`mix` of it: the
     weights are those of each panel pixel alone, the crosstalk kernel says how much of its neighbours'
-    light the picked CCD pixel sees, and the veil how much of everybody's.
+    light the picked CCD pixel sees, veil and ghost how much of everybody's and of that opposite.
     Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
 
     Parameters
@@ -79,6 +81,9 @@ class Calibration:
         Rms distance between the fitted map and the measured dots, panel pixels.
     veil : float
         Share of the light that the relay's veiling glare spreads evenly over the CCD.
+    ghost, ghost_blur_px : float
+        Share of the light that comes back mirrored through the middle of the panel, and the standard
+        deviation of its blur, panel pixels.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -99,6 +104,8 @@ class Calibration:
     leak_uncertainty: float
     map_residual_px: float
     veil: float = 0.0
+    ghost: float = 0.0
+    ghost_blur_px: float = 20.0
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (
@@ -116,9 +123,10 @@ class Calibration:
                 )
         if float(self.responsivity_dn.min()) <= 0:
             raise ValueCheckError("calibration.responsivity_dn: got a value <= 0, expected > 0 everywhere")
-        if not 0 <= self.veil < 1:
+        if not (0 <= self.veil < 1 and 0 <= self.ghost < 1):
             raise ValueCheckError(
-                f"calibration.veil: got {self.veil:.3g}, expected a share from 0 to below 1"
+                f"calibration.veil, ghost: got {self.veil:.3g}, {self.ghost:.3g}, expected shares from 0 to "
+                "below 1"
             )
         kernel = self.crosstalk
         checked(
@@ -192,7 +200,7 @@ class Calibration:
         return self.spread(weights), panel
 
     def mix(self, light: Floats) -> Floats:
-        """Mix each pixel's own light as a frame does, by crosstalk and veil: array (v, u), float32.
+        """Mix each pixel's own light as a frame does, by crosstalk, veil and ghost: array (v, u), float32.
 
         Parameters
         ----------
@@ -200,10 +208,22 @@ class Calibration:
             Sum over slots of weight x irradiance, W m^-2 slots.
         """
         mixed = self.spread(light[None])[0]
-        if self.veil == 0:
+        if self.veil == 0 and self.ghost == 0:
             return mixed
-        evenly = np.mean(light * self.responsivity_dn, dtype=np.float64) / self.responsivity_dn
-        return ((1 - self.veil) * mixed + self.veil * evenly).astype(np.float32)
+        return (self._direct_share * mixed + self._stray(light)).astype(np.float32)
+
+    def _stray(self, light: Floats) -> Doubles:
+        """Stray light at each pixel, in the unit of the light."""
+        arrived = light * self.responsivity_dn
+        stray = np.full(self.shape, self.veil * np.mean(arrived, dtype=np.float64))
+        if self.ghost > 0:
+            stray += self.ghost * mirrored(arrived, self.ghost_blur_px)
+        return stray / self.responsivity_dn
+
+    @cached_property
+    def _direct_share(self) -> Doubles:
+        """What of a flat is not stray light: the responsivity holds both."""
+        return 1 - self._stray(np.ones(self.shape, np.float32))
 
     def spread(self, stack: Floats) -> Floats:
         """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""

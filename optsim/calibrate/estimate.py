@@ -8,7 +8,7 @@ from optsim.calibrate.bench import Bench
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.pixel_map import map_pixels
 from optsim.calibrate.sensor_noise import photon_transfer, saturation_threshold
-from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading, veil
+from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading, stray_light
 from optsim.calibrate.step_response import field_drive, response_times
 from optsim.errors import BenchError
 from optsim.forward.panel import PanelResponse
@@ -70,6 +70,7 @@ def calibrate_from(bench: Bench) -> Calibration:
             response = response.model_copy(update={"drive_exponent": exponent})
         response = response_times(bench.steps, picker, valid, bench.slot_s, response)
         response = field_drive(bench.fields, picker, valid, bench.slot_s, response)
+    veil, ghost, ghost_blur_px = stray_light(bench.glare, picker, flat)
     return Calibration(
         source="bench",
         slot_s=bench.slot_s,
@@ -88,5 +89,7 @@ def calibrate_from(bench: Bench) -> Calibration:
         gain_uncertainty=flat.gain_uncertainty,
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,
-        veil=veil(bench.glare, picker, flat),
+        veil=veil,
+        ghost=ghost,
+        ghost_blur_px=ghost_blur_px,
     )

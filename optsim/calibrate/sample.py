@@ -122,7 +122,7 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
         pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest(sample.valid)] * sample.exposure
     if estimate is not None:
         pins = np.where(known, np.maximum(estimate * sample.exposure, pins), pins)
-    rate = max(float(((1 - centre) / centre).max()), calibration.veil)
+    rate = max(float(((1 - centre) / centre).max()), calibration.veil + calibration.ghost)
     steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))
     # The signal of an earlier call is a good start; at first it is what was measured.
     signal = np.where(pinned, pins, sample.signal)

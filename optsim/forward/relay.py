@@ -25,6 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from optsim.forward.ghost import mirrored
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur
 from optsim.quantities import Bools, Doubles, Floats, Ints
@@ -209,7 +210,7 @@ def _overlaps(
                         pointers[column + 1] += 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Ghost:
     """Light that lands mirrored through the axis and out of focus; its own adjoint.
 
@@ -217,20 +218,20 @@ class Ghost:
     ----------
     share : float
         Of the light.
-    blur : Blur
-        On the grid of panel pixels.
+    blur_px : float
+        Standard deviation of its blur, panel pixels.
     pitch : int
         Fine cells to a panel pixel.
     """
 
     share: float
-    blur: Blur
+    blur_px: float
     pitch: int
 
     def apply(self, energy: NDArray[np.floating]) -> Doubles:
         """Image of the fine panel grid on itself, (y, x)."""
-        mirrored = self.blur.apply(cell_means(energy, self.pitch)[::-1, ::-1])
-        return mirrored.repeat(self.pitch, axis=0).repeat(self.pitch, axis=1)
+        coarse = mirrored(cell_means(energy, self.pitch), self.blur_px)
+        return coarse.repeat(self.pitch, axis=0).repeat(self.pitch, axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,8 +104,7 @@ class Relay(Part):
         psf = (f_number, self.aberration_m, cell_on_ccd_m, MONO_WAVELENGTH_M, self.wing_share)
         ghost = None
         if self.ghost_share:
-            coarse = (shape[0] // samples_per_pitch, shape[1] // samples_per_pitch)
-            ghost = Ghost(self.ghost_share, _ghost_blur(self.ghost_blur_px, coarse), samples_per_pitch)
+            ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)
         return RelayOperator(
             _blur(psf, abs(self.defocus_m) / f_number, self.diffraction, shape),
             _overlap(geometry, transmission),
@@ -126,9 +125,3 @@ def _blur(
     psf: tuple[float, float, float, float, float], disc_m: float, diffraction: bool, shape: tuple[int, int]
 ) -> Blur:
     return make_blur(psf_kernel(*psf, disc_m=disc_m, diffraction=diffraction), shape)
-
-
-@lru_cache(maxsize=8)
-def _ghost_blur(sigma_px: float, shape: tuple[int, int]) -> Blur:
-    # The Gaussian alone, on a grid whose cells are panel pixels.
-    return make_blur(psf_kernel(1.0, sigma_px, 1.0, 1.0, 0.1, diffraction=False), shape)
