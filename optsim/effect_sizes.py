@@ -34,7 +34,7 @@ from optsim.quantities import (
     Segment,
 )
 
-_COLS = 64
+_COLS = 40
 _MARGIN_PX = 4
 _WINDOW = 1000.0
 _PERCENTILE = 90.0

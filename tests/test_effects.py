@@ -11,7 +11,7 @@ from optsim.hardware import prototype
 from optsim.quantities import ExposureCode
 from optsim.scene.footage import still
 
-IDEAL = with_effects(shrunk(prototype()), {"all": "ideal"})
+IDEAL = with_effects(shrunk(prototype(), 64), {"all": "ideal"})
 
 
 def frame(camera, level=255):
@@ -95,7 +95,7 @@ def blinking(camera):
 @pytest.mark.parametrize("name", MEASURES)
 def test_each_effect_is_absent_when_off_and_of_its_size_when_on(name):
     measure, low, high = MEASURES[name]
-    alone = with_effects(shrunk(prototype()), {"all": "ideal", name: "nominal"})
+    alone = with_effects(shrunk(prototype(), 64), {"all": "ideal", name: "nominal"})
     assert low <= measure(alone) <= high
 
 
@@ -138,7 +138,7 @@ def test_a_switch_changes_the_hardware_and_a_value_set_by_hand_wins():
 
 
 def test_the_probe_sees_the_field_of_the_camera_it_stands_for():
-    whole, probe = prototype(), shrunk(prototype())
+    whole, probe = prototype(), shrunk(prototype(), 64)
     assert probe.view.tan_half_width == pytest.approx(whole.view.tan_half_width, rel=0.01)
     assert probe.ratio == pytest.approx(whole.ratio)
     assert probe.panel_gain[:, -1].mean() == pytest.approx(whole.panel_gain[:, -1].mean(), rel=0.02)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, median_filter
-from scipy.optimize import root_scalar
 
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
@@ -230,6 +229,8 @@ def drive_exponent(
 
     Flats are means over slots, whose fields may be driven differently: ``field_drive`` says how.
     """
+    from scipy.optimize import root_scalar
+
     drive = np.array(field_drive)
 
     def opened(exponent: float, level: int) -> float:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from optsim.calibrate.bench import Step
 from optsim.calibrate.shading import Picker
@@ -104,6 +103,8 @@ def response_times(
     BenchError
         When a direction is missing, or no light is seen.
     """
+    from scipy.optimize import least_squares
+
     if not any(s.after > s.before for s in steps) or not any(s.after < s.before for s in steps):
         raise BenchError("bench steps: expected steps to a higher and to a lower level; take both")
     lit = _lit(steps, picker, valid)
@@ -164,6 +165,8 @@ def field_drive(
     """
     if not fields:
         return response
+    from scipy.optimize import least_squares
+
     level = min(s.before for s in fields)
     slots = {(s.before, round(s.delay_s / slot_s)): i for i, s in enumerate(fields)}
     n = len(fields) // 2

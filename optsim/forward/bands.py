@@ -8,6 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 CORES = os.cpu_count() or 1
+# For fewer rows starting threads takes longer than the work.
+_FEW = 64
 
 
 def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
@@ -21,6 +23,9 @@ def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
         Must let go of Python's lock to gain anything, and write to its own rows only: then results do
         not depend on the number of cores.
     """
+    if rows < _FEW:
+        work(0, rows)
+        return
     edges = [rows * band // CORES for band in range(CORES + 1)]
     with ThreadPoolExecutor(CORES) as pool:
         for done in [pool.submit(work, a, b) for a, b in pairwise(edges) if b > a]:
