@@ -211,7 +211,7 @@ def check(
 
 @app.command()
 def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json = False) -> None:
-    """Geometry fit, photon ledger and physical latency, without rendering."""
+    """Geometry fit, photon ledger, physical latency and size of each imperfection, without rendering."""
     from optsim.console import page
     from optsim.experiment import experiment_path
     from optsim.explain import explanation, show

@@ -78,13 +78,12 @@ def effect_sizes(
     """
     probe = shrunk(camera)
     radiance = _scene(probe, white_w_m2_sr, window=window)
+    # Of the interior: a window, where there is one, is the brightest tenth or so.
     bright = float(np.percentile(radiance.load(0).start, _PERCENTILE * (0.9 if window else 1.0)))
     all_on = {row.stage: row.value for row in probe.with_nd(1.0).ledger(bright)}["electrons a frame"]
     probe = probe.with_nd(min(1.0, saturation_share * probe.sensor.full_well_e / all_on))
     code = _code(probe)
-    # Most effects leave the objective's image as it is.
-
-    lights: dict[str, IrradianceVideo] = {}
+    lights: dict[str, IrradianceVideo] = {}  # most effects leave the objective's image as it is
 
     def light(lens: Objective) -> IrradianceVideo:
         key = lens.model_dump_json()

@@ -13,6 +13,7 @@ import pytest
 
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
+from optsim.errors import BenchError
 from optsim.hardware.cameras import demo, prototype
 from optsim.known_calibration import true_calibration
 from optsim.laboratory import measure_bench
@@ -82,6 +83,31 @@ def test_panel(camera: CodedCamera, found: Calibration) -> None:
     assert found.response.leak == pytest.approx(true.leak, rel=3e-3)
     assert found.response.drive_exponent == pytest.approx(true.drive_exponent, rel=2e-3)
     assert found.leak_uncertainty < 0.02
+    # The six fields differ by 4 %; their flashes are known to 1e-4 of the light.
+    drive = np.array(true.field_drive) / np.mean(true.field_drive)
+    np.testing.assert_allclose(found.response.field_drive, drive, atol=2e-3)
+    assert np.ptp(drive) > 0.03
+    # All rows turn at once, and at once; a tenth of a flash is a hundredth of a slot.
+    assert found.response.row_delays_s(48).max() < 0.01 * camera.slot_s
+
+
+def test_rows_that_turn_late_are_found() -> None:
+    panel = prototype().modulator.model_copy(
+        update={"stuck_share": 0.0, "delay_s": 0.3e-3, "scan_s": 2e-3, "rows": 48}
+    )
+    camera = small(modulator=panel)
+    response = calibrate_from(measure_bench(camera, np.random.default_rng(12))).response
+    true = camera.panel_response
+    error = response.row_delays_s(48) - true.row_delays_s(48)
+    assert np.abs(error).max() < 0.005 * camera.slot_s
+    assert response.tau_on_s == pytest.approx(true.tau_on_s, rel=0.01)
+
+
+def test_flashes_that_do_not_show_every_field_are_refused(bench: Bench) -> None:
+    with pytest.raises(BenchError, match="bench fields"):
+        calibrate_from(replace(bench, fields=bench.fields[:7]))
+    alike = calibrate_from(replace(bench, fields=()))
+    assert alike.response.field_drive == (1.0,)
 
 
 def test_map(camera: CodedCamera, found: Calibration) -> None:

@@ -28,7 +28,7 @@ from optsim.quantities import Bools, Bytes, Doubles, Ints
 # Bounds and start of the fit as shares of a slot; below the lower one a panel counts as instantaneous.
 _LEAST, _FIRST, _MOST = 1e-4, 0.15, 5.0
 _LIT = 0.5
-_BANDS = 8
+_BANDS = 48
 _LEAST_SPAN = 0.25
 _INSTANTLY_S = 1e-12
 
