@@ -308,10 +308,7 @@ class CodedCamera(Part):
         levels = code.levels.copy()
         levels[self.coded_slots :] = 0
         levels[:, stuck] = stuck_levels[stuck]
-        response, slot_s = self.panel_response, self.slot_s
-        if panel is None:
-            _, panel = slot_weights(levels, self.panel_at_rest(), response, slot_s)
-        return slot_weights(levels, panel, response, slot_s, n_sub, self._leaks(self._column_places_m))
+        return slot_weights(levels, panel, self.panel_response, self.slot_s, n_sub, self.column_leaks)
 
     @property
     def panel_gain(self) -> Floats:
@@ -320,6 +317,11 @@ class CodedCamera(Part):
         f_number = self.objective.working_f_number
         on = throughput(self.splitter, self.modulator, np.pi, f_number, self._column_places_m)
         return pattern * on.astype(np.float32)
+
+    @property
+    def column_leaks(self) -> Doubles:
+        """Transmission fully off over fully on of each panel column, (u,)."""
+        return self._leaks(self._column_places_m)
 
     def _leaks(self, x_m: Doubles) -> Doubles:
         return leak(self.splitter, self.modulator, self.objective.working_f_number, x_m)

@@ -32,12 +32,12 @@ from optsim.quantities import (
     IrradianceVideo,
     RadianceVideo,
     Segment,
+    made_radiance,
 )
 
 _COLS = 40
 _MARGIN_PX = 4
 _WINDOW = 1000.0
-_PERCENTILE = 90.0
 _STEP_PX = 0.5  # fine samples a slot that the patch moves
 # Slots that the four densities of the mosaic are open, as shares of a frame.
 _DENSITIES = (1 / 36, 1 / 12, 11 / 36, 1.0)
@@ -61,7 +61,7 @@ class EffectSize:
 
 
 def effect_sizes(
-    camera: CodedCamera, white_w_m2_sr: float, saturation_share: float, *, window: bool
+    camera: CodedCamera, white_w_m2_sr: float, percentile: float, saturation_share: float, *, window: bool
 ) -> list[EffectSize]:
     """Predict the size of every effect, the largest first.
 
@@ -71,15 +71,15 @@ def effect_sizes(
         The experiment's camera; its neutral density is not used.
     white_w_m2_sr : float
         Radiance of the scene's white.
-    saturation_share : float
-        Share of the full well that the light rule fills under the all-on code.
+    percentile, saturation_share : float
+        The light rule: this percentile of the interior fills this share of the full well under all-on.
     window : bool
         Whether the scene has a bright outside.
     """
     probe = shrunk(camera)
     radiance = _scene(probe, white_w_m2_sr, window=window)
     # Of the interior: a window, where there is one, is the brightest tenth or so.
-    bright = float(np.percentile(radiance.load(0).start, _PERCENTILE * (0.9 if window else 1.0)))
+    bright = float(np.percentile(radiance.load(0).start, percentile * (0.9 if window else 1.0)))
     all_on = {row.stage: row.value for row in probe.with_nd(1.0).ledger(bright)}["electrons a frame"]
     probe = probe.with_nd(min(1.0, saturation_share * probe.sensor.full_well_e / all_on))
     code = _code(probe)
@@ -157,16 +157,13 @@ def _scene(camera: CodedCamera, white_w_m2_sr: float, *, window: bool) -> Radian
         left = round(slot * _STEP_PX)
         excess[slot, :, left : left + width] = patch - under[:, left : left + width]
     segment = Segment(base, base, (Block(row, col, excess),), n_slots)
-    return RadianceVideo(
-        rows=view.rows,
-        cols=view.cols,
-        samples_per_pitch=view.samples_per_pitch,
-        slot_s=camera.slot_s,
-        instants_per_slot=1,
+    return made_radiance(
+        view,
+        camera.slot_s,
+        lambda _: segment,
         slots_per_segment=n_slots,
         n_slots=n_slots,
         white_w_m2_sr=white_w_m2_sr,
-        load=lambda _: segment,
     )
 
 

@@ -53,6 +53,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             for each in effect_sizes(
                 camera,
                 truth.white_w_m2_sr,
+                experiment.light.percentile,
                 experiment.light.saturation_share,
                 window=has_bright_outside(experiment),
             )

@@ -27,9 +27,9 @@ from optsim.quantities import (
     ExposureCode,
     Floats,
     IrradianceVideo,
-    RadianceVideo,
     Segment,
     Words,
+    made_radiance,
 )
 
 # Shares of the least of full well and converter range that a fully lit pixel reaches. Interline CCDs bend
@@ -151,15 +151,8 @@ class _Laboratory:
         radiance = np.full(
             (view.rows, view.cols), irradiance_w_m2 / camera.irradiance_per_radiance, np.float32
         )
-        sphere = RadianceVideo(
-            rows=view.rows,
-            cols=view.cols,
-            samples_per_pitch=view.samples_per_pitch,
-            slot_s=camera.slot_s,
-            instants_per_slot=1,
-            slots_per_segment=n,
-            n_slots=n,
-            load=lambda _: Segment(radiance, radiance, (), n),
+        sphere = made_radiance(
+            view, camera.slot_s, lambda _: Segment(radiance, radiance, (), n), slots_per_segment=n, n_slots=n
         )
         return self._take(camera, camera.form_image(sphere), levels, levels, n_frames)
 

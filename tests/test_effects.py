@@ -33,7 +33,7 @@ def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():
     np.testing.assert_allclose(seen, expected, rtol=1e-5)
     assert np.abs(frame(IDEAL, 0)).max() < 1e-6 * expected
     assert IDEAL.contrast > 1e9
-    assert all(each.size < 1e-4 for each in effect_sizes(IDEAL, 0.1, 0.8, window=True))
+    assert all(each.size < 1e-4 for each in effect_sizes(IDEAL, 0.1, 90.0, 0.8, window=True))
 
 
 def _border(camera):
@@ -112,7 +112,7 @@ def test_states_go_from_better_to_worse(name):
     for state in STATES:
         camera = with_effects(shrunk(prototype(), 32), {name: state})
         type(camera).model_validate(camera.model_dump())
-        found = effect_sizes(camera, 0.1, 0.8, window=False)
+        found = effect_sizes(camera, 0.1, 90.0, 0.8, window=False)
         sizes[state] = next(each.size for each in found if each.effect == name)
     assert sizes["ideal"] < 1e-4
     # Under light that stands still only the difference of the time constants shows, which is smaller.

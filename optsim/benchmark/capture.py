@@ -5,9 +5,9 @@ The scene is made, not rendered: a textured interior, a window a thousand times 
 patches that move; a random code on every panel pixel. Ours is what every run does: the objective on base and
 moving blocks, the panel's weights with their history, one exposure, the relay once. The dense computation
 takes each slot as a whole picture through objective, panel and relay, with the same parts and the same
-numbers, and adds the slots up on the CCD. What ours leaves out (smaller windows of the PSF on moving
-blocks, the part of the moving light's veiling glare that is not linear in time) is the difference of the
-two, in units of a tenth of the predicted noise of a pixel.
+numbers, and adds the slots up on the CCD. What ours leaves out (the part of the moving light's
+far PSF wings and veiling glare that is not linear in time, and the wings' slope within a panel pixel) is the
+difference of the two, in units of a tenth of the predicted noise of a pixel.
 """
 
 from __future__ import annotations
@@ -28,7 +28,16 @@ from optsim.forward.panel import slot_weights
 from optsim.forward.radiometry import photons_per_joule
 from optsim.hardware import prototype
 from optsim.progress import Progress, silent
-from optsim.quantities import Block, Bytes, Doubles, ExposureCode, Floats, RadianceVideo, Segment
+from optsim.quantities import (
+    Block,
+    Bytes,
+    Doubles,
+    ExposureCode,
+    Floats,
+    RadianceVideo,
+    Segment,
+    made_radiance,
+)
 
 # Slots between key instants, as in a scene that moves about as fast as window_room.
 _SEGMENT = 18
@@ -62,7 +71,7 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
         start = time.perf_counter()
         _, panel = camera.expose(light, turn, code, panel, np.random.default_rng(turn))
         seconds.append(time.perf_counter() - start)
-        progress("optsim", turn + 1, _ROUNDS)
+        progress("optsim", turn + 1, 1 + _ROUNDS)
     expected, _ = camera.expected_electrons(light, 0, code, camera.panel_at_rest())
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     start = time.perf_counter()
@@ -128,16 +137,13 @@ def moving_patches(camera: CodedCamera, share: float, rng: np.random.Generator) 
             excess = np.stack([_patch(texture, slot / n_slots, under) for slot in slots])
             blocks.append(Block(row, col, excess))
         segments.append(Segment(base, base, tuple(blocks), _SEGMENT))
-    return RadianceVideo(
-        rows=view.rows,
-        cols=view.cols,
-        samples_per_pitch=view.samples_per_pitch,
-        slot_s=camera.slot_s,
-        instants_per_slot=1,
+    return made_radiance(
+        view,
+        camera.slot_s,
+        lambda index: segments[index % len(segments)],
         slots_per_segment=_SEGMENT,
         n_slots=(1 + _ROUNDS) * n_slots,
         white_w_m2_sr=_WHITE,
-        load=lambda index: segments[index % len(segments)],
     )
 
 
@@ -170,7 +176,8 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
     panel, sensor, serial = camera.modulator, camera.sensor, camera.serial_number
     stuck, stuck_levels = panel.stuck(camera.panel_rows, camera.panel_cols, serial)
     levels = np.where(stuck, stuck_levels, code.levels)
-    weights, _ = slot_weights(levels, camera.panel_at_rest(), camera.panel_response, camera.slot_s)
+    rest, response = camera.panel_at_rest(), camera.panel_response
+    weights, _ = slot_weights(levels, rest, response, camera.slot_s, leak=camera.column_leaks)
     borders = border_shares(panel.fringing_px, radiance.samples_per_pitch)
     relay = camera.relay_operator()
     arrived = np.zeros((sensor.rows, sensor.cols))

@@ -184,8 +184,6 @@ class Calibration:
         expected = (self.slots_per_frame, *self.shape)
         if code.levels.shape != expected:
             raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
-        if panel is None:
-            _, panel = slot_weights(code.levels, self.panel_at_rest(), self.response, self.slot_s)
         weights, after = slot_weights(code.levels, panel, self.response, self.slot_s)
         weights[self.coded_slots :] = 0
         return weights, after

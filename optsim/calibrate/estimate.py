@@ -64,7 +64,7 @@ def calibrate_from(bench: Bench) -> Calibration:
     saturation_dn = np.where(valid, picker.saturation_dn, np.median(picker.saturation_dn[valid]))
     response = PanelResponse(leak=flat.leak)
     # Each needs the others; fields that differ by 5 % are settled after two rounds.
-    for _ in range(2):
+    for _ in range(2 if bench.fields else 1):
         exponent = drive_exponent(bench.greys, picker, flat, response.field_drive)
         if exponent is not None:
             response = response.model_copy(update={"drive_exponent": exponent})

@@ -139,7 +139,7 @@ def _si_cin(x: Doubles) -> tuple[Doubles, Doubles]:
 
 def slot_weights(
     levels: Bytes,
-    panel: PanelState,
+    panel: PanelState | None,
     response: PanelResponse,
     slot_s: float,
     instants_per_slot: int = 1,
@@ -151,8 +151,9 @@ def slot_weights(
     ----------
     levels : ndarray of shape (slot, v, u), uint8
         Drive levels.
-    panel : PanelState
-        The panel when the first slot begins.
+    panel : PanelState or None
+        The panel when the first slot begins; None when an experiment does: after a long dark it has shown
+        these levels once.
     response : PanelResponse
         True or estimated response.
     slot_s : float
@@ -174,6 +175,9 @@ def slot_weights(
     ValueCheckError
         When the shapes don't agree, or the last row's turn comes after the slot.
     """
+    if panel is None:
+        dark = settled_panel(np.zeros(levels.shape[1:], np.uint8), response)
+        _, panel = slot_weights(levels, dark, response, slot_s)
     if levels.ndim != 3 or levels.shape[1:] != panel.retardance_rad.shape:
         raise ValueCheckError(
             f"levels {levels.shape} and panel state {panel.retardance_rad.shape} are of different panels; "

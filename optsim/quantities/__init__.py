@@ -37,6 +37,7 @@ from optsim.quantities.video import (
     Timing,
     Video,
     View,
+    made_radiance,
 )
 
 __all__ = [
@@ -61,4 +62,5 @@ __all__ = [
     "View",
     "Words",
     "checked",
+    "made_radiance",
 ]

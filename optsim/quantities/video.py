@@ -228,3 +228,40 @@ class IrradianceVideo(Video):
 
     UNIT: ClassVar[str] = "W m^-2"
     shading: Floats = field(default_factory=lambda: np.ones((1, 1), np.float32), repr=False)
+
+
+def made_radiance(
+    view: View,
+    slot_s: float,
+    load: Callable[[int], Segment],
+    *,
+    slots_per_segment: int,
+    n_slots: int,
+    white_w_m2_sr: float = 1.0,
+) -> RadianceVideo:
+    """Video on a camera's view and slots, one instant a slot, of light that isn't rendered.
+
+    Parameters
+    ----------
+    view : View
+        Fine grid.
+    slot_s : float
+        Duration of a slot, s.
+    load : callable
+        Segment index -> Segment.
+    slots_per_segment, n_slots : int
+        Slots between two key instants, and in the whole video.
+    white_w_m2_sr : float
+        Declared white.
+    """
+    return RadianceVideo(
+        rows=view.rows,
+        cols=view.cols,
+        samples_per_pitch=view.samples_per_pitch,
+        slot_s=slot_s,
+        instants_per_slot=1,
+        slots_per_segment=slots_per_segment,
+        n_slots=n_slots,
+        white_w_m2_sr=white_w_m2_sr,
+        load=load,
+    )
