@@ -24,14 +24,12 @@ import numpy as np
 from optsim.errors import BackendError
 from optsim.quantities import Floats, View
 from optsim.render.backend import activate
-from optsim.render.plan import seed_of
+from optsim.render.sampler import pixel_sampler
 from optsim.render.stage import Stage
 from optsim.scene.scene import Scene
 
-# Mitsuba sums in single precision: more samples a pass lose digits.
-_PASS_SAMPLES = 512
-# Lanes of a launch, which bounds its time and memory.
-_PASS_LANES = 1 << 25
+# Bounds the memory of one launch (about 100 bytes a lane).
+_MAX_LANES = 4 << 20
 
 
 @contextmanager
@@ -104,16 +102,44 @@ def render_stokes(
 
 
 def stokes_image(mi: Any, loaded: Any, samples: int, seed: int, *, max_depth: int) -> Floats:
-    """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32."""
+    """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32.
+
+    Not by Mitsuba's own film: two threads add to it in either order, so its last digit may change.
+    """
     path = {"type": "path", "max_depth": max_depth, "rr_depth": max_depth}
-    integrator = mi.load_dict({"type": "stokes", "nested": path})
+    integrator = mi.load_dict(path)
     cols, rows = loaded.sensors()[0].film().size()
-    size = max(1, min(samples, _PASS_SAMPLES, _PASS_LANES // (rows * cols)))
-    total = np.zeros((rows, cols, 4))
+    size = max(1, min(samples, _MAX_LANES // (rows * cols)))
+    total = np.zeros((4, rows * cols))
     for first in range(0, samples, size):
         count = min(size, samples - first)
-        chosen = seed_of(seed, "stokes", first)
-        image = np.asarray(mi.render(loaded, integrator=integrator, spp=count, seed=chosen))
-        # The film's own channel, then each component as three equal colours.
-        total += image[..., 1:].reshape(rows, cols, 4, 3).mean(axis=3, dtype=np.float64) * (count / samples)
-    return np.ascontiguousarray(np.moveaxis(total, 2, 0), np.float32)
+        seen = _stokes_paths(mi, loaded, integrator, count, seed, first)
+        total += seen.reshape(4, -1, count).sum(axis=2, dtype=np.float64)
+    return (total / samples).reshape(4, rows, cols).astype(np.float32)
+
+
+def _stokes_paths(mi: Any, loaded: Any, integrator: Any, count: int, seed: int, first: int) -> Floats:
+    """Stokes vectors (4, n) of random paths, in one launch: ``count`` paths of each pixel, pixel by pixel."""
+    import drjit as dr
+
+    def opaque(number: int) -> Any:
+        """Let no number be part of the program, which would be compiled anew for each."""
+        return dr.opaque(mi.UInt32, number)
+
+    sensor = loaded.sensors()[0]
+    cols, rows = sensor.film().size()
+    lane = dr.arange(mi.UInt32, rows * cols * count)
+    pixel = lane // opaque(count)
+    sampler: Any = pixel_sampler(mi, dr)()
+    sampler.start(opaque(seed), pixel, lane - pixel * opaque(count) + opaque(first))
+    row = pixel // opaque(cols)
+    corner = mi.Point2f(mi.Float(pixel - row * cols), mi.Float(row))
+    position = (corner + sampler.next_2d()) / mi.Point2f(cols, rows)
+    ray, _ = sensor.sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
+    light, _, _ = integrator.sample(loaded, sampler, ray, None, True)
+    level = dr.cross(ray.d, sensor.world_transform() @ mi.Vector3f(0, 1, 0))
+    turned = mi.mueller.rotate_stokes_basis(-ray.d, mi.mueller.stokes_basis(-ray.d), level) @ light
+    # Lamps are unpolarised, so the first column is the light; its one band comes as three equal colours.
+    seen = [turned[component, 0][0] for component in range(4)]
+    dr.eval(seen)
+    return np.stack([np.asarray(each.numpy(), np.float32) for each in seen])
