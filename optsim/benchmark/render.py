@@ -149,7 +149,7 @@ def _settings(target: float, seed: int) -> RenderSettings:
         "static_error": 0.3 * target,
         "change_error": 1.2 * target,
         "moving_error": 0.8 * target,
-        "interpolation_error": target,
+        "interpolation_error": 0.5 * target,
         "seed": seed,
     }
     return RenderSettings.model_validate(table)

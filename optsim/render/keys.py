@@ -59,6 +59,11 @@ class Span:
         """Tracks that have a key then."""
         return [track for track in self.tracks if pose * track.n_keys % self.n_poses == 0]
 
+    def between_keys(self, track: Track, pose: int) -> bool:
+        """Whether a track has a key then that it might do without."""
+        number, rest = divmod(pose * track.n_keys, self.n_poses)
+        return rest == 0 and number % 2 == 1
+
     def places(self, track: Track, pose: int) -> Doubles:
         """Where a mover's vertices are in the picture: row, column, depth."""
         time_s = self.times_s[pose]

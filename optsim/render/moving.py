@@ -6,20 +6,22 @@ Poses are chosen by the movers' measured path and integrated over each instant.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from optsim.quantities import Block, Doubles, Floats, Ints, Segment
+from optsim.quantities import Block, Bools, Doubles, Floats, Ints, Segment
 from optsim.render.allocation import Tiles
 from optsim.render.carried import between
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of
 from optsim.render.keys import KeyPose, Span, ends, render_keys
 from optsim.render.plan import Plan
+from optsim.render.spacing import Trial, assumed
 from optsim.render.stage import Looks, Stage
 from optsim.render.still import halves_tally
-from optsim.render.tracks import Track, tracks
+from optsim.render.tracks import Density, Track, tracks
 
 Half = Callable[[Floats], Floats]
 
@@ -29,12 +31,42 @@ _PILOT_SAMPLES = 4
 _LOOKS = 8
 
 
-def pilot(plan: Plan, moving: Stage, time_s: float) -> Tiles:
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What earlier segments showed of the movers.
+
+    Parameters
+    ----------
+    own : Tiles
+        Statistics of their own pixels.
+    density : dict
+        How dense poses and keys the interpolation bound asks for, by mover; only of those seen already.
+    """
+
+    own: Tiles
+    density: dict[str, Density]
+
+    @staticmethod
+    def of(arrays: dict[str, Any]) -> Known:
+        """Read them from a segment's arrays."""
+        tail = "_density"
+        found = {
+            key.removesuffix(tail): Density(*arrays[key].tolist()) for key in arrays if key.endswith(tail)
+        }
+        return Known(Tiles.of(arrays["tiles"]), found)
+
+    def arrays(self) -> dict[str, Any]:
+        """Write them as arrays."""
+        density = {f"{name}_density": np.array([d.poses, d.keys]) for name, d in self.density.items()}
+        return {"tiles": self.own.arrays()} | density
+
+
+def pilot(plan: Plan, moving: Stage, time_s: float) -> Known:
     """Estimate statistics of the movers' own pixels at an instant, from random numbers of their own."""
     pixels = np.flatnonzero(plan.own(time_s))
     moving.pose(time_s)
     light = moving.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot", "movers"))
-    return halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
+    return Known(halves_tally(plan, pixels, light, float(_PILOT_SAMPLES)), {})
 
 
 def render_segment(
@@ -42,7 +74,7 @@ def render_segment(
     difference: Difference,
     static: Floats,
     first_slot: int,
-    own: Tiles,
+    before: Known,
     change: Sequence[Tiles],
 ) -> dict[str, Any]:
     """Render all samples that a mover touches during a segment, in each of its instants, both halves.
@@ -57,8 +89,8 @@ def render_segment(
         What to render, and the light without movers (2, y, x).
     first_slot : int
         Where the segment begins.
-    own : Tiles
-        Statistics of the movers' own pixels at earlier poses.
+    before : Known
+        What earlier segments showed.
     change : sequence of Tiles
         For each set of random numbers: statistics, from other sets, of what movers change elsewhere.
 
@@ -66,32 +98,40 @@ def render_segment(
     -------
     dict of arrays
         ``<name>_light`` (half, t, sample), ``<name>_mask`` (y, x), ``<name>_corner`` (row, col), and
-        ``tiles`` for the next segment.
+        what :meth:`Known.of` reads for the next segment.
     """
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
-    found = tracks(plan, first_slot, first_slot + plan.segment_slots)
+    bound = plan.settings.interpolation_error
+
+    def density(name: str) -> Density:
+        return before.density.get(name, assumed(bound))
+
+    found = tracks(plan, first_slot, first_slot + plan.segment_slots, density)
     if not found:
-        return {"tiles": own.arrays()}
+        return before.arrays()
     span = Span(plan, difference, static, first_slot, found)
-    keys, own = render_keys(span, own, change)
-    light = {track.name: np.zeros((2, n_instants, len(track.pixels))) for track in found}
-    shares = {track.name: hat_means(track.n_steps, n_instants) for track in found}
+    keys, own = render_keys(span, before.own, change)
+    trials = {track.name: Trial(track, n_instants, plan.floor_w_m2_sr) for track in found}
     for pose in range(span.n_poses + 1):
         due = [track for track in span.due(pose) if len(track.pixels)]
         if not due:
             continue
-        seen, own = _look(span, keys, pose, due, own)
-        for track, part in zip(due, np.split(seen, ends(due), axis=1), strict=True):
-            weights = shares[track.name][:, pose * track.n_steps // span.n_poses]
-            for instant in np.flatnonzero(weights):
-                light[track.name][:, instant] += weights[instant] * part
-    arrays: dict[str, Any] = {"tiles": own.arrays()}
+        covered = plan.own(span.times_s[pose]).ravel()[np.concatenate([track.pixels for track in due])]
+        seen, coarse, own = _look(span, keys, pose, due, covered, own)
+        cut = ends(due)
+        parts = np.split(seen, cut, axis=1), np.split(coarse, cut, axis=1), np.split(covered, cut)
+        for track, light, without, hidden in zip(due, *parts, strict=True):
+            trials[track.name].add(pose * track.n_steps // span.n_poses, light, hidden)
+            if span.between_keys(track, pose):
+                trials[track.name].compare(light, without, hidden)
+    measured = {name: trial.density(bound, density(name)) for name, trial in trials.items()}
+    arrays = Known(own, before.density | measured).arrays()
     for track in found:
         if not track.mask.any():
             continue
         rows, cols = (np.flatnonzero(track.mask.any(axis=axis)) for axis in (1, 0))
         arrays |= {
-            f"{track.name}_light": light[track.name].astype(np.float32),
+            f"{track.name}_light": trials[track.name].light.astype(np.float32),
             f"{track.name}_mask": track.mask[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1],
             f"{track.name}_corner": np.array([rows[0], cols[0]]),
         }
@@ -99,15 +139,21 @@ def render_segment(
 
 
 def _look(
-    span: Span, keys: dict[int, KeyPose], pose: int, due: list[Track], own: Tiles
-) -> tuple[Doubles, Tiles]:
-    """Find both halves of some tracks at a pose, (2, samples of these tracks), and statistics."""
+    span: Span, keys: dict[int, KeyPose], pose: int, due: list[Track], covered: Bools, own: Tiles
+) -> tuple[Doubles, Doubles, Tiles]:
+    """Find both halves of some tracks at a pose, (2, samples of these tracks), and statistics.
+
+    Twice, the second time with every other key only, where some of these tracks have one here.
+    """
     pixels = np.concatenate([track.pixels for track in due])
-    seen = np.concatenate([_beside_at(span, keys, pose, track) for track in due], axis=1)
-    covered = span.plan.own(span.times_s[pose]).ravel()[pixels]
-    chosen = np.flatnonzero(covered | np.isnan(seen).any(axis=0))
+    tried = (1, 2) if any(span.between_keys(track, pose) for track in due) else (1,)
+    seen = [
+        np.concatenate([_beside_at(span, keys, pose, track, every) for track in due], axis=1)
+        for every in tried
+    ]
+    chosen = np.flatnonzero(covered | np.isnan(seen[0]).any(axis=0))
     if not len(chosen):
-        return seen, own
+        return seen[0], seen[-1], own
     moving = span.difference.moving
     moving.pose(span.times_s[pose])
     seeds = np.repeat(np.asarray(span.plan.seeds("look", span.first_slot), np.int64), len(chosen))
@@ -117,26 +163,31 @@ def _look(
     first = rays * np.tile(pose * steps // span.n_poses, 2)
     looks = moving.looks(np.tile(pixels[chosen], 2), rays, seeds, first, light=False)
     place, starts = np.repeat(np.arange(len(seeds)), rays), np.cumsum(rays) - rays
-    light = seen[:, chosen].ravel()[place]
-    shiny = np.zeros(len(place), np.bool_)
-    for track in span.tracks:
-        hit = np.flatnonzero(looks.shape == moving.shape_of(track.name))
-        if not span.matt(track):
-            shiny[hit] = True
-        elif len(hit):
-            half = place[hit] // len(chosen)
-            light[hit] = looks.albedo[hit] * _carried(span, keys, pose, track, looks, hit, half)
-    unknown = np.isnan(light)
-    light[unknown] = 0.0
-    missed = np.add.reduceat(unknown, starts, dtype=np.int64)
-    seen[:, chosen] = (np.add.reduceat(light, starts) / np.maximum(rays - missed, 1)).reshape(2, -1)
+    met = [(track, np.flatnonzero(looks.shape == moving.shape_of(track.name))) for track in span.tracks]
+    missed = np.zeros(len(seeds), np.int64)
+    for every, light in reversed(list(zip(tried, seen, strict=True))):
+        each = light[:, chosen].ravel()[place]
+        for track, hit in met:
+            if span.matt(track):
+                half = place[hit] // len(chosen)
+                carried = _carried(span, keys, pose, track, every, looks, hit, half)
+                each[hit] = looks.albedo[hit] * carried
+        unknown = np.isnan(each)
+        each[unknown] = 0.0
+        missed = np.add.reduceat(unknown, starts, dtype=np.int64)
+        light[:, chosen] = (np.add.reduceat(each, starts) / np.maximum(rays - missed, 1)).reshape(2, -1)
     # A few rays to what no key knows are left out. Where most are, or any that meet no matt surface, all is
     # rendered, from other random numbers.
+    shiny = np.zeros(len(place), np.bool_)
+    for track, hit in met:
+        shiny[hit] = not span.matt(track)
     anew = (np.logical_or.reduceat(shiny, starts) | (2 * missed > rays)).reshape(2, -1).any(axis=0)
     if anew.any():
         at = chosen[anew]
-        seen[:, at], own = _whole(span, pose, pixels[at], steps[anew], own)
-    return seen, own
+        whole, own = _whole(span, pose, pixels[at], steps[anew], own)
+        for light in seen:
+            light[:, at] = whole
+    return seen[0], seen[-1], own
 
 
 def _looks_a_pose(poses_a_slot: Doubles) -> Ints:
@@ -156,44 +207,37 @@ def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Tiles) -> tupl
 
 
 def _keys_round(
-    span: Span, keys: dict[int, KeyPose], pose: int, track: Track
+    span: Span, keys: dict[int, KeyPose], pose: int, track: Track, every: int
 ) -> tuple[KeyPose, KeyPose, float]:
-    """Key poses of a track round a pose, and how far it is from one to the other, 0..1."""
-    step = span.n_poses // track.n_keys
+    """Key poses of a track round a pose, of all or of every other one, and how far it is between, 0..1."""
+    step = span.n_poses // track.n_keys * every
     before = pose // step * step
     return keys[before], keys[min(before + step, span.n_poses)], (pose - before) / step
 
 
-def _beside_at(span: Span, keys: dict[int, KeyPose], pose: int, track: Track) -> Doubles:
-    before, after, share = _keys_round(span, keys, pose, track)
+def _beside_at(span: Span, keys: dict[int, KeyPose], pose: int, track: Track, every: int) -> Doubles:
+    before, after, share = _keys_round(span, keys, pose, track, every)
     return between(before.beside[track.name], after.beside[track.name], share).astype(np.float64)
 
 
 def _carried(
-    span: Span, keys: dict[int, KeyPose], pose: int, track: Track, looks: Looks, hits: Ints, half: Ints
+    span: Span,
+    keys: dict[int, KeyPose],
+    pose: int,
+    track: Track,
+    every: int,
+    looks: Looks,
+    hits: Ints,
+    half: Ints,
 ) -> Floats:
     """Irradiance over pi that a mover carries at a pose to where looks hit it; NaN where no key knows."""
-    *known, share = _keys_round(span, keys, pose, track)
+    *known, share = _keys_round(span, keys, pose, track, every)
     faces, then = faces_of(span.plan.scene.singles()[track.name]), span.places(track, pose)
     first, last = (
         key.light.irradiance(looks, hits, half, faces, key.places[track.name], then, span.plan.view)
         for key in known
     )
     return between(first, last, share)
-
-
-def hat_means(n_steps: int, n_instants: int) -> Doubles:
-    """Means over equal instants of the linear interpolation between equally spaced poses.
-
-    Returns
-    -------
-    ndarray of shape (n_instants, n_steps + 1), float64
-        Share of each pose in each instant; rows sum to 1.
-    """
-    place = np.arange(n_instants + 1)[:, None] / n_instants * n_steps - np.arange(n_steps + 1)[None]
-    place = np.clip(place, -1, 1)
-    integral = np.where(place < 0, (1 + place) ** 2 / 2, 1 - (1 - place) ** 2 / 2)
-    return np.diff(integral, axis=0) * n_instants / n_steps
 
 
 def assemble(start: Floats, stop: Floats, movers: dict[str, Any], half: Half, n_instants: int) -> Segment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -11,14 +12,21 @@ from optsim.quantities import Bools, Ints
 from optsim.render.footprint import path_px, vertices_at
 from optsim.render.plan import Plan
 
-# Relative error of linear interpolation per fine sample of way between two instants: between poses on the
-# movers' own pixels; of the irradiance that they carry between two keys; and of what they change elsewhere.
-# Measured on window_room, wheel and half_moving (``validation/interpolation_bound``).
-ERROR_PER_PX = 0.12
-CARRIED_ERROR_PER_PX = 0.03
+# Relative error of linear interpolation between key instants, of what movers change where they are not, per
+# fine sample of their way. Measured on window_room, wheel and half_moving
+# (``validation/interpolation_bound``).
 CHANGE_ERROR_PER_PX = 0.0015
-# Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses.
-_STEPS = sorted(2**a * 3**b for a in range(15) for b in range(3))
+# Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses,
+# and are even, so that leaving out every other pose shows what interpolation costs.
+_STEPS = sorted(2**a * 3**b for a in range(1, 15) for b in range(3))
+
+
+@dataclass(frozen=True)
+class Density:
+    """How many poses, and how many key poses, a mover has a fine sample of its way."""
+
+    poses: float
+    keys: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +37,8 @@ class Track:
     ----------
     name : str
         Of the mover.
+    way_px : float
+        How far it goes, fine samples.
     n_steps : int
         In how many equal steps it goes.
     n_keys : int
@@ -38,6 +48,7 @@ class Track:
     """
 
     name: str
+    way_px: float
     n_steps: int
     n_keys: int
     mask: Bools
@@ -75,11 +86,17 @@ def slots_per_segment(plan: Plan) -> int:
     return max(n for n in range(1, per_frame + 1) if per_frame % n == 0 and n <= max(1.0, min(allowed, 18)))
 
 
-def tracks(plan: Plan, first_slot: int, last_slot: int) -> list[Track]:
-    """Find the movers seen in a segment, the one with the most poses first."""
-    bound = plan.settings.interpolation_error
-    ways = {name: way_px(plan, name, first_slot, last_slot) for name in plan.scene.singles()}
-    needed = {name: min(way * ERROR_PER_PX / bound, _STEPS[-1]) for name, way in ways.items()}
+def tracks(plan: Plan, first_slot: int, last_slot: int, density: Callable[[str], Density]) -> list[Track]:
+    """Find the movers seen in a segment, the one with the most poses first.
+
+    Parameters
+    ----------
+    density : callable
+        How dense a mover's poses and keys must be.
+    """
+    names = list(plan.scene.singles())
+    ways = {name: way_px(plan, name, first_slot, last_slot) for name in names}
+    needed = {name: min(ways[name] * density(name).poses, _STEPS[-1]) for name in names}
     finest = next(n for n in _STEPS if n >= max(needed.values(), default=0.0))
     steps = {
         name: next(n for n in _STEPS if finest % n == 0 and n >= least) for name, least in needed.items()
@@ -88,10 +105,11 @@ def tracks(plan: Plan, first_slot: int, last_slot: int) -> list[Track]:
     found: list[Track] = []
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
         # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
-        mask = plan.own(*plan.times_s(first_slot, last_slot, n_steps), movers=[name])
+        n_looks = int(min(max(n_steps, np.ceil(ways[name])), _STEPS[-1]))
+        mask = plan.own(*plan.times_s(first_slot, last_slot, n_looks), movers=[name])
         if mask.any():
-            carried = min(ways[name] * CARRIED_ERROR_PER_PX / bound, n_steps)
+            carried = min(ways[name] * density(name).keys, n_steps)
             n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= carried)
-            found.append(Track(name, n_steps, n_keys, mask & ~taken))
+            found.append(Track(name, ways[name], n_steps, n_keys, mask & ~taken))
         taken |= mask
     return found

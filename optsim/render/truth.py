@@ -216,11 +216,11 @@ def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, i
 
     def make() -> dict[str, Any]:
         if index:
-            own = Tiles.of(plan.cache.read(key(first - plan.segment_slots))["tiles"])
+            before = moving.Known.of(plan.cache.read(key(first - plan.segment_slots)))
         else:
-            own = moving.pilot(plan, difference().moving, 0.0)
+            before = moving.pilot(plan, difference().moving, 0.0)
         change = [_others(plan, index + 1, turn) for turn in range(chosen.key_seeds)]
-        return moving.render_segment(plan, difference(), static, first, own, change)
+        return moving.render_segment(plan, difference(), static, first, before, change)
 
     plan.cache.get(key(first), make)
     plan.progress("movers", index + 1, total)
