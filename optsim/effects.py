@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from optsim.camera import CodedCamera
+from optsim.config import Part
 from optsim.errors import ConfigError, unknown_name
 
+_SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
+_TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
 STATES = ("ideal", "nominal", "pessimistic")
 Changes = Mapping[str, Mapping[str, Any]]
 
@@ -81,14 +84,14 @@ ALL: dict[str, Effect] = {
         {},
     ),
     "objective_blur": Effect(
-        "diffraction and aberrations of the objective",
-        {"objective": {"aberration_m": 0.0, "diffraction": False}},
-        {"objective": {"aberration_m": 10e-6}},
+        "diffraction and aberrations of the objective, over the field",
+        {"objective": {"aberration_m": 0.0, "diffraction": False, "wavefront": _SHARP}},
+        {"objective": {"aberration_m": 4e-6, "wavefront": _TWICE}},
     ),
     "relay_blur": Effect(
-        "diffraction and aberrations of the relay",
-        {"relay": {"aberration_m": 0.0, "diffraction": False}},
-        {"relay": {"aberration_m": 10e-6}},
+        "diffraction and aberrations of the relay, over the field",
+        {"relay": {"aberration_m": 0.0, "diffraction": False, "wavefront": _SHARP}},
+        {"relay": {"aberration_m": 4e-6, "wavefront": _TWICE}},
     ),
     "objective_glare": Effect(
         "veiling glare of the objective",
@@ -162,7 +165,16 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
 
 def with_effects(camera: CodedCamera, switches: Mapping[str, object]) -> CodedCamera:
     """Return a camera with effects switched; arguments as of :func:`switched`."""
-    parts = {
-        part: getattr(camera, part).model_copy(update=fields) for part, fields in switched(switches).items()
-    }
+    parts = {part: _updated(getattr(camera, part), fields) for part, fields in switched(switches).items()}
     return camera.model_copy(update=parts)
+
+
+def _updated(part: Part, fields: Mapping[str, Any]) -> Part:
+    """Return a part with other fields; a table changes the part that is there."""
+    values = {
+        name: _updated(getattr(part, name), cast("Mapping[str, Any]", value))
+        if isinstance(value, Mapping)
+        else value
+        for name, value in fields.items()
+    }
+    return part.model_copy(update=values)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from optsim.forward.field_blur import uniform
 from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import fine_image, integrate_exposure
 from optsim.forward.psf import extend, make_blur, psf_kernel
-from optsim.forward.wings import coarse_kernel, core_and_wings, far_light, line_ends, make_wings, moving_ends
+from optsim.forward.wings import coarse_kernel, far_light, line_ends, make_wings, moving_ends
 from optsim.optics import Objective, form_image
 from optsim.quantities import Block, IrradianceVideo, RadianceVideo, Segment
 
@@ -58,9 +59,9 @@ def test_an_exposure_mixes_weights_on_base_and_blocks_alike():
 
 def test_core_and_wings_add_up_and_the_coarse_kernel_keeps_the_light():
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
-    core, wings = core_and_wings(kernel, 10)
+    core = uniform(kernel).middle(10).kernel
     margin = kernel.shape[0] // 2 - 10
-    np.testing.assert_allclose(np.pad(core, margin) + wings, kernel)
+    wings = kernel - np.pad(core, margin)
     assert 0.002 < wings.sum() < 0.02
     for pitch in (1, 3, 4):
         coarse = coarse_kernel(wings, pitch)
@@ -68,7 +69,7 @@ def test_core_and_wings_add_up_and_the_coarse_kernel_keeps_the_light():
         assert coarse.sum() == pytest.approx(wings.sum(), rel=1e-9)
         np.testing.assert_allclose(coarse, coarse[::-1, ::-1], atol=1e-12)
     np.testing.assert_allclose(coarse_kernel(wings, 1), wings)
-    assert make_wings(core_and_wings(kernel, 200)[1], 3, (30, 30)) is None
+    assert make_wings(kernel, kernel.shape[0] // 2, 3, (30, 30)) is None
 
 
 def test_lines_in_time_are_least_squares():
@@ -81,13 +82,13 @@ def test_lines_in_time_are_least_squares():
 
 def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
-    _, wings = core_and_wings(kernel, 10)
+    wings = kernel - np.pad(uniform(kernel).middle(10).kernel, kernel.shape[0] // 2 - 10)
     shape = (60, 90)
     excess = np.ones((3, 20, 30), np.float32) * np.array([1, 2, 3], np.float32)[:, None, None]
     segment = Segment(*np.zeros((2, *shape), np.float32), (Block(40, 33, excess),), 3)
     ends = moving_ends(segment)
     np.testing.assert_allclose(ends[:, 45, 40], [0.5, 3.5], rtol=1e-6)
-    far = far_light(ends, make_wings(wings, 3, shape), 3)
+    far = far_light(ends, make_wings(kernel, 10, 3, shape), 3)
     reach = kernel.shape[0] // 2
     wide = np.stack([extend(end, reach) for end in ends])
     whole = make_blur(wings, wide.shape[1:]).apply(wide)[:, reach:-reach, reach:-reach]

@@ -2,8 +2,9 @@
 
 A picked pixel lies up to half a CCD pixel beside the centre of its panel pixel, and at ratios such as 2.88
 by another amount at every panel pixel; its share of the neighbours' light varies with that by several times.
-So there is a kernel for every panel pixel, a smooth function of the offset of its pick, fitted to
-isolated bright dots: by the laboratory's images in a calibration, by the true operator in the simulator.
+It varies over the field, too, as lenses blur more in the corners. So there is a kernel for every panel
+pixel, a smooth function of the offset of its pick and of its place, fitted to isolated bright dots: by the
+laboratory's images in a calibration, by the true operator in the simulator.
 """
 
 from __future__ import annotations
@@ -24,8 +25,22 @@ _SPACING = 13
 # Polynomial in the offset, which is at most half a CCD pixel or a sixth of a panel pixel; scaled to about 1.
 # On the prototype a fifth order leaves 0.1 slots of a neighbourhood of 1 : 36 exposures, a third order 0.15.
 _ORDER = 5
-_POWERS = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
 _SCALE = 6.0
+# In the place, from -1 to 1 over the panel, and in both together.
+_FIELD_ORDER, _JOINT_ORDER = 4, 2
+
+
+def _powers(order: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+
+
+_OFFSET = [(*offset, 0, 0) for offset in _powers(_ORDER)]
+_PLACE = [(0, 0, *place) for place in _powers(_FIELD_ORDER)[1:]]
+_BOTH = [(*offset, *place) for offset in _powers(_JOINT_ORDER)[1:] for place in _powers(_JOINT_ORDER)[1:]]
+_EVERY_POWER = _OFFSET + _PLACE + _BOTH
+# What a fit may hold, largest first, and how many dots a term it needs for that.
+_CHOICES = (_EVERY_POWER, _OFFSET + _PLACE, _OFFSET + _PLACE[:5], _OFFSET)
+_DOTS_A_TERM = 2
 # Dots a term of the fit, where the panel has room for so many.
 _ENOUGH = 20
 # Ridge, relative to the weight of the data: offsets that never occur (an integer ratio) stay out of the fit.
@@ -74,9 +89,10 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
     ValueError
         When a neighbour has no usable dot.
     """
-    terms = _terms(offset_px)
+    n_dots = sum(lattice.rows.size * lattice.cols.size for lattice in dots)
+    powers = next((c for c in _CHOICES if n_dots >= _DOTS_A_TERM * len(c)), _OFFSET)
+    terms, n = _terms(offset_px, powers), len(powers)
     rows, cols = good.shape
-    n = len(_POWERS)
     coefficients = np.empty((n, 2 * reach + 1, 2 * reach + 1))
     for dv in range(-reach, reach + 1):
         for du in range(-reach, reach + 1):
@@ -131,14 +147,19 @@ def true_dots(
             lit[np.ix_(v, u)] = 1
             found.append(Dots(v, u, at_picks(lit) / flat))
             n_dots += v.size * u.size
-        if n_dots >= _ENOUGH * len(_POWERS):
+        if n_dots >= _ENOUGH * len(_EVERY_POWER):
             break
     return found
 
 
-def _terms(offset_px: Doubles) -> Doubles:
-    scaled = offset_px * _SCALE
-    return np.stack([scaled[..., 0] ** i * scaled[..., 1] ** j for i, j in _POWERS], axis=-1)
+def _terms(offset_px: Doubles, powers: Sequence[tuple[int, ...]]) -> Doubles:
+    rows, cols = offset_px.shape[:2]
+    y, x = np.linspace(-1, 1, rows), np.linspace(-1, 1, cols)
+    terms = np.empty((rows, cols, len(powers)))
+    for k, (i, j, m, n) in enumerate(powers):
+        terms[..., k] = (offset_px[..., 0] * _SCALE) ** i * (offset_px[..., 1] * _SCALE) ** j
+        terms[..., k] *= y[:, None] ** m * x**n
+    return terms
 
 
 def _places(n: int, reach: int, shift: int) -> Ints:

@@ -10,14 +10,14 @@ the energy, is folded back into it, and the kernel sums to 1.
 Integrating over a cell of side h adds h^2/12 to the variance. It is taken out of the Gaussian, so second
 moments are exact wherever sigma >= h/sqrt(12); below that the blur is too large by the difference.
 
-Not modelled: variation over the field, coma and astigmatism, colour.
+Not modelled here: variation over the field, coma and astigmatism (see forward/aberrations.py), colour.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,27 @@ def _gaussian_kernel(sigma: float) -> Doubles:
     return np.outer(line, line) / line.sum() ** 2
 
 
+class Collects(Protocol):
+    """A linear blur whose adjoint is to be had."""
+
+    def adjoint(self, image: NDArray[np.floating]) -> Doubles:
+        """Collect the light of images (..., y, x) with the PSF of each point."""
+        ...
+
+
+class SomeBlur(Collects, Protocol):
+    """A linear blur on a grid of one size."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        ...
+
+    def apply(self, image: NDArray[np.floating]) -> Doubles:
+        """Spread the light of an image."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Blur:
     """Convolution with a symmetric kernel on a grid of one size, dark outside: its own adjoint.
@@ -146,6 +167,10 @@ class Blur:
         whole = fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True)
         return np.asarray(whole[..., :rows, :cols])
 
+    def adjoint(self, image: NDArray[np.floating]) -> Doubles:
+        """Transpose of :meth:`apply`: the same, since the kernel is symmetric."""
+        return self.apply(image)
+
 
 def make_blur(kernel: Doubles, shape: tuple[int, int], dtype: type = np.float64) -> Blur:
     """Prepare a kernel (odd sides, symmetric) for images of one shape, in float64 or float32."""
@@ -167,7 +192,7 @@ def extend(image: NDArray[np.floating], reach: int) -> NDArray[np.floating]:
 def blur_block(
     block: Block,
     half: int,
-    blur: Callable[[tuple[int, int]], Blur],
+    blur: Callable[[tuple[int, int], tuple[int, int]], Collects],
     shape: tuple[int, int],
 ) -> Block:
     """Convolve a moving block; it grows by the kernel's half width, within the image.
@@ -179,7 +204,7 @@ def blur_block(
     half : int
         Half width of the kernel.
     blur : callable
-        Prepares the kernel for a shape.
+        Prepares the PSF for the shape of a window, and the row and column where it begins.
     shape : tuple of int
         Rows and columns of the whole image; where the block touches its border, the excess continues
         beyond it, as :func:`extend` continues the base.
@@ -190,7 +215,8 @@ def blur_block(
     inner = [(half - a, half - b) for a, b in border]
     wide = np.pad(block.excess, ((0, 0), *border), mode="edge")
     wide = np.pad(wide, ((0, 0), *inner))
-    blurred = blur((height + 2 * half, width + 2 * half)).apply(wide)
+    window = (height + 2 * half, width + 2 * half)
+    blurred = blur(window, (block.row - half, block.col - half)).adjoint(wide)
     row, col = max(block.row - half, 0), max(block.col - half, 0)
     top, left = row - (block.row - half), col - (block.col - half)
     bottom = min(ends[0] + half, shape[0]) - (block.row - half)

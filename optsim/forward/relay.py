@@ -4,16 +4,17 @@
 
     ccd = V A ((1 - h) B + h G) energy,    V image = (1 - g) image + g mean over the CCD of image
 
-B is the relay's PSF on the fine panel grid, A the overlap of each cell's image with the CCD pixels, G the
-light that comes back from a face and lands mirrored and far out of focus, and g the share that veiling
-glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that panel pixels hold it.
+B is the relay's PSF on the fine panel grid, which may vary over the field, A the overlap of each cell's image
+with the CCD pixels, G the light that comes back from a face and lands mirrored and far out of focus, and g
+the share that veiling glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that
+panel pixels hold it.
 
 A cell's image is taken as an upright rectangle around its warped centre, as large as the map makes it there.
 Under a rotation phi its corners are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad,
 with no energy gained or lost. Images are stored upright: the inversion by the relay and the mirror flip by
 the splitter are undone by the order of readout, so panel row and CCD row increase together.
 
-Not modelled: lateral colour, shading of the relay, a blur that varies over the field.
+Not modelled: lateral colour, shading of the relay.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from scipy import sparse
 
 from optsim.forward.ghost import mirrored
 from optsim.forward.integrate import cell_means
-from optsim.forward.psf import Blur
+from optsim.forward.psf import SomeBlur
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 _OUTLINE = 101  # points along a side of the panel
@@ -240,7 +241,7 @@ class RelayOperator:
 
     Parameters
     ----------
-    blur : Blur
+    blur : Blur or FieldBlur
         PSF on the fine panel grid.
     overlap : sparse.csc_array
         From :func:`overlap_operator`.
@@ -252,7 +253,7 @@ class RelayOperator:
         Mirrored light.
     """
 
-    blur: Blur
+    blur: SomeBlur
     overlap: sparse.csc_array
     glare_share: float
     ccd_shape: tuple[int, int]
@@ -260,7 +261,7 @@ class RelayOperator:
 
     def apply(self, energy: NDArray[np.floating]) -> Doubles:
         """Radiant exposure on the CCD, (y, x) of its pixels, from that on the panel, (y, x) fine; J m^-2."""
-        return self._veil(self.project(self._spread(energy)))
+        return self._veil(self.project(self._with_ghost(self.blur.apply(energy), energy)))
 
     def project(self, energy: Doubles) -> Doubles:
         """Area overlap alone: no blur, no veil."""
@@ -269,12 +270,11 @@ class RelayOperator:
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
         """Transpose of :meth:`apply`: from the CCD's grid to the fine panel grid."""
-        back = self.overlap.T @ self._veil(image.astype(np.float64)).ravel()
-        return self._spread(back.reshape(self.blur.shape))
+        back = (self.overlap.T @ self._veil(image.astype(np.float64)).ravel()).reshape(self.blur.shape)
+        return self._with_ghost(self.blur.adjoint(back), back)
 
-    def _spread(self, energy: NDArray[np.floating]) -> Doubles:
-        """Blur and ghost: symmetric, each by itself."""
-        direct = self.blur.apply(energy)
+    def _with_ghost(self, direct: Doubles, energy: NDArray[np.floating]) -> Doubles:
+        """Take the ghost's share from the direct light and add the ghost, which is its own adjoint."""
         if self.ghost is None or self.ghost.share == 0:
             return direct
         return (1 - self.ghost.share) * direct + self.ghost.share * self.ghost.apply(energy)

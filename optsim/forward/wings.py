@@ -17,17 +17,6 @@ from optsim.forward.psf import Blur, extend, make_blur
 from optsim.quantities import Doubles, Segment
 
 
-def core_and_wings(kernel: Doubles, half: int) -> tuple[Doubles, Doubles]:
-    """Split a kernel (odd sides) into its middle, (2 half + 1)^2, and the rest; they add up to it."""
-    margin = kernel.shape[0] // 2 - half
-    if margin <= 0:
-        return kernel, np.zeros_like(kernel)
-    core = kernel[margin:-margin, margin:-margin].copy()
-    wings = kernel.copy()
-    wings[margin:-margin, margin:-margin] = 0
-    return core, wings
-
-
 def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
     """Kernel between cells of pitch x pitch samples: mean over both, (odd, odd), of the same sum."""
     triangle = (pitch - np.abs(np.arange(1 - pitch, pitch))) / pitch
@@ -61,8 +50,22 @@ def moving_ends(segment: Segment) -> Doubles:
     return ends
 
 
-def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> Blur | None:
-    """Prepare the wings of a PSF for moving light on a fine grid of one shape; None if there are none."""
+def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, int]) -> Blur | None:
+    """Prepare a PSF's wings for moving light on a fine grid of one shape; None if there are none.
+
+    Parameters
+    ----------
+    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
+        The whole PSF, of which the wings are all but the middle, (2 core_half + 1)^2.
+    core_half : int
+        At most h.
+    pitch : int
+        Fine samples to a panel pixel.
+    shape : tuple of int
+        Rows and columns of the fine grid.
+    """
+    wings, half = kernel.copy(), len(kernel) // 2
+    wings[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
     if not wings.any():
         return None
     coarse = coarse_kernel(wings, pitch)

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
 
 from optsim.forward.bands import in_bands
+from optsim.forward.field_blur import make_field_blur, reversed_psf
 from optsim.forward.integrate import cell_means
-from optsim.forward.psf import Blur, blur_block, extend, make_blur
-from optsim.forward.wings import core_and_wings, far_light, make_wings, moving_ends
+from optsim.forward.mode_blur import ModeBlur, make_mode_blur
+from optsim.forward.psf import Blur, SomeBlur, blur_block, extend
+from optsim.forward.wings import far_light, make_wings, moving_ends
 from optsim.optics.objective import Objective
 from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
@@ -43,12 +45,16 @@ def form_image(
     shape = (radiance.rows, radiance.cols)
     pitch = radiance.samples_per_pitch
     cell_m = pitch_m / pitch
-    kernel = objective.kernel(cell_m)
-    core, rest = core_and_wings(kernel, objective.core_half_width(cell_m))
-    wings = make_wings(rest, pitch, shape)
-    core_blur = lru_cache(maxsize=32)(partial(make_blur, core, dtype=np.float32))
-    reach = kernel.shape[0] // 2
-    blur = make_blur(kernel, (shape[0] + 2 * reach, shape[1] + 2 * reach))
+    # Along a ray radiance stays, so a point of the image collects from around with weights that sum to one.
+    psf = reversed_psf(objective.psf(objective.working_f_number, cell_m, shape))
+    core = psf.middle(objective.core_half_width(cell_m))
+    wings = make_wings(psf.kernel, core.half, pitch, shape)
+    reach = psf.half
+    blur = make_field_blur(psf, (shape[0] + 2 * reach, shape[1] + 2 * reach), shape, (-reach, -reach))
+
+    def core_blur(window: tuple[int, int], first: tuple[int, int]) -> ModeBlur | Blur:
+        return make_mode_blur(core, window, shape, first, objective.field_error)
+
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
     seen_keys: list[tuple[Floats, Doubles]] = []
@@ -85,7 +91,7 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blurred = (blur_block(block, core.shape[0] // 2, core_blur, shape) for block in segment.blocks)
+        blurred = (blur_block(block, core.half, core_blur, shape) for block in segment.blocks)
         blocks = tuple(_shaded(block, near) for block in blurred)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
@@ -102,9 +108,9 @@ def form_image(
     )
 
 
-def _sharp_to_blurred(image: Floats, blur: Blur, reach: int) -> Doubles:
+def _sharp_to_blurred(image: Floats, blur: SomeBlur, reach: int) -> Doubles:
     rows, cols = image.shape
-    return blur.apply(extend(image, reach))[reach : reach + rows, reach : reach + cols]
+    return blur.adjoint(extend(image, reach))[reach : reach + rows, reach : reach + cols]
 
 
 def _shaded(block: Block, factor: Floats) -> Block:

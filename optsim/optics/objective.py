@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from pydantic import Field
 
-from optsim.config import Part
-from optsim.forward.psf import kernel_half_width, psf_kernel
+from optsim.forward.psf import kernel_half_width
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, cos4, irradiance_factor
+from optsim.optics.lens import LensGroup
 from optsim.quantities import Doubles
 
 # Beyond this share of the PSF's energy, moving blocks get its wings coarser (see forward/wings.py).
 CORE_SHARE = 5e-3
 
 
-class Objective(Part):
+class Objective(LensGroup):
     """A lens without distortion whose image is laid on the modulator at a magnification.
 
     Parameters
@@ -32,15 +30,11 @@ class Objective(Part):
     nd_transmission : float
         Of a neutral density in front: the knob of the light rule.
     aberration_m : float
-        Standard deviation of the aberrations' Gaussian on the modulator; 3 um has no source.
-    diffraction : bool
-        Whether its aperture blurs; its aberrations do anyway.
+        Standard deviation of the other aberrations' Gaussian on the modulator; 3 um has no source.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.25 % has no source.
     natural_vignetting : bool
         Whether irradiance falls with cos^4 of the field angle.
-    wing_share : float
-        Share of the PSF's energy that may be folded back from outside its window.
     """
 
     focal_length_m: float = Field(default=12.5e-3, gt=0)
@@ -49,10 +43,8 @@ class Objective(Part):
     transmission: float = Field(default=0.9, gt=0, le=1)
     nd_transmission: float = Field(default=1.0, gt=0, le=1)
     aberration_m: float = Field(default=3e-6, ge=0)
-    diffraction: bool = True
     glare_share: float = Field(default=0.0025, ge=0, lt=1)
     natural_vignetting: bool = True
-    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
 
     @property
     def working_f_number(self) -> float:
@@ -74,15 +66,6 @@ class Objective(Part):
             return np.ones((rows, cols))
         return cos4(rows, cols, cell_m * self.tan_per_metre())
 
-    def kernel(self, cell_m: float) -> Doubles:
-        """PSF on a grid of square cells."""
-        return _kernel(self.working_f_number, self.aberration_m, cell_m, self.wing_share, self.diffraction)
-
     def core_half_width(self, cell_m: float) -> int:
         """Cells from the centre to the edge of the part of the PSF that moving light gets in each instant."""
         return kernel_half_width(MONO_WAVELENGTH_M, self.working_f_number, cell_m, CORE_SHARE)
-
-
-@lru_cache(maxsize=8)
-def _kernel(f_number: float, sigma_m: float, cell_m: float, wing_share: float, diffraction: bool) -> Doubles:
-    return psf_kernel(f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share, diffraction=diffraction)

@@ -8,13 +8,13 @@ from functools import lru_cache
 from pydantic import Field
 from scipy import sparse
 
-from optsim.config import Part
-from optsim.forward.psf import Blur, make_blur, psf_kernel
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
+from optsim.forward.field_blur import FieldBlur, FieldPsf, make_field_blur
+from optsim.forward.psf import Blur
 from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
+from optsim.optics.lens import LensGroup
 
 
-class Relay(Part):
+class Relay(LensGroup):
     """Lenses that image the panel onto the CCD.
 
     Parameters
@@ -25,14 +25,9 @@ class Relay(Part):
         Of the fastest cone that it lets onto the CCD.
     transmission : float
         Of all passes through its lenses.
-    aberration_m : float
-        Standard deviation of the aberrations' Gaussian on the CCD.
-    diffraction : bool
-        Whether its stop blurs; its aberrations do anyway.
-    glare_share : float
-        Share of the light that veiling glare (ISO 9358) spreads evenly over the CCD.
     defocus_m : float
-        Distance of the CCD from the sharp image; it blurs by a disc, as in geometrical optics.
+        Distance of the CCD from the sharp image; it blurs by a disc, as in geometrical optics,
+        beside its share in the wavefront.
     ghost_share : float
         Share of the light that comes back from a face, mirrored through the axis and out of focus.
     ghost_blur_px : float
@@ -46,16 +41,11 @@ class Relay(Part):
     distortion : float
         Relative change of the distance from the centre at the corners of the used panel; positive is a
         pincushion.
-    wing_share : float
-        Share of the PSF's energy that may be folded back from outside its window.
     """
 
     magnification: float = Field(gt=0)
     f_number: float = Field(gt=0.5)
     transmission: float = Field(gt=0, le=1)
-    aberration_m: float = Field(ge=0)
-    diffraction: bool = True
-    glare_share: float = Field(ge=0, lt=1)
     defocus_m: float = 0.0
     ghost_share: float = Field(default=0.0, ge=0, lt=1)
     ghost_blur_px: float = Field(default=20.0, gt=0, le=200)
@@ -65,7 +55,6 @@ class Relay(Part):
     keystone_y: float = Field(default=0.0, ge=-0.2, le=0.2)
     keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
     distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
-    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
 
     def image_f_number(self, panel_f_number: float) -> float:
         """f-number of the cone on the CCD: the panel's, demagnified, or the relay's own if that is slower."""
@@ -99,14 +88,13 @@ class Relay(Part):
             Fine cells to a panel pixel.
         """
         f_number = self.image_f_number(panel_f_number)
-        cell_on_ccd_m = cell_m * self.magnification
         shape = (geometry.rows, geometry.cols)
-        psf = (f_number, self.aberration_m, cell_on_ccd_m, MONO_WAVELENGTH_M, self.wing_share)
+        psf = self.psf(f_number, cell_m * self.magnification, shape, self.defocus_m)
         ghost = None
         if self.ghost_share:
             ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)
         return RelayOperator(
-            _blur(psf, abs(self.defocus_m) / f_number, self.diffraction, shape),
+            _blur(psf, shape),
             _overlap(geometry, transmission),
             self.glare_share,
             (geometry.ccd_rows, geometry.ccd_cols),
@@ -120,8 +108,6 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
     return overlap_operator(geometry, transmission)
 
 
-@lru_cache(maxsize=8)
-def _blur(
-    psf: tuple[float, float, float, float, float], disc_m: float, diffraction: bool, shape: tuple[int, int]
-) -> Blur:
-    return make_blur(psf_kernel(*psf, disc_m=disc_m, diffraction=diffraction), shape)
+@lru_cache(maxsize=4)
+def _blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
+    return make_field_blur(psf, shape, shape)

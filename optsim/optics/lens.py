@@ -1,0 +1,89 @@
+"""What objective and relay have in common: a blur with aberrations, and a veil."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from pydantic import Field
+
+from optsim.config import Part
+from optsim.forward.aberrations import Wavefront, field_psf
+from optsim.forward.field_blur import FieldPsf
+from optsim.forward.psf import psf_kernel
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
+
+
+class LensGroup(Part):
+    """A group of lenses that makes an image.
+
+    Parameters
+    ----------
+    aberration_m : float
+        Standard deviation in its image of a Gaussian that stands for whatever the wavefront leaves out.
+    diffraction : bool
+        Whether its aperture blurs, and with it its wavefront; the Gaussian does anyway.
+    wavefront : Wavefront
+        Its third-order aberrations.
+    glare_share : float
+        Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
+    wing_share : float
+        Share of the PSF's energy that may be folded back from outside its window.
+    field_error : float
+        Share of a point's light that may be misplaced since the PSF is interpolated over the field; 1 makes
+        it the same everywhere.
+    """
+
+    aberration_m: float = Field(ge=0)
+    diffraction: bool = True
+    wavefront: Wavefront = Wavefront()
+    glare_share: float = Field(ge=0, lt=1)
+    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
+    field_error: float = Field(default=0.02, ge=1e-3, le=1)
+
+    def psf(self, f_number: float, cell_m: float, sides: tuple[int, int], defocus_m: float = 0.0) -> FieldPsf:
+        """PSF in its image on a grid of square cells.
+
+        Parameters
+        ----------
+        f_number : float
+            Of the cone that lands there.
+        cell_m : float
+            Side of a cell, m.
+        sides : tuple of int
+            Rows and columns of the used field.
+        defocus_m : float
+            Distance from the sharp image, m.
+        """
+        numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
+        # A frozen model has a hash, which its types don't tell.
+        return _psf(self.wavefront, self.diffraction, sides, *numbers)  # pyright: ignore[reportArgumentType]
+
+
+# Kept by the numbers that matter: cameras are copied with other densities all the time.
+@lru_cache(maxsize=16)
+def _psf(
+    wavefront: Wavefront,
+    diffraction: bool,
+    sides: tuple[int, int],
+    sigma_m: float,
+    wing_share: float,
+    field_error: float,
+    f_number: float,
+    cell_m: float,
+    defocus_m: float,
+) -> FieldPsf:
+    disc_m = abs(defocus_m) / f_number
+    kernel = psf_kernel(
+        f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share, disc_m=disc_m, diffraction=diffraction
+    )
+    return field_psf(
+        wavefront if diffraction else Wavefront(),
+        kernel,
+        f_number=f_number,
+        sigma_m=sigma_m,
+        cell_m=cell_m,
+        wavelength_m=MONO_WAVELENGTH_M,
+        sides=sides,
+        field_error=field_error,
+        defocus_m=defocus_m,
+    )
