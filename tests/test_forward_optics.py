@@ -30,14 +30,14 @@ def test_the_encircled_energy_of_a_fine_kernel_is_that_of_an_airy_pattern():
     from scipy.special import j0, j1
 
     f_number, cell_m = 6.0, 0.25e-6
-    kernel = psf_kernel(f_number, 0.0, cell_m, WAVELENGTH_M, 0.02)
+    kernel = psf_kernel(f_number, 0.0, cell_m, WAVELENGTH_M, 1e-3)
     half = kernel.shape[0] // 2
     radius_m = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1]) * cell_m
-    for r_m in (2e-6, 4.026e-6, 10e-6):  # the second is the first dark ring, 1.22 lambda N
+    for r_m in (2e-6, 4.026e-6, 10e-6, 40e-6, 150e-6):  # the second is the first dark ring, 1.22 lambda N
         v = np.pi * r_m / (WAVELENGTH_M * f_number)
-        closed = 1 - j0(v) ** 2 - j1(v) ** 2
-        # Cells on the circle count whole, and 2 % of wings are folded back: hence 1.5 %.
-        assert kernel[radius_m <= r_m].sum() == pytest.approx(closed, abs=0.015)
+        outside = j0(v) ** 2 + j1(v) ** 2
+        # Cells on the circle count whole, and 0.1 % of wings are put back.
+        assert 1 - kernel[radius_m <= r_m].sum() == pytest.approx(outside - 1e-3, rel=0.05, abs=1e-4)
     assert kernel.min() >= 0
     assert kernel.sum() == pytest.approx(1, abs=1e-12)
 
@@ -46,9 +46,9 @@ def test_slow_patterns_are_damped_as_if_there_were_no_cells():
     # Integration over cells adds h^2/12 of variance and the Gaussian gives it up: what is left differs from
     # diffraction x Gaussian in the fourth order of the frequency, and by the aliases of diffraction.
     f_number, sigma_m, cell_m = 6.0, 3e-6, 5e-6
-    kernel = psf_kernel(f_number, sigma_m, cell_m, WAVELENGTH_M, 2e-3)
+    kernel = psf_kernel(f_number, sigma_m, cell_m, WAVELENGTH_M, 5e-4)
     size = kernel.shape[0]
-    k = np.arange(1, size // 8)
+    k = np.arange(4, size // 8)  # slower ones feel the edge of the window
     seen = np.abs(np.fft.fft2(kernel)[0, k])
     frequency = k / (size * cell_m)
     rho = frequency * WAVELENGTH_M * f_number

@@ -3,7 +3,9 @@
 Between the nodes of an even grid over the field the PSF is interpolated bilinearly, so it is nowhere negative
 and every point keeps its energy. Only its middle varies. An image is weighted with the hat function of each
 node, blurred by that node's core, and added up; a hat is as large as four cells of the grid, so finer grids
-take hardly longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998).
+take hardly longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998). Where the hats' slopes
+meet, a flat that is spread comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the
+demo's; one that is collected stays flat.
 """
 
 from __future__ import annotations

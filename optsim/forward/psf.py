@@ -4,8 +4,10 @@
 A kernel is diffraction at a circular aperture convolved with a Gaussian for the aberrations and integrated
 over a cell: every cell sends its light from its centre. The transfer function is the product of the three
 closed forms (J. W. Goodman, *Introduction to Fourier Optics*, 3rd ed., Roberts 2005, section 6.3, for the
-diffraction-limited incoherent one), so no wing is cut off: what lies beyond the window, a stated share of
-the energy, is folded back into it, and the kernel sums to 1.
+diffraction-limited incoherent one). Far from the centre, where a sampled transfer function would fold its own
+replicas in, the mean over the rings of an Airy pattern is taken instead, lambda N / (pi^3 r^3) an area (from
+Born and Wolf, 8.5.2, encircled energy). What lies beyond the window, a stated share of the energy, stays with
+its point, and the kernel sums to 1.
 
 Integrating over a cell of side h adds h^2/12 to the variance. It is taken out of the Gaussian, so second
 moments are exact wherever sigma >= h/sqrt(12); below that the blur is too large by the difference.
@@ -29,6 +31,8 @@ from optsim.quantities import Block, Doubles
 
 fft: Any = _scipy_fft  # comes without types
 _GAUSSIAN_REACH = 5.0  # sigmas: 3e-7 of the energy lies beyond
+# Cells and rings from the centre after which the mean over an Airy pattern's rings is right to 2 %.
+_NEAR_CELLS, _NEAR_SPREADS = 24, 8
 
 
 def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
@@ -69,7 +73,7 @@ def psf_kernel(
     wavelength_m : float
         Wavelength, m.
     wing_share : float
-        Share of the energy that may be folded back from outside the window.
+        Share of the energy that may lie outside the window; it is put back into the middle.
     disc_m : float
         Diameter of the disc of confusion of geometrical optics, for a plane out of focus, m.
     diffraction : bool
@@ -84,8 +88,27 @@ def psf_kernel(
     if not diffraction:
         # A disc has a sixteenth of its squared diameter of variance along each axis.
         return _gaussian_kernel(np.sqrt(variance + (disc_m / cell_m) ** 2 / 16))
+    spread = wavelength_m * f_number / cell_m
     half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share) + int(np.ceil(disc_m / cell_m / 2))
-    cutoff = cell_m / (wavelength_m * f_number)  # cycles a cell, like all frequencies here
+    # Where the rings' mean takes over: far from disc and Gaussian, and many rings from the centre.
+    near = int(np.ceil(max(_NEAR_CELLS, _NEAR_SPREADS * spread, 2 * disc_m / cell_m + 8 * sigma_m / cell_m)))
+    # Twice as wide, so that what the transform folds in from outside stays small as far as it is used.
+    middle = _middle(2 * near, spread, variance, disc_m / cell_m)
+    place = np.arange(-half, half + 1)
+    square = place[:, None] ** 2 + place**2
+    kernel = spread / np.pi**3 / np.maximum(square, 1) ** 1.5
+    reach = min(half, 2 * near)
+    inner, own = slice(half - reach, half + reach + 1), slice(2 * near - reach, 2 * near + reach + 1)
+    close = square[inner, inner] <= near**2
+    kernel[inner, inner] = np.where(close, middle[own, own], kernel[inner, inner])
+    within = square <= near**2
+    kernel[within] *= (1 - kernel[~within].sum()) / kernel[within].sum()
+    return kernel
+
+
+def _middle(half: int, spread: float, variance: float, disc: float) -> Doubles:
+    """Kernel by its transfer function, lengths in cells; replicas of its far wings are folded in."""
+    cutoff = 1 / spread  # cycles a cell, like all frequencies here
     size = 2 * half + 1
     base = np.fft.fftfreq(size)
     reach = int(np.ceil(cutoff + 0.5))
@@ -96,10 +119,9 @@ def psf_kernel(
             fx = base + fold_x
             square = fx**2 + fy**2
             blur = np.exp(-2 * np.pi**2 * variance * square) * np.sinc(fx) * np.sinc(fy)
-            disc = _disc_transfer(np.sqrt(square) * disc_m / cell_m)
-            transfer += diffraction_mtf(np.sqrt(square), cutoff) * disc * blur
-    kernel: Doubles = np.maximum(np.fft.fftshift(np.fft.ifft2(transfer).real), 0)
-    return kernel / kernel.sum()
+            out_of_focus = _disc_transfer(np.sqrt(square) * disc)
+            transfer += diffraction_mtf(np.sqrt(square), cutoff) * out_of_focus * blur
+    return np.maximum(np.fft.fftshift(np.fft.ifft2(transfer).real), 0)
 
 
 def _disc_transfer(cycles: Doubles) -> Doubles:

@@ -27,7 +27,7 @@ class LensGroup(Part):
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
     wing_share : float
-        Share of the PSF's energy that may be folded back from outside its window.
+        Share of the PSF's energy that may lie outside its window; it stays with its point.
     field_error : float
         Share of a point's light that may be misplaced since the PSF is interpolated over the field; 1 makes
         it the same everywhere.

@@ -49,7 +49,9 @@ def _deviation(level: int, broken: float) -> float:
     even = {"nonuniformity_rms": 0.0, "stuck_share": 0.0, "field_drive": (1.0,) * 3, "polarity_drive": 0.0}
     modulator = camera.modulator.model_copy(update=even)
     relay = camera.relay.model_copy(update={"transmission": camera.relay.transmission * broken})
-    lens = camera.objective.model_copy(update={"natural_vignetting": False, "glare_share": 0.0})
+    # What an objective keeps along a ray is radiance; energy only as far as its PSF does not vary.
+    even = {"natural_vignetting": False, "glare_share": 0.0, "field_error": 1.0}
+    lens = camera.objective.model_copy(update=even)
     camera = camera.model_copy(
         update={"sensor": sensor, "modulator": modulator, "relay": relay, "objective": lens}
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from optsim.forward.aberrations import Wavefront
 from optsim.hardware import prototype
 from optsim.optics import form_image
 from optsim.scene.footage import still
@@ -22,11 +23,11 @@ SOURCE = (
 )
 # Cells of a third of a pixel send their light from their centres: at half a cycle a pixel the replica beyond
 # a cycle a cell passes the lens with 1.8 %. Taking a cell's variance out of the Gaussian is right to 0.05 %
-# there, and 0.1 % of wings is folded back.
+# there, and 0.1 % of wings is put back. A sharper lens lets more of the replica pass: 5.7 % with 2 um.
 TOLERANCE = 0.025
 FILES = ("optsim/forward/psf.py", "optsim/optics/*.py")
 
-_PITCH_M, _WAVELENGTH_M = 20e-6, 550e-9
+_PITCH_M, _WAVELENGTH_M, _SIGMA_M = 20e-6, 550e-9, 3e-6
 _CYCLES = (0.05, 0.1, 0.25, 0.4, 0.5)  # a panel pixel
 
 
@@ -46,10 +47,12 @@ def _contrast(line: np.ndarray, radians: np.ndarray) -> float:
 
 def _worst(sigma_scale: float) -> float:
     camera = prototype()
-    lens = camera.objective.model_copy(update={"glare_share": 0.0, "natural_vignetting": False})
-    blurred = lens.model_copy(update={"aberration_m": sigma_scale * lens.aberration_m})
-    relay = camera.relay.model_copy(update={"aberration_m": sigma_scale * camera.relay.aberration_m})
-    relay = relay.model_copy(update={"glare_share": 0.0, "ghost_share": 0.0})
+    # Without a wavefront error, which has no closed form: that is validated in field_psf.
+    plain = {"glare_share": 0.0, "wavefront": Wavefront(), "aberration_m": _SIGMA_M}
+    lens = camera.objective.model_copy(update={**plain, "natural_vignetting": False})
+    blurred = lens.model_copy(update={"aberration_m": sigma_scale * _SIGMA_M})
+    sharp = camera.relay.model_copy(update={**plain, "ghost_share": 0.0})
+    relay = sharp.model_copy(update={"aberration_m": sigma_scale * _SIGMA_M})
     built = camera.model_copy(update={"relay": relay, "panel_rows": 200, "panel_cols": 240})
     on_ccd = camera.relay.magnification
     relay_f_number = max(camera.relay.f_number, 6.0 * on_ccd)
@@ -60,11 +63,11 @@ def _worst(sigma_scale: float) -> float:
         picture = np.broadcast_to(1 + 0.9 * np.sin(radians), (600, 720)).astype(np.float32)
         scene = still(picture, n_slots=1, slot_s=1.0, samples_per_pitch=3)
         image = form_image(blurred, scene, _PITCH_M, 1).load(0).start.astype(float)
-        expected = 0.9 * _transfer(cycles / _PITCH_M, 6.0, lens.aberration_m)
+        expected = 0.9 * _transfer(cycles / _PITCH_M, 6.0, _SIGMA_M)
         deviations.append(_contrast(image[middle], radians[180:540]) / expected - 1)
         image = built.relay_operator().blur.apply(picture)
         frequency = cycles / (_PITCH_M * on_ccd)
-        expected = 0.9 * _transfer(frequency, relay_f_number, camera.relay.aberration_m)
+        expected = 0.9 * _transfer(frequency, relay_f_number, _SIGMA_M)
         deviations.append(_contrast(image[middle], radians[180:540]) / expected - 1)
     return float(max(deviations, key=abs))
 
