@@ -42,6 +42,26 @@ def test_a_full_pixel_clips_at_the_well_and_not_beyond():
     assert dn.std() == pytest.approx(9.39 / 0.96, rel=0.02)  # only read noise is left
 
 
+@pytest.mark.parametrize("bits", [8, 12, 14, 16])
+@pytest.mark.parametrize("wells", [1.1, 2.0, 1e3, 1e9])
+@pytest.mark.parametrize("make", [icx674, imx174])
+def test_a_saturated_pixel_reads_the_well_or_the_converters_end_exactly(make, wells, bits):
+    quiet = {"rows": 16, "cols": 5, "read_noise_e": 0.0, "dsnu_e": 0.0, "smear_share": 0.0, "bits": bits}
+    sensor = make().model_copy(update=quiet)
+    dn, _ = frame(sensor, wells * sensor.full_well_e)
+    well_dn = sensor.full_well_e * (1 - sensor.bend_at_full_well) / sensor.gain_e + sensor.black_dn
+    assert (dn == min(round(well_dn), 2**bits - 1)).all()
+
+
+def test_more_light_never_reads_less_even_when_smear_passes_the_well_many_times():
+    sensor = icx674().model_copy(update={"rows": 16, "cols": 5, "read_noise_e": 0.0, "dsnu_e": 0.0})
+    well_dn = sensor.full_well_e * (1 - sensor.bend_at_full_well) / sensor.gain_e + sensor.black_dn
+    seen = [frame(sensor, wells * sensor.full_well_e)[0].min() for wells in 10.0 ** np.arange(1, 10)]
+    assert seen == sorted(seen)
+    assert well_dn - 1 <= seen[0] <= sensor.max_dn
+    assert seen[-1] == sensor.max_dn
+
+
 def test_the_bend_is_what_the_data_sheet_instance_says():
     sensor = icx674()
     full = sensor.full_well_e

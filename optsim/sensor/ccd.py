@@ -61,7 +61,8 @@ class Ccd(Part):
     black_dn : float
         Black level.
     bend_at_full_well : float
-        Share of the signal that is missing at the full well; grows with the fifth power of the signal.
+        Share of the signal that is missing at the full well; grows with the fifth power of the signal up to
+        there and stays beyond, where smear may take it.
     readout_s : float
         Time to read a frame out.
     smear_share : float
@@ -103,9 +104,11 @@ class Ccd(Part):
         return _patterns(self.rows, self.cols, self.prnu, self.dsnu_e, serial_number)[1]
 
     def bent(self, electrons: Doubles) -> Doubles:
-        """Signal after the non-linearity, electrons: e (1 - bend (e / full well)^5)."""
+        """Signal after the non-linearity, electrons: e (1 - bend min(e / full well, 1)^5)."""
+        # Smear passes the full well. The fifth power, known up to the well only, turns back at 1.4 of it and
+        # reaches zero at twice: a column under a very bright lamp would read black.
+        x = np.minimum(electrons / self.full_well_e, 1)
         # Repeated products: a general power takes ten times as long on a whole frame.
-        x = electrons / self.full_well_e
         x2 = x * x
         return electrons * (1 - self.bend_at_full_well * x2 * x2 * x)
 
