@@ -35,6 +35,7 @@ EFFECTS: dict[str, str] = {
     "cos4": "radiance to irradiance, natural vignetting",
     "energy_balance": "energy through splitter, panel and relay",
     "photon_transfer": "sensor noise, gain and full well",
+    "emva1288": "sensor statistics by the reference implementation of EMVA 1288",
     "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
     "hdr_wedge": "HDR merge over four decades",
     "pu21": "PU21 encoding of the scores",
