@@ -222,7 +222,7 @@ class CodedCamera(Part):
         """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
         self._check(truth)
         n_sub = truth.instants_per_slot
-        weights, after = self._weights(code, panel, n_sub)
+        weights, after = self.panel_weights(code, panel, n_sub)
         weights[self.coded_slots * n_sub :] = 0
         weights *= self.panel_gain
         borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
@@ -299,8 +299,14 @@ class CodedCamera(Part):
                 f"{self.slot_s * 1e3:.4g} ms (camera.modulator.field_rate_hz)"
             )
 
-    def _weights(self, code: ExposureCode, panel: PanelState | None, n_sub: int) -> tuple[Floats, PanelState]:
-        """Weights of a code's instants, panel all on as 1, and the panel after it."""
+    def panel_weights(
+        self, code: ExposureCode, panel: PanelState | None, n_sub: int
+    ) -> tuple[Floats, PanelState]:
+        """Effective weights of a code's instants, (t, v, u), panel all on as 1, and the panel after it.
+
+        Pixels that stand still and slots that cannot be coded are not as the code commands; whether the
+        shutter is open, the weights don't say.
+        """
         expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
         if code.levels.shape != expected:
             raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")

@@ -5,15 +5,16 @@ Exit codes: 0 success, 1 a check failed, 2 bad input, 130 interrupted.
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from optsim import __version__
+from optsim.cli_groups import cache_app, config_app
+from optsim.cli_options import Backend, ExperimentName, Json, Names, Seed, Set, print_json
 from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
 
 app = typer.Typer(
@@ -25,21 +26,8 @@ app = typer.Typer(
 )
 # What typer returns for Ctrl-C: 128 + SIGINT, as shells count.
 _INTERRUPTED = 130
-config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
-cache_app = typer.Typer(no_args_is_help=True, help="Show or clear the cache of rendered truth.")
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
-
-ExperimentName = Annotated[str, typer.Argument(metavar="EXPERIMENT", help="A preset's name or a TOML file.")]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key; repeatable.")
-]
-Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
-Backend = Annotated[
-    str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
-]
-Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
-Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
 
 
 def _version(wanted: bool) -> None:
@@ -58,10 +46,6 @@ def _options(
     """Validate an adaptive pixel-wise coded-exposure camera before its hardware exists."""
     level = {0: logging.WARNING, 1: logging.INFO}.get(verbose, logging.DEBUG)
     logging.basicConfig(level=level, format="%(name)s: %(message)s", stream=sys.stderr)
-
-
-def _print(record: object) -> None:
-    typer.echo(json.dumps(record, indent=1, allow_nan=False))
 
 
 @app.command()
@@ -85,7 +69,7 @@ def run(
     needs = job.check(loaded, folder, backend)
     if dry_run:
         if as_json:
-            _print({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
+            print_json({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
         else:
             people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
         return
@@ -95,7 +79,7 @@ def run(
             loaded, folder, command=command, backend=backend, export_truth=export_truth, progress=progress
         )
     if as_json:
-        _print(results)
+        print_json(results)
     else:
         page.print(job.summary(results))
         page.print(f"Report: {folder / 'report.html'}")
@@ -161,6 +145,45 @@ def render(
 
 
 @app.command()
+def trace(
+    experiment: ExperimentName,
+    pixel: Annotated[str, typer.Option(metavar="Y,X", help="CCD pixel: row and column, from 0.")],
+    frame: Annotated[
+        int | None, typer.Option(help="Coded frame, from 0; default the first steady one, else the last.")
+    ] = None,
+    method: Annotated[str | None, typer.Option(metavar="NAME", help="Method; default the first.")] = None,
+    assignments: Set = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default reports/runs/trace-NAME-TIME.")] = None,
+    backend: Backend = None,
+    as_json: Json = False,
+) -> None:
+    """Follow the light of one CCD pixel in one exposure; write trace.json and trace.svg."""
+    from dataclasses import asdict
+
+    from optsim import job
+    from optsim.console import page, progress_bars
+    from optsim.experiment import load_experiment
+    from optsim.files import write_json, write_text
+    from optsim.report.trace_plot import trace_plot
+    from optsim.trace import choose_aim, show, trace_experiment
+
+    loaded = load_experiment(experiment, assignments or [])
+    aim = choose_aim(loaded, pixel, frame, method)
+    folder = out or job.new_folder(f"trace-{loaded.name}")
+    job.check(loaded, folder, backend)
+    with progress_bars() as progress:
+        found = trace_experiment(loaded, aim, backend=backend, progress=progress)
+    write_json(folder / "trace.json", asdict(found))
+    write_text(folder / "trace.svg", trace_plot(found))
+    if as_json:
+        print_json(asdict(found))
+    else:
+        for item in show(found):
+            page.print(item)
+        page.print(f"Picture: {folder / 'trace.svg'}")
+
+
+@app.command()
 def doctor(as_json: Json = False) -> None:
     """Say what was chosen on this machine and why, and the cure for each problem."""
     from dataclasses import asdict
@@ -170,7 +193,7 @@ def doctor(as_json: Json = False) -> None:
 
     findings = physician.diagnose()
     if as_json:
-        _print([asdict(f) for f in findings])
+        print_json([asdict(f) for f in findings])
     else:
         for f in findings:
             page.print(f"[{'green' if f.ok else 'red'}]{'ok ' if f.ok else 'BAD'}[/] {f.what}: {f.found}")
@@ -198,7 +221,7 @@ def check(
         found = fireflies.pilot(loaded, backend=backend, progress=progress)
     record = fireflies.record(loaded, found)
     if as_json:
-        _print(record)
+        print_json(record)
     else:
         page.print(fireflies.headline(loaded))
         for one in found:
@@ -219,7 +242,7 @@ def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json =
     experiment_path(experiment)
     record = explanation(experiment, assignments or [])
     if as_json:
-        _print(record)
+        print_json(record)
     else:
         for item in show(record):
             page.print(item)
@@ -268,7 +291,7 @@ def bench(
             write_text(out / "time_against_error.svg", time_against_error(found))
         people.print(f"Written to {out}.")
     if as_json:
-        _print(found)
+        print_json(found)
     else:
         keys = ("name", "value", "unit", "peer", "peer_value", "ratio")
         page.print(table("benchmarks", keys, [[r[k] for k in keys] for r in found]))
@@ -289,7 +312,7 @@ def validate(
     with progress_bars(quiet=as_json) as progress:
         found = evidence.measure_all(names or [], write=write, progress=progress)
     if as_json:
-        _print([asdict(e) for e in found])
+        print_json([asdict(e) for e in found])
     else:
         rows = [(e.effect, e.measured, e.tolerance, e.perturbed, e.passed, e.oracle) for e in found]
         page.print(table("", ("effect", "measured", "tolerance", "broken", "passed", "oracle"), rows))
@@ -311,7 +334,7 @@ def list_names(
         raise unknown_name("list", what, LISTS)
     rows = catalogue(what)
     if as_json:
-        _print([{"name": name, "about": about} for name, about in rows])
+        print_json([{"name": name, "about": about} for name, about in rows])
     else:
         width = max(len(name) for name, _ in rows)
         for name, about in rows:
@@ -332,44 +355,6 @@ def init(
         raise StorageError(f"{target} exists already; choose another name with --out, or move it away")
     write_text(target, experiment_path(preset).read_text(encoding="utf-8"))
     typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
-
-
-@config_app.command("show")
-def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
-    """Print an experiment with every default resolved, as JSON."""
-    from optsim.experiment import load_experiment
-
-    _print(load_experiment(experiment, assignments or []).model_dump(mode="json"))
-
-
-@config_app.command("schema")
-def config_schema() -> None:
-    """Print the JSON schema of an experiment."""
-    from optsim.experiment import Experiment
-
-    _print(Experiment.model_json_schema())
-
-
-@cache_app.command("show")
-def cache_show(as_json: Json = False) -> None:
-    """Print where the cache is and what it holds."""
-    from optsim.cache import Cache
-
-    record: dict[str, Any] = Cache().show()
-    if as_json:
-        _print(record)
-    else:
-        for key, value in record.items():
-            typer.echo(f"{key}: {value}")
-
-
-@cache_app.command("clear")
-def cache_clear() -> None:
-    """Remove everything from the cache."""
-    from optsim.cache import Cache
-
-    freed = Cache().clear()
-    typer.echo(f"Freed {freed / 1e6:.1f} MB.")
 
 
 def main() -> None:

@@ -40,6 +40,11 @@ Results = dict[str, Any]
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
 
 
+def new_folder(name: str) -> Path:
+    """Folder among the runs, named by what is in it and the time (UTC)."""
+    return Path("reports") / "runs" / f"{name}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')}"
+
+
 def run_folder(experiment: Experiment, out: Path | None) -> Path:
     """Folder of a run: the one asked for, or a new one named by the experiment and the time (UTC).
 
@@ -49,8 +54,7 @@ def run_folder(experiment: Experiment, out: Path | None) -> Path:
         When the folder holds a run of another experiment, or something that is no run.
     """
     if out is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        return Path("reports") / "runs" / f"{experiment.name}-{stamp}"
+        return new_folder(experiment.name)
     if out.is_file():
         raise StorageError(f"--out {out} is a file; expected a folder")
     if out.is_dir() and any(out.iterdir()):

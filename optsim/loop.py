@@ -111,6 +111,44 @@ def calibrate(experiment: Experiment) -> Calibration:
     return calibrate_from(measure_bench(camera, stream(experiment.seed, "laboratory")))
 
 
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One coded frame as it was taken.
+
+    Parameters
+    ----------
+    frame : CodedFrame
+        What the CCD said, with its code.
+    before : PanelState or None
+        The panel when the frame began; None when the experiment did.
+    """
+
+    frame: CodedFrame
+    before: PanelState | None
+
+
+def shots(
+    experiment: Experiment,
+    method: Method,
+    camera: CodedCamera,
+    truth: IrradianceVideo,
+    calibration: Calibration,
+) -> Iterator[Shot]:
+    """Take the coded frames of one method, each when it is asked for; arguments as of :func:`capture`."""
+    # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
+    state: Any = method.scheme.init(calibration, stream(experiment.seed, "code"))
+    frames: list[CodedFrame] = []
+    panel: PanelState | None = None
+    for index in range(experiment.n_frames):
+        before = panel
+        arrived = frames[: max(0, index - camera.latency_frames + 1)]
+        code, state = method.scheme.next(index, arrived, state)
+        photons = stream(experiment.seed, "shot", method.name, index)
+        frame, panel = camera.expose(truth, index, code, before, photons)
+        frames.append(frame)
+        yield Shot(frame, before)
+
+
 def capture(
     experiment: Experiment,
     camera: CodedCamera,
@@ -136,21 +174,11 @@ def capture(
     dict
         Method name -> its coded frames.
     """
-    frames: dict[str, list[CodedFrame]] = {m.name: [] for m in experiment.methods}
-    states: dict[str, Any] = {
-        # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
-        m.name: m.scheme.init(calibration, stream(experiment.seed, "code"))
-        for m in experiment.methods
-    }
-    panels: dict[str, PanelState | None] = {m.name: None for m in experiment.methods}
+    running = {m.name: shots(experiment, m, camera, truth, calibration) for m in experiment.methods}
+    frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
     for index in range(experiment.n_frames):
-        for method in experiment.methods:
-            name = method.name
-            arrived = frames[name][: max(0, index - camera.latency_frames + 1)]
-            code, states[name] = method.scheme.next(index, arrived, states[name])
-            photons = stream(experiment.seed, "shot", name, index)
-            frame, panels[name] = camera.expose(truth, index, code, panels[name], photons)
-            frames[name].append(frame)
+        for name, taken in running.items():
+            frames[name].append(next(taken).frame)
         progress("capture", index + 1, experiment.n_frames)
     return {name: tuple(taken) for name, taken in frames.items()}
 

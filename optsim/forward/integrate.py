@@ -85,6 +85,21 @@ def fine_image(panel: Doubles, borders: Doubles) -> Doubles:
     return fine
 
 
+def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
+    """Transpose of :func:`fine_image`, (y, x) to (v, u): each sample goes to the pixels that rule over it."""
+    for axis in (0, 1):
+        lines = np.moveaxis(fine, axis, 0)
+        cells = lines.reshape(-1, len(borders), lines.shape[1])
+        before, own, after = (np.tensordot(shares, cells, (0, 1)) for shares in borders.T)
+        own[:-1] += before[1:]
+        own[1:] += after[:-1]
+        # Beyond the panel's edge the nearest pixel counts.
+        own[0] += before[0]
+        own[-1] += after[-1]
+        fine = np.moveaxis(own, 0, axis)
+    return fine
+
+
 @njit(nogil=True, cache=True)
 def _hat_sums(weights: Floats, early: Doubles, late: Doubles) -> None:
     """Sum the weights against the falling and the rising line of a segment."""

@@ -11,7 +11,7 @@ from optsim.metrics.oracle import MaskAgreement, mask_agreement, oracle_moving
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
-from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard
+from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, phase_of
 
 ALL: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
 
@@ -30,4 +30,5 @@ __all__ = [
     "luminous_efficacy_lm_w",
     "mask_agreement",
     "oracle_moving",
+    "phase_of",
 ]

@@ -25,6 +25,13 @@ TRUTH_NOISE = "truth noise"
 """Method name of the tallies that say what the truth's own noise can certify."""
 
 
+def phase_of(index: int, latency_frames: int) -> Phase:
+    """Phase of a coded frame: until two frames have arrived, until four mosaic frames exist, steady."""
+    if index < latency_frames + 1:
+        return "warm-up"
+    return "merging" if index < latency_frames + 4 else "steady"
+
+
 class ScoreRecord(TypedDict):
     """One score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error."""
 
@@ -112,10 +119,8 @@ class ScoreBoard:
     coded_slots: int
 
     def phase(self, index: int) -> Phase:
-        """Phase of a coded frame: until two frames have arrived, until four mosaic frames exist, steady."""
-        if index < self.latency_frames + 1:
-            return "warm-up"
-        return "merging" if index < self.latency_frames + 4 else "steady"
+        """Phase of a coded frame, as :func:`phase_of` has it."""
+        return phase_of(index, self.latency_frames)
 
     def tally(
         self,

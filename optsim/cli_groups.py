@@ -1,0 +1,50 @@
+"""Commands in groups: ``optsim config ...`` and ``optsim cache ...``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+
+from optsim.cli_options import ExperimentName, Json, Set, print_json
+
+config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
+cache_app = typer.Typer(no_args_is_help=True, help="Show or clear the cache of rendered truth.")
+
+
+@config_app.command("show")
+def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
+    """Print an experiment with every default resolved, as JSON."""
+    from optsim.experiment import load_experiment
+
+    print_json(load_experiment(experiment, assignments or []).model_dump(mode="json"))
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of an experiment."""
+    from optsim.experiment import Experiment
+
+    print_json(Experiment.model_json_schema())
+
+
+@cache_app.command("show")
+def cache_show(as_json: Json = False) -> None:
+    """Print where the cache is and what it holds."""
+    from optsim.cache import Cache
+
+    record: dict[str, Any] = Cache().show()
+    if as_json:
+        print_json(record)
+    else:
+        for key, value in record.items():
+            typer.echo(f"{key}: {value}")
+
+
+@cache_app.command("clear")
+def cache_clear() -> None:
+    """Remove everything from the cache."""
+    from optsim.cache import Cache
+
+    freed = Cache().clear()
+    typer.echo(f"Freed {freed / 1e6:.1f} MB.")
