@@ -165,7 +165,12 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
 
 def with_effects(camera: CodedCamera, switches: Mapping[str, object]) -> CodedCamera:
     """Return a camera with effects switched; arguments as of :func:`switched`."""
-    parts = {part: _updated(getattr(camera, part), fields) for part, fields in switched(switches).items()}
+    return changed(camera, switched(switches))
+
+
+def changed(camera: CodedCamera, changes: Changes) -> CodedCamera:
+    """Return a camera with other values in fields of its parts."""
+    parts = {part: _updated(getattr(camera, part), fields) for part, fields in changes.items()}
     return camera.model_copy(update=parts)
 
 

@@ -63,6 +63,9 @@ class Experiment(Part):
     ----------
     scene, source
         Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
+    tolerance
+        Error that leaving out what the scene doesn't need may make in a frame, rms, relative to the frame's
+        noise; 0 models everything (see :mod:`optsim.camera_plan`).
     calibration
         What decoders know of the camera: ``bench`` (estimated from the virtual laboratory's images),
         ``true`` (the simulator's own parameters) or ``ideal`` (the paper's equations).
@@ -78,6 +81,7 @@ class Experiment(Part):
     source: Source | None = None
     render: RenderSettings = RenderSettings.model_validate({})
     camera: CodedCamera
+    tolerance: float = Field(default=0.1, ge=0, le=10)
     methods: tuple[Method, ...] = Field(min_length=1)
     calibration: Literal["bench", "true", "ideal"] = "bench"
     light: LightRule = LightRule()

@@ -5,26 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from optsim.console import table
+
+if TYPE_CHECKING:
+    from optsim.camera_plan import CameraPlan
 
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
-    """Geometry, photon ledger, latency and effects of an experiment, also of one that doesn't fit.
+    """Geometry, photon ledger, latency, effects and plan of an experiment, also of one that doesn't fit.
 
     Returns
     -------
     dict
         JSON-able; ``geometry.fits`` says whether it can be run.
     """
+    from optsim.camera_plan import plan_camera
     from optsim.effect_sizes import effect_sizes
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
-    from optsim.truth import describe_truth, has_bright_outside
+    from optsim.probe import near_probe
+    from optsim.truth import describe_truth, illumination
 
     try:
         experiment = load_experiment(name_or_path, assignments)
@@ -32,6 +37,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
     truth = describe_truth(experiment)
+    light = illumination(experiment)
+    plan = plan_camera(camera, light, experiment.tolerance)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -48,16 +55,17 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             for name, level in levels.items()
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
-        "effects": [
-            asdict(each)
-            for each in effect_sizes(
-                camera,
-                truth.white_w_m2_sr,
-                experiment.light.percentile,
-                experiment.light.saturation_share,
-                window=has_bright_outside(experiment),
-            )
-        ],
+        "effects": [asdict(each) for each in effect_sizes(near_probe(plan.camera, light))],
+        "plan": plan_record(plan),
+    }
+
+
+def plan_record(plan: CameraPlan) -> dict[str, Any]:
+    """Turn a plan into what ``--json`` and a run's results hold."""
+    return {
+        "tolerance": plan.tolerance,
+        "predicted": plan.predicted,
+        "choices": [asdict(choice) for choice in plan.choices],
     }
 
 
@@ -90,6 +98,15 @@ def show(record: dict[str, Any]) -> list[object]:
             "what each imperfection changes in a frame of a small probe, rms, in units of the noise",
             ("effect", "size", "what it is"),
             [(row["effect"], row["size"], row["what"]) for row in effects],
+        )
+    )
+    plan = cast("dict[str, Any]", record["plan"])
+    items.append(
+        table(
+            f"plan: what is left out adds up to {plan['predicted']:.2g} of a frame's noise at most "
+            f"(tolerance {plan['tolerance']:g})",
+            ("what", "choice", "error", "what it is"),
+            [(c["short_cut"], c["choice"], c["size"], c["what"]) for c in plan["choices"]],
         )
     )
     contrast = "infinite" if record["contrast"] is None else f"{record['contrast']:.3g}"

@@ -21,12 +21,12 @@ from optsim.cache import Cache
 from optsim.camera import NOT_MODELLED, CodedCamera
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
-from optsim.explain import MID_GREY
+from optsim.explain import MID_GREY, plan_record
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import Gallery
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
-from optsim.loop import Frames, LightLevel, calibrate, capture, decode, set_light
+from optsim.loop import Frames, LightLevel, calibrate, capture, decode, planned, set_light
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report
@@ -159,6 +159,8 @@ def execute(
     chosen, why = renderer(experiment, backend)
     with watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
+    with watch.stage("plan"):
+        experiment, plan = planned(experiment)
     with watch.stage("calibrate"):
         progress("laboratory", 0, 1)
         calibration = calibrate(experiment)
@@ -213,6 +215,7 @@ def execute(
         },
         "methods": {m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}" for m in experiment.methods},
         **scorer.results(),
+        "plan": plan_record(plan),
         "masks": scorer.masks(frames),
         "noise_ceiling": ceiling,
         "evidence": evidence.status(),

@@ -17,6 +17,7 @@ from numpy.random import Generator, SeedSequence
 
 from optsim.calibrate import Calibration, calibrate_from
 from optsim.camera import CodedCamera
+from optsim.camera_plan import CameraPlan, plan_camera
 from optsim.errors import ConfigError
 from optsim.experiment import Experiment, Method
 from optsim.forward.integrate import cell_means
@@ -31,6 +32,7 @@ from optsim.quantities import (
     RadianceVideo,
     Reconstruction,
 )
+from optsim.truth import illumination
 
 Frames = dict[str, tuple[CodedFrame, ...]]
 
@@ -69,6 +71,12 @@ class LightLevel:
     wanted_transmission: float
     percentile_dn: float
     saturation_dn: float
+
+
+def planned(experiment: Experiment) -> tuple[Experiment, CameraPlan]:
+    """Return the experiment with its camera modelled as finely as its tolerance asks for, and the plan."""
+    plan = plan_camera(experiment.camera, illumination(experiment), experiment.tolerance)
+    return experiment.model_copy(update={"camera": plan.camera}), plan
 
 
 def set_light(
@@ -222,7 +230,9 @@ class Result:
     Parameters
     ----------
     experiment : Experiment
-        As run.
+        As run: its camera is the planned one.
+    plan : CameraPlan
+        What is modelled how finely, and what is skipped.
     camera : CodedCamera
         With the neutral density that the light rule chose.
     light : LightLevel
@@ -240,6 +250,7 @@ class Result:
     """
 
     experiment: Experiment
+    plan: CameraPlan
     camera: CodedCamera
     light: LightLevel
     calibration: Calibration
@@ -275,6 +286,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     Result
         Frames, reconstructions and what they were made with.
     """
+    experiment, plan = planned(experiment)
     calibration = calibrate(experiment)
     camera, light = set_light(experiment, radiance, calibration)
     truth = camera.form_image(radiance)
@@ -286,6 +298,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
         progress("decode", decoded.index + 1, experiment.n_frames)
     return Result(
         experiment,
+        plan,
         camera,
         light,
         calibration,

@@ -13,7 +13,7 @@ from optsim.errors import ConfigError, unknown_name
 from optsim.experiment import Experiment
 from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import fine_image_adjoint
-from optsim.loop import Shot, calibrate, set_light, shots
+from optsim.loop import Shot, calibrate, planned, set_light, shots
 from optsim.metrics import phase_of
 from optsim.origins import (
     NEAR_PX,
@@ -116,6 +116,7 @@ def trace_experiment(
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     progress("laboratory", 0, 1)
+    experiment, _ = planned(experiment)
     calibration = calibrate(experiment)
     progress("laboratory", 1, 1)
     camera, _ = set_light(experiment, radiance, calibration)

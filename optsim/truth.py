@@ -5,14 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from optsim.cache import Cache
 from optsim.errors import ConfigError
-from optsim.experiment import Experiment
+from optsim.experiment import Experiment, Source
+from optsim.probe import WHITE_OVER_INTERIOR, Illumination
 from optsim.progress import Progress, silent
 from optsim.quantities import RadianceVideo
-from optsim.scene import MONO_NM, FootageTruth, Scene, load_scene, open_footage
+from optsim.scene import (
+    MONO_NM,
+    BrightLight,
+    FootageTruth,
+    Scene,
+    brightest_light,
+    load_scene,
+    open_footage,
+)
 
 if TYPE_CHECKING:
     from optsim.render import CameraNoise
@@ -96,11 +105,17 @@ def camera_noise(experiment: Experiment) -> CameraNoise | None:
     return CameraNoise(per_pixel * pixels, camera.sensor.read_noise_e * math.sqrt(pixels))
 
 
-def has_bright_outside(experiment: Experiment) -> bool:
-    """Whether some lamp of the experiment's scene is a picture of the outside; False for footage."""
-    if experiment.scene is None:
-        return False
-    return any(lamp.picture is not None for lamp in chosen_scene(experiment).lamps.values())
+def illumination(experiment: Experiment) -> Illumination:
+    """Find what a probe of an experiment's camera is told of the light, without rendering."""
+    white_w_m2_sr = describe_truth(experiment).white_w_m2_sr
+    view = experiment.camera.view
+    if experiment.scene is not None:
+        bright = brightest_light(chosen_scene(experiment), view.tan_half_width, view.rows / view.cols)
+    else:
+        # Of a recording it is known how bright it can get, not how much of it does.
+        footage = cast("Source", experiment.source).footage
+        bright = BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)
+    return Illumination(white_w_m2_sr, experiment.light.percentile, experiment.light.saturation_share, bright)
 
 
 def chosen_scene(experiment: Experiment) -> Scene:

@@ -3,14 +3,18 @@
 import numpy as np
 import pytest
 
-from optsim.effect_sizes import effect_sizes, shrunk
+from optsim.effect_sizes import effect_sizes
 from optsim.effects import ALL, STATES, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
 from optsim.hardware import prototype
+from optsim.probe import Illumination, near_probe, shrunk
 from optsim.quantities import ExposureCode
+from optsim.scene import BrightLight
 from optsim.scene.footage import still
 
+WINDOW = Illumination(0.1, 90.0, 0.8, BrightLight(25.0, 0.07))
+ROOM = Illumination(0.1, 90.0, 0.8, None)
 IDEAL = with_effects(shrunk(prototype(), 64), {"all": "ideal"})
 
 
@@ -33,7 +37,7 @@ def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():
     np.testing.assert_allclose(seen, expected, rtol=1e-5)
     assert np.abs(frame(IDEAL, 0)).max() < 1e-6 * expected
     assert IDEAL.contrast > 1e9
-    assert all(each.size < 1e-4 for each in effect_sizes(IDEAL, 0.1, 90.0, 0.8, window=True))
+    assert all(each.size < 1e-4 for each in effect_sizes(near_probe(IDEAL, WINDOW)))
 
 
 def _border(camera):
@@ -112,7 +116,7 @@ def test_states_go_from_better_to_worse(name):
     for state in STATES:
         camera = with_effects(shrunk(prototype(), 32), {name: state})
         type(camera).model_validate(camera.model_dump())
-        found = effect_sizes(camera, 0.1, 90.0, 0.8, window=False)
+        found = effect_sizes(near_probe(camera, ROOM))
         sizes[state] = next(each.size for each in found if each.effect == name)
     assert sizes["ideal"] < 1e-4
     # Under light that stands still only the difference of the time constants shows, which is smaller.

@@ -230,6 +230,20 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
                 "tolerance": None,
             },
         ],
+        "plan": {
+            "tolerance": 0.1,
+            "predicted": 0.0321,
+            "choices": [
+                {
+                    "short_cut": "relay_wings",
+                    "what": "far wings of the relay's PSF",
+                    "choice": "0.003",
+                    "full": False,
+                    "size": 0.0321,
+                },
+                {"short_cut": "ghost", "what": "a ghost", "choice": "modelled", "full": True, "size": 0.0},
+            ],
+        },
         "not_modelled": ["twist of the nematic panel", "row scan of the panel"],
         "reconstruct_s": {"adaptive": 31.4, "normal": 0.4, "hdr_mosaic": 0.7, "random": 29.0},
         "pictures": pictures,
@@ -365,7 +379,7 @@ def test_first_screen_names_the_winners_and_their_lead(run_folder: Path, results
 def test_sections_come_in_order(run_folder: Path, results: dict[str, Any]) -> None:
     page = report.write_report(run_folder, results).read_text()
     order = re.findall(r'<section[^>]* id="(\w+)"', page)
-    wanted = "headline crops moving capture errors ledger geometry ceiling evidence reproduce"
+    wanted = "headline crops moving capture errors ledger geometry plan ceiling evidence reproduce"
     assert order == wanted.split()
     assert "hypothetical" in page
     assert "cannot be certified by this truth" in page

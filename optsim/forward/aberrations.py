@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -113,18 +114,15 @@ def field_psf(
     whole = np.pad(kernel, max(0, half - len(kernel) // 2))
     inner = slice(len(whole) // 2 - half, len(whole) // 2 + half + 1)
 
-    def quarter(places: Doubles) -> Doubles:
-        """PSFs at pairs of field coordinates: the kernel's closed form and what aberrations change."""
-        found = _cells(_pupil(wavefront, _grid(places, sides), defocus), optics, half)
+    def cores(nodes: int) -> Doubles:
+        """PSFs on an even grid over the field: the kernel's closed form and what aberrations change."""
+        found = _quarter(wavefront, optics, sides, defocus, half, nodes)  # pyright: ignore[reportArgumentType]
         # Light that leaves the window would be lost: it stays with its point.
-        found *= bare.sum() / found.sum(axis=(1, 2), keepdims=True)
+        found = found * (bare.sum() / found.sum(axis=(1, 2), keepdims=True))
         found = np.maximum(whole[inner, inner] + found - bare, 0)
         found *= whole[inner, inner].sum() / found.sum(axis=(1, 2), keepdims=True)
-        return found.reshape(len(places), len(places), *bare.shape)
-
-    def cores(nodes: int) -> Doubles:
-        """PSFs on an even grid over the whole field; a lens is symmetric about both its axes."""
-        right = quarter(np.linspace(-1, 1, nodes)[nodes // 2 :])
+        right = found.reshape((nodes + 1) // 2, (nodes + 1) // 2, *bare.shape)
+        # A lens is symmetric about both its axes.
         lower = np.concatenate([right[:, : -(nodes // 2) - 1 : -1, :, ::-1], right], axis=1)
         return np.concatenate([lower[: -(nodes // 2) - 1 : -1, :, ::-1], lower])
 
@@ -133,6 +131,16 @@ def field_psf(
         whole[inner, inner] = mean
         return uniform(whole)
     return FieldPsf(whole, _enough_nodes(cores, field_error))
+
+
+# Kept: a plan asks for the same lens with other errors and wings.
+@lru_cache(maxsize=32)
+def _quarter(
+    wavefront: Wavefront, optics: _Optics, sides: tuple[int, int], defocus: float, half: int, nodes: int
+) -> Doubles:
+    """PSFs over cells on the quarter of an even grid where both field coordinates are positive, (n, y, x)."""
+    places = np.linspace(-1, 1, nodes)[nodes // 2 :]
+    return _cells(_pupil(wavefront, _grid(places, sides), defocus), optics, half)
 
 
 def _enough_nodes(cores: Callable[[int], Doubles], field_error: float) -> Doubles:

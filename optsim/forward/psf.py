@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -106,6 +107,8 @@ def psf_kernel(
     return kernel
 
 
+# Kept: it does not depend on how far the wings reach.
+@lru_cache(maxsize=16)
 def _middle(half: int, spread: float, variance: float, disc: float) -> Doubles:
     """Kernel by its transfer function, lengths in cells; replicas of its far wings are folded in."""
     cutoff = 1 / spread  # cycles a cell, like all frequencies here

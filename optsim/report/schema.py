@@ -92,6 +92,26 @@ class SceneFacts(TypedDict):
 
 
 @with_config(_STRICT)
+class PlanChoice(TypedDict):
+    """How finely one thing was modelled; ``size`` is the rms error predicted, relative to a frame's noise."""
+
+    short_cut: str
+    what: str
+    choice: str
+    full: bool
+    size: float
+
+
+@with_config(_STRICT)
+class Plan(TypedDict):
+    """What was left out of the camera's model, and what that costs at most, relative to a frame's noise."""
+
+    tolerance: float
+    predicted: float
+    choices: list[PlanChoice]
+
+
+@with_config(_STRICT)
 class Score(TypedDict):
     """One pooled score, as :class:`optsim.metrics.ScoreBoard` makes it."""
 
@@ -229,6 +249,7 @@ class Results(TypedDict):
     masks: list[MaskScore]
     noise_ceiling: list[Score]
     hypothesis: list[Verdict]
+    plan: Plan
     evidence: list[EvidenceRow]
     not_modelled: list[str]
     reconstruct_s: dict[str, float]

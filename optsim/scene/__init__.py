@@ -1,6 +1,7 @@
 """What is in front of the camera: scenes, movers as pure functions of time, and footage as truth."""
 
 from optsim.scene.bands import MONO_NM, Band
+from optsim.scene.bright import BrightLight, brightest_light
 from optsim.scene.footage import footage, still
 from optsim.scene.footage_source import FootageSource
 from optsim.scene.footage_truth import FootageTruth, open_footage
@@ -9,9 +10,11 @@ from optsim.scene.scene import Scene, list_scenes, load_scene
 __all__ = [
     "MONO_NM",
     "Band",
+    "BrightLight",
     "FootageSource",
     "FootageTruth",
     "Scene",
+    "brightest_light",
     "footage",
     "list_scenes",
     "load_scene",

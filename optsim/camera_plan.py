@@ -1,0 +1,200 @@
+"""The plan: what an experiment doesn't need isn't modelled, up to a stated error.
+
+The full model is the camera with every effect on and its numerics as fine as they come. Each short cut makes
+one thing coarser, or leaves it out, where that saves time; what costs nothing is always modelled. The size of
+each is predicted on two small probes, in units of a frame's noise; systematic effects don't average out, so
+sizes add up linearly. Each short cut is given an equal share of the tolerance and taken as far as that goes;
+what is left over goes to them in their order, those first that save most.
+
+The claim that what is skipped stays below the tolerance is measured in ``validation/skipping``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from optsim.camera import CodedCamera
+from optsim.effects import ALL, Changes, changed
+from optsim.optics import Objective, Relay
+from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
+
+_EVEN_PSFS: Changes = {"objective": {"field_error": 1.0}, "relay": {"field_error": 1.0}}
+
+
+@dataclass(frozen=True)
+class ShortCut:
+    """One thing that may be modelled less finely.
+
+    Parameters
+    ----------
+    what : str
+        In a few words.
+    steps : tuple of (str, Changes)
+        From the full model to the cheapest, with the words that name each.
+    far : bool
+        Whether it reaches over the whole panel, so that the near probe alone doesn't show it.
+    """
+
+    what: str
+    steps: tuple[tuple[str, Changes], ...]
+    far: bool = False
+
+
+def _numbers(part: str, field: str, values: tuple[float, ...]) -> tuple[tuple[str, Changes], ...]:
+    return tuple((f"{value:g}", {part: {field: value}}) for value in values)
+
+
+def _left_out(effect: str) -> ShortCut:
+    return ShortCut(ALL[effect].what, (("modelled", {}), ("skipped", ALL[effect].ideal)))
+
+
+_FIELD = (5e-3, 0.01, 0.02, 0.05, 0.1, 1.0)
+_WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+# Those first that save most time at the prototype's scale.
+SHORT_CUTS: dict[str, ShortCut] = {
+    "objective_field": ShortCut(
+        "PSF of the objective that varies: share of a point's light that may be misplaced",
+        _numbers("objective", "field_error", _FIELD),
+    ),
+    "objective_wings": ShortCut(
+        "far wings of the objective's PSF: share of the light that they may lose",
+        _numbers("objective", "wing_share", _WINGS),
+        far=True,
+    ),
+    "relay_field": ShortCut(
+        "PSF of the relay that varies: share of a point's light that may be misplaced",
+        _numbers("relay", "field_error", _FIELD),
+    ),
+    "relay_wings": ShortCut(
+        "far wings of the relay's PSF: share of the light that they may lose",
+        _numbers("relay", "wing_share", _WINGS),
+        far=True,
+    ),
+    "objective_blur": _left_out("objective_blur"),
+    "relay_blur": _left_out("relay_blur"),
+    "response": _left_out("response"),
+    "ghost": _left_out("ghost"),
+    "smear": _left_out("smear"),
+}
+_DEFAULTS = {"objective": Objective.model_fields, "relay": Relay.model_fields}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How one thing is modelled.
+
+    Parameters
+    ----------
+    short_cut, what : str
+        Name and a few words.
+    choice : str
+        ``modelled``, ``skipped``, or the number chosen.
+    full : bool
+        Whether that is the full model.
+    size : float
+        Rms change that it makes in a frame against the full model, relative to the noise; predicted.
+    """
+
+    short_cut: str
+    what: str
+    choice: str
+    full: bool
+    size: float
+
+
+@dataclass(frozen=True)
+class CameraPlan:
+    """What is modelled how, and the camera that does so.
+
+    Parameters
+    ----------
+    tolerance : float
+        Rms error allowed in a frame, relative to its noise.
+    choices : tuple of Choice
+        One a short cut.
+    camera : CodedCamera
+        As planned.
+    """
+
+    tolerance: float
+    choices: tuple[Choice, ...]
+    camera: CodedCamera
+
+    @property
+    def predicted(self) -> float:
+        """Sum of the sizes."""
+        return sum(choice.size for choice in self.choices)
+
+
+def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> CameraPlan:
+    """Choose how finely a camera must be modelled.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        With all its effects. Numerics set by hand, to other values than their defaults, stay.
+    light : Illumination
+        What the experiment's scene is like.
+    tolerance : float
+        Rms error allowed in a frame, relative to its noise; 0 models everything.
+    """
+    open_to_choice = {name: cut for name, cut in SHORT_CUTS.items() if not _by_hand(camera, cut)}
+    whole = camera
+    for cut in open_to_choice.values():
+        whole = changed(whole, cut.steps[0][1])
+    near = near_probe(whole, light)
+    far = far_probe(changed(whole, _EVEN_PSFS), light)
+    ladders = {name: _Ladder(cut, near, far, {}) for name, cut in open_to_choice.items()}
+    chosen = dict.fromkeys(ladders, 0)
+    if tolerance > 0:
+        share = tolerance / len(ladders)
+        for name, ladder in ladders.items():
+            chosen[name] = ladder.farthest(share)
+        left = tolerance - sum(ladders[name].size(step) for name, step in chosen.items())
+        for name, ladder in ladders.items():
+            now = ladder.size(chosen[name])
+            chosen[name] = max(chosen[name], ladder.farthest(now + left))
+            left -= ladder.size(chosen[name]) - now
+    planned = whole
+    for name, step in chosen.items():
+        planned = changed(planned, ladders[name].cut.steps[step][1])
+    choices = [ladders[name].choice(name, step) for name, step in chosen.items()]
+    return CameraPlan(tolerance, tuple(choices), planned)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ladder:
+    """A short cut with the sizes of its steps, each found when it is asked for."""
+
+    cut: ShortCut
+    near: Probe
+    far: Probe
+    found: dict[int, float]
+
+    def size(self, step: int) -> float:
+        if step == 0:
+            return 0.0
+        if step not in self.found:
+            label, changes = self.cut.steps[step]
+            sizes = [self.far.size(changes, {})] if self.cut.far else []
+            if not self.cut.far or float(label) > NEAR_WINGS:
+                sizes.append(self.near.size(changes, {}))
+            self.found[step] = max(sizes)
+        return self.found[step]
+
+    def farthest(self, limit: float) -> int:
+        """Cheapest step whose size is within a limit."""
+        last = len(self.cut.steps) - 1
+        return next(step for step in range(last, -1, -1) if step == 0 or self.size(step) <= limit)
+
+    def choice(self, name: str, step: int) -> Choice:
+        return Choice(name, self.cut.what, self.cut.steps[step][0], step == 0, self.size(step))
+
+
+def _by_hand(camera: CodedCamera, cut: ShortCut) -> bool:
+    """Whether the one number of a short cut isn't at its default any more."""
+    if cut.steps[0][0] == "modelled":
+        return False
+    ((part, fields),) = cut.steps[0][1].items()
+    (field,) = fields
+    return bool(getattr(getattr(camera, part), field) != _DEFAULTS[part][field].default)

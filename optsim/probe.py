@@ -1,0 +1,241 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+"""Small cameras that stand for a large one, and what a change of the camera does to their frames.
+
+The *near* probe has fewer pixels of the same size, its focal lengths shortened with the panel: field angles,
+blur in pixels and light per pixel stay as they are. The *far* probe has as few pixels, but larger ones, and
+sees the whole panel: on it light is as far from its source as in truth. Both look at a made scene:
+reflectances over a decade and a half, something that moves, and, where the experiment has a bright light in
+the picture, one. One half of the panel shows a random code, the other an exposure mosaic; the neutral density
+follows the experiment's light rule.
+
+The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
+frame's predicted noise. What a calibration takes out again, such as shading, counts in full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage
+
+from optsim.camera import CodedCamera
+from optsim.effects import Changes, changed
+from optsim.quantities import (
+    Block,
+    Bools,
+    Bytes,
+    Doubles,
+    ExposureCode,
+    Floats,
+    IrradianceVideo,
+    RadianceVideo,
+    Segment,
+    made_radiance,
+)
+from optsim.scene import BrightLight
+
+# Wings that lose less than this share of the light reach beyond a near probe.
+NEAR_WINGS = 1e-3
+_COLS = 40
+_MARGIN_PX = 4
+# Declared white over the interior's bright places: about that of window_room, whose interior is lit by its
+# window alone; in brighter rooms a lamp in the picture is then taken for too bright.
+WHITE_OVER_INTERIOR = 40.0
+_STEP_PX = 0.5  # fine samples a slot that the patch moves
+# Slots that the four densities of the mosaic are open, as shares of a frame.
+_DENSITIES = (1 / 36, 1 / 12, 11 / 36, 1.0)
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """What a probe is told of the light.
+
+    Parameters
+    ----------
+    white_w_m2_sr : float
+        Radiance of the probe's brightest reflectance.
+    percentile, saturation_share : float
+        The light rule: this percentile of the interior fills this share of the full well under all-on.
+    bright : BrightLight or None
+        Brightest light in the picture.
+    """
+
+    white_w_m2_sr: float
+    percentile: float
+    saturation_share: float
+    bright: BrightLight | None
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A small camera before its scene.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        Behind the neutral density of the light rule.
+    radiance : RadianceVideo
+        The scene.
+    """
+
+    camera: CodedCamera
+    radiance: RadianceVideo
+
+    @cached_property
+    def _lights(self) -> dict[str, IrradianceVideo]:
+        return {}  # most changes leave the objective's image as it is
+
+    def frame(self, changes: Changes) -> tuple[Doubles, Bools]:
+        """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
+        camera = changed(self.camera, changes)
+        key = camera.objective.model_dump_json()
+        if key not in self._lights:
+            self._lights[key] = camera.form_image(self.radiance)
+        expected, _ = camera.expected_electrons(self._lights[key], 0, _code(camera), None)
+        inner = slice(2 * _MARGIN_PX, -2 * _MARGIN_PX)
+        smear = camera.sensor.smear_e(expected, camera.exposure_s)
+        signal = camera.sensor.signal_e(expected, smear, camera.serial_number)
+        return signal[inner, inner], (expected < camera.sensor.full_well_e)[inner, inner]
+
+    def size(self, changes: Changes, of: Changes) -> float:
+        """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise."""
+        whole, usable = self._whole(of)
+        without, unclipped = self.frame(changes)
+        both = usable & unclipped
+        if not both.any():
+            return float("inf")
+        noise_e = np.sqrt(np.mean(whole[usable] + self.camera.sensor.read_noise_e**2))
+        return float(np.sqrt(np.mean((whole - without)[both] ** 2)) / noise_e)
+
+    def _whole(self, changes: Changes) -> tuple[Doubles, Bools]:
+        key = repr(changes)
+        if key not in self._kept:
+            self._kept[key] = self.frame(changes)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[str, tuple[Doubles, Bools]]:
+        return {}
+
+
+def near_probe(camera: CodedCamera, light: Illumination) -> Probe:
+    """Probe of the same pixels, but fewer, that sees the same field angles; far wings would leave it."""
+    reach = {
+        part: {"wing_share": max(getattr(camera, part).wing_share, NEAR_WINGS)}
+        for part in ("objective", "relay")
+    }
+    return _lit(shrunk(changed(camera, reach)), light)
+
+
+def far_probe(camera: CodedCamera, light: Illumination) -> Probe:
+    """Probe of larger pixels, but fewer, that sees the whole panel."""
+    times = max(1, camera.panel_cols // _COLS)
+    panel, sensor = camera.modulator, camera.sensor
+    larger = camera.model_copy(
+        update={
+            "panel_rows": max(1, camera.panel_rows // times),
+            "panel_cols": camera.panel_cols // times,
+            "modulator": panel.model_copy(
+                update={
+                    "rows": max(1, panel.rows // times),
+                    "cols": panel.cols // times,
+                    "pitch_m": panel.pitch_m * times,
+                }
+            ),
+            "sensor": sensor.model_copy(update={"pitch_m": sensor.pitch_m * times}),
+        }
+    )
+    return _lit(shrunk(larger), light, times)
+
+
+def _lit(camera: CodedCamera, light: Illumination, times: int = 1) -> Probe:
+    """Probe behind the density of the light rule; pixels ``times`` as large get no more light for it."""
+    radiance = _scene(camera, light)
+    share = 1 - light.bright.share if light.bright else 1.0
+    # Of the interior: a bright light, where there is one, is the brightest part.
+    bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
+    all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
+    nd = min(1.0, light.saturation_share * camera.sensor.full_well_e / (all_on / times**2))
+    return Probe(camera.with_nd(nd / times**2), radiance)
+
+
+def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
+    """Return a camera of the same pixels, but fewer, that sees the same field."""
+    share = min(1.0, cols / camera.panel_cols)
+    rows, cols = max(1, round(camera.panel_rows * share)), round(camera.panel_cols * share)
+    panel, relay, lens, splitter = camera.modulator, camera.relay, camera.objective, camera.splitter
+    around = 2 * _MARGIN_PX
+    return camera.model_copy(
+        update={
+            "panel_rows": rows,
+            "panel_cols": cols,
+            "objective": lens.model_copy(update={"focal_length_m": lens.focal_length_m * share}),
+            "splitter": splitter.model_copy(update={"collimator_m": splitter.collimator_m * share}),
+            "modulator": panel.model_copy(
+                update={
+                    "rows": max(rows, round(panel.rows * share)),
+                    "cols": max(cols, round(panel.cols * share)),
+                }
+            ),
+            "relay": relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0}),
+            "sensor": camera.sensor.model_copy(
+                update={
+                    "rows": int(np.ceil(rows * camera.ratio)) + around,
+                    "cols": int(np.ceil(cols * camera.ratio)) + around,
+                }
+            ),
+        }
+    )
+
+
+def _scene(camera: CodedCamera, light: Illumination) -> RadianceVideo:
+    view, n_slots, white_w_m2_sr = camera.view, camera.slots_per_frame, light.white_w_m2_sr
+    rng = np.random.default_rng(1288)
+    base = white_w_m2_sr * _reflectances(rng, view.rows, view.cols)
+    if light.bright is not None:
+        side = np.sqrt(light.bright.share)
+        height, width = max(1, round(view.rows * side)), max(1, round(view.cols * side))
+        # A lamp smaller than a sample brings as much light by a less bright one.
+        over = light.bright.over_white * light.bright.share * view.rows * view.cols / (height * width)
+        # Its left part is in the way of what moves.
+        row, col = (view.rows - height) // 3, (view.cols - width) // 4
+        base[row : row + height, col : col + width] *= over * WHITE_OVER_INTERIOR
+    height, width = view.rows // 3, view.cols // 3
+    reach = int(np.ceil(_STEP_PX * n_slots))
+    row, col = view.rows * 5 // 12, max(0, (view.cols - width - reach) // 2)
+    width = min(width, view.cols - col - reach)
+    patch = white_w_m2_sr * _reflectances(rng, height, width)
+    under = base[row : row + height, col : col + width + reach]
+    excess = np.zeros((n_slots, *under.shape), np.float32)
+    for slot in range(n_slots):
+        left = round(slot * _STEP_PX)
+        excess[slot, :, left : left + width] = patch - under[:, left : left + width]
+    segment = Segment(base, base, (Block(row, col, excess),), n_slots)
+    return made_radiance(
+        view,
+        camera.slot_s,
+        lambda _: segment,
+        slots_per_segment=n_slots,
+        n_slots=n_slots,
+        white_w_m2_sr=white_w_m2_sr,
+    )
+
+
+def _reflectances(rng: np.random.Generator, rows: int, cols: int) -> Floats:
+    """Patches of some samples, from 0.03 to 1."""
+    coarse = rng.random((-(-rows // 12), -(-cols // 12)), np.float32)
+    fine = np.repeat(np.repeat(coarse, 12, 0), 12, 1)[:rows, :cols]
+    return np.asarray(10 ** (ndimage.gaussian_filter(fine, 1.0) * 1.5 - 1.5), np.float32)
+
+
+def _code(camera: CodedCamera) -> ExposureCode:
+    n, rows, cols = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
+    levels: Bytes = (np.random.default_rng(36).random((n, rows, cols)) < 0.5).astype(np.uint8) * np.uint8(255)
+    tile = np.array(_DENSITIES).reshape(2, 2)
+    opened = np.tile(tile, (-(-rows // 2), -(-cols // 2)))[:rows, :cols] * n
+    static = np.arange(cols) < cols // 2
+    mosaic = (np.arange(n)[:, None, None] < np.rint(opened)).astype(np.uint8) * np.uint8(255)
+    levels[:, :, static] = mosaic[:, :, static]
+    return ExposureCode(levels, np.broadcast_to(~static, (rows, cols)).copy())

@@ -1,0 +1,137 @@
+"""The plan: what it leaves out fits the tolerance, follows scene and camera, and is what a run uses."""
+
+import numpy as np
+import pytest
+
+from optsim.camera_plan import SHORT_CUTS, plan_camera
+from optsim.effects import changed, with_effects
+from optsim.experiment import load_experiment
+from optsim.explain import plan_record
+from optsim.hardware import demo
+from optsim.loop import planned
+from optsim.optics import Objective
+from optsim.probe import Illumination, far_probe, near_probe
+from optsim.scene import BrightLight, brightest_light, load_scene
+from optsim.truth import illumination
+
+ROOM = Illumination(0.1, 90.0, 0.8, None)
+WINDOW = Illumination(0.1, 90.0, 0.8, BrightLight(25.0, 0.07))
+
+
+def choices(plan):
+    return {choice.short_cut: choice for choice in plan.choices}
+
+
+@pytest.mark.parametrize("light", [ROOM, WINDOW])
+def test_what_is_left_out_fits_the_tolerance_and_a_larger_one_leaves_out_more(light):
+    plans = [plan_camera(demo(), light, tolerance) for tolerance in (0.01, 0.1, 1.0)]
+    for plan, tolerance in zip(plans, (0.01, 0.1, 1.0), strict=True):
+        assert 0 < plan.predicted <= tolerance
+        assert set(choices(plan)) == set(SHORT_CUTS)
+    fields = [plan.camera.relay.field_error for plan in plans]
+    wings = [plan.camera.relay.wing_share for plan in plans]
+    assert fields == sorted(fields)
+    assert wings == sorted(wings)
+    assert (fields[0], wings[0]) != (fields[-1], wings[-1])
+
+
+def test_nothing_is_left_out_without_a_tolerance():
+    plan = plan_camera(demo(), WINDOW, 0.0)
+    assert plan.predicted == 0
+    assert all(choice.full for choice in plan.choices)
+    for cut in SHORT_CUTS.values():
+        assert changed(plan.camera, cut.steps[0][1]) == plan.camera
+
+
+def test_beside_a_bright_window_wings_reach_farther():
+    room, window = (plan_camera(demo(), light, 0.5).camera for light in (ROOM, WINDOW))
+    for part in ("objective", "relay"):
+        assert getattr(window, part).wing_share < getattr(room, part).wing_share
+
+
+def test_what_is_far_below_a_pixel_or_a_slot_is_skipped_and_what_is_not_is_modelled():
+    camera = demo()
+    quick = camera.modulator.model_copy(update={"tau_on_s": 2e-7, "tau_off_s": 4e-7})
+    sharp = camera.objective.model_copy(update={"aberration_m": 1e-8, "magnification": 1.0, "f_number": 0.7})
+    plain = with_effects(camera, {"objective_blur": "ideal"}).objective
+    sharp = sharp.model_copy(update={"wavefront": plain.wavefront})
+    plan = plan_camera(camera.model_copy(update={"modulator": quick, "objective": sharp}), ROOM, 0.5)
+    assert plan.camera.modulator.tau_on_s == 0
+    assert choices(plan)["response"].choice == "skipped"
+    nominal = choices(plan_camera(camera, ROOM, 0.1))
+    assert nominal["response"].choice == "modelled"
+    assert nominal["relay_blur"].choice == "modelled"
+
+
+def test_the_predicted_size_is_what_the_probe_shows_in_units_of_its_noise():
+    """One short cut by hand: rms of the difference over the noise, pixels that clip left out."""
+    probe = near_probe(demo(), ROOM)
+    dark = {"sensor": {"dark_current_e_s": probe.camera.sensor.dark_current_e_s + 50.0}}
+    whole, usable = probe.frame({})
+    extra = 50.0 * probe.camera.exposure_s
+    noise = np.sqrt(np.mean(whole[usable] + probe.camera.sensor.read_noise_e**2))
+    # The response bends a little less than 1 electron for 1.
+    assert probe.size(dark, {}) == pytest.approx(extra / noise, rel=0.02)
+    assert probe.size({}, {}) == 0
+
+
+def test_numbers_set_by_hand_stay():
+    by_hand = changed(demo(), {"relay": {"wing_share": 0.02}, "objective": {"field_error": 0.5}})
+    plan = plan_camera(by_hand, WINDOW, 0.1)
+    assert plan.camera.relay.wing_share == 0.02
+    assert plan.camera.objective.field_error == 0.5
+    assert {"relay_wings", "objective_field"}.isdisjoint(choices(plan))
+
+
+def test_the_far_probe_sees_the_whole_panel_at_the_same_fill():
+    camera = demo()
+    far, near = far_probe(camera, WINDOW).camera, near_probe(camera, WINDOW).camera
+    side = far.panel_cols * far.modulator.pitch_m
+    assert side == pytest.approx(camera.panel_cols * camera.modulator.pitch_m, rel=0.03)
+    assert far.view.tan_half_width == pytest.approx(camera.view.tan_half_width, rel=0.03)
+    fills = [
+        {row.stage: row.value for row in probe.ledger(0.1)}["electrons a frame"] for probe in (far, near)
+    ]
+    assert fills[0] == pytest.approx(fills[1], rel=0.1)
+
+
+def test_a_run_models_what_the_plan_says():
+    experiment = load_experiment("demo", ["tolerance=0.3"])
+    modelled, plan = planned(experiment)
+    assert modelled.camera == plan.camera
+    assert plan.tolerance == 0.3
+    record = plan_record(plan)
+    assert record["predicted"] == pytest.approx(sum(row["size"] for row in record["choices"]))
+    assert modelled.camera.view == experiment.camera.view
+
+
+def test_lamps_in_the_picture_are_found_from_the_scene_alone():
+    view = demo().view
+    shape = (view.tan_half_width, view.rows / view.cols)
+    window = brightest_light(load_scene("window_room").in_band(), *shape)
+    assert window.over_white == pytest.approx(10 / 0.4)
+    assert 0.05 < window.share < 0.1
+    assert brightest_light(load_scene("wheel").in_band(), *shape) is None
+    lamp = brightest_light(load_scene("night_street").in_band(), *shape)
+    assert lamp.over_white == pytest.approx(500 / 0.02)
+    assert lamp.share < 1e-3
+    assert illumination(load_experiment("demo")).bright == window
+
+
+def test_a_lamp_that_faces_away_or_is_off_is_not_seen():
+    scene = load_scene("window_room").in_band()
+    shape = (demo().view.tan_half_width, 0.75)
+    window = scene.lamps["window"]
+    for update in ({"edge_u_m": (-1.2, 0.0, 0.0)}, {"lit": False}, {"center_m": (30.0, 7.66, 1.7)}):
+        lamps = {"window": window.model_copy(update=update)}
+        assert brightest_light(scene.model_copy(update={"lamps": lamps}), *shape) is None
+
+
+def test_every_default_of_a_short_cut_is_one_of_its_steps_or_between_them():
+    """Without a plan, a camera by itself is modelled about as finely as a plan would."""
+    for name, cut in SHORT_CUTS.items():
+        if cut.steps[0][0] != "modelled":
+            values = [float(label) for label, _ in cut.steps]
+            assert values == sorted(values), name
+            field = next(iter(next(iter(cut.steps[0][1].values()))))
+            assert values[0] <= Objective.model_fields[field].default <= values[-1]
