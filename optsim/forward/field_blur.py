@@ -10,10 +10,8 @@ demo's; one that is collected stays flat.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,8 @@ from numpy.typing import NDArray
 from optsim.forward.bands import CORES
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles
+
+_BATCH_CELLS = 1_000_000  # cells that are transformed together
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,126 +99,116 @@ class FieldBlur:
         Rows and columns of the grid.
     common : Blur or None
         Part of the PSF that is the same everywhere.
-    nodes : tuple of Node
-        The rest.
+    half : int
+        Half width of the cores.
+    corners : tuple of (int, int)
+        Row and column where each node's window begins; all windows are of one size.
+    hats_y, hats_x : ndarray of shape (node, y) and (node, x), float64
+        Hats of the nodes in their windows.
+    padded : tuple of int
+        Size of the windows' transforms.
+    transfers : ndarray of shape (node, ...), complex128
+        Of the cores, whose first sample lies at the origin.
     """
 
     shape: tuple[int, int]
     common: Blur | None
-    nodes: tuple[Node, ...]
+    half: int
+    corners: tuple[tuple[int, int], ...]
+    hats_y: Doubles
+    hats_x: Doubles
+    padded: tuple[int, int]
+    transfers: NDArray[np.complexfloating]
 
     def apply(self, image: NDArray[np.floating]) -> Doubles:
         """Spread the light of an image, (y, x)."""
-        direct = np.zeros(self.shape) if self.common is None else self.common.apply(image)
-        return self._add(direct, image, Node.spread)
+        (rows, cols), reach = self.shape, self.half
+        exact = image.astype(np.float64, copy=False)
+        wide = np.zeros((rows + 2 * reach, cols + 2 * reach))
+        height, width = self.hats_y.shape[1], self.hats_x.shape[1]
+        for some in self._batches():
+            windows = np.stack([exact[y : y + height, x : x + width] for y, x in self.corners[some]])
+            windows *= self.hats_y[some, :, None] * self.hats_x[some, None, :]
+            found = self._convolved(windows, self.transfers[some])
+            for (y, x), light in zip(self.corners[some], found, strict=True):
+                part = light[: height + 2 * reach, : width + 2 * reach]
+                wide[y : y + height + 2 * reach, x : x + width + 2 * reach] += part
+        direct = wide[reach : reach + rows, reach : reach + cols]
+        return direct if self.common is None else direct + self.common.apply(exact)
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
         """Transpose of :meth:`apply`."""
-        direct = np.zeros(self.shape) if self.common is None else self.common.adjoint(image)
-        return self._add(direct, image, Node.gather)
-
-    def _add(self, total: Doubles, image: NDArray[np.floating], part: Callable[..., _Placed]) -> Doubles:
-        rows, cols = self.shape
         exact = image.astype(np.float64, copy=False)
-        # Added in their order, whichever is ready first: so the sum repeats to the last bit.
-        with ThreadPoolExecutor(CORES) as pool:
-            for top, left, found in pool.map(partial(part, image=exact), self.nodes):
-                up, over = max(0, -top), max(0, -left)
-                down, across = min(found.shape[0], rows - top), min(found.shape[1], cols - left)
-                total[top + up : top + down, left + over : left + across] += found[up:down, over:across]
+        total = self.collect(np.pad(exact, self.half))
+        return total if self.common is None else total + self.common.adjoint(exact)
+
+    def collect(self, wide: Doubles) -> Doubles:
+        """Collect with the cores alone, from an image that has ``half`` more cells on every side: (y, x)."""
+        reach = self.half
+        total = np.zeros(self.shape)
+        height, width = self.hats_y.shape[1], self.hats_x.shape[1]
+        for some in self._batches():
+            windows = np.stack(
+                [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in self.corners[some]]
+            )
+            found = self._convolved(windows, self.transfers[some].conj())[:, :height, :width]
+            found *= self.hats_y[some, :, None] * self.hats_x[some, None, :]
+            for (y, x), light in zip(self.corners[some], found, strict=True):
+                total[y : y + height, x : x + width] += light
         return total
 
+    def _batches(self) -> list[slice]:
+        """Nodes whose windows are transformed together: many small ones or few large ones."""
+        step = max(1, _BATCH_CELLS // (self.padded[0] * self.padded[1]))
+        return [slice(k, k + step) for k in range(0, len(self.corners), step)]
 
-_Placed = tuple[int, int, Doubles]
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """What one node of the field's grid adds.
-
-    Parameters
-    ----------
-    top, left : int
-        Where its hat begins on the grid.
-    hat_y, hat_x : ndarray, float64 or float32
-        The hat along both axes.
-    half : int
-        Half width of its core.
-    padded : tuple of int
-        Size of the transforms.
-    transfer : ndarray, complex
-        Of the core, whose first sample lies at the origin.
-    """
-
-    top: int
-    left: int
-    hat_y: Doubles
-    hat_x: Doubles
-    half: int
-    padded: tuple[int, int]
-    transfer: NDArray[np.complexfloating]
-
-    def spread(self, image: Doubles) -> _Placed:
-        """Weight with the hat, then blur; where it begins, and the light."""
-        height, width = len(self.hat_y), len(self.hat_x)
-        part = image[self.top : self.top + height, self.left : self.left + width]
-        found = self._convolved(part * self.hat_y[:, None] * self.hat_x, self.transfer)
-        reach = 2 * self.half
-        return self.top - self.half, self.left - self.half, found[: height + reach, : width + reach]
-
-    def gather(self, image: Doubles) -> _Placed:
-        """Transpose of :meth:`spread`."""
-        height, width = len(self.hat_y), len(self.hat_x)
-        window = np.zeros((height + 2 * self.half, width + 2 * self.half))
-        top, left = self.top - self.half, self.left - self.half
-        up, over = max(0, -top), max(0, -left)
-        part = image[top + up : top + window.shape[0], left + over : left + window.shape[1]]
-        window[up : up + part.shape[0], over : over + part.shape[1]] = part
-        found = self._convolved(window, self.transfer.conj())[:height, :width]
-        return self.top, self.left, found * self.hat_y[:, None] * self.hat_x
-
-    def _convolved(self, image: Doubles, transfer: NDArray[np.complexfloating]) -> Doubles:
-        spectrum = fft.rfft2(image, s=self.padded, workers=1)
-        spectrum *= transfer
-        return np.asarray(fft.irfft2(spectrum, s=self.padded, workers=1, overwrite_x=True))
+    def _convolved(self, windows: Doubles, transfers: NDArray[np.complexfloating]) -> Doubles:
+        spectrum = fft.rfft2(windows, s=self.padded, workers=CORES)
+        spectrum *= transfers
+        return np.asarray(fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True))
 
 
-def make_field_blur(
-    psf: FieldPsf, shape: tuple[int, int], field: tuple[int, int], first: tuple[int, int] = (0, 0)
-) -> FieldBlur | Blur:
-    """Prepare a PSF for images of one shape, in float64.
+def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
+    """Prepare a PSF for images of the whole field, in float64.
 
     Parameters
     ----------
     psf : FieldPsf
         PSF over the field.
     shape : tuple of int
-        Rows and columns of the images.
-    field : tuple of int
-        Rows and columns of the whole field.
-    first : tuple of int
-        Row and column of the field at which images begin; outside the field its edge's PSF holds.
+        Rows and columns of the field.
     """
     if not psf.cores.size:
         return make_blur(psf.kernel, shape)
-    nodes: list[Node] = []
-    every_y, every_x = hats_of(psf, shape, field, first)
-    for i, hat_y in enumerate(every_y):
-        for j, hat_x in enumerate(every_x):
-            y, x = np.flatnonzero(hat_y), np.flatnonzero(hat_x)
-            if y.size and x.size:
-                part = hat_y[y[0] : y[-1] + 1], hat_x[x[0] : x[-1] + 1]
-                sizes = [int(fft.next_fast_len(len(hat) + 2 * psf.core_half, real=True)) for hat in part]
-                padded = (sizes[0], sizes[1])
-                transfer = np.asarray(fft.rfft2(psf.cores[i, j], s=padded))
-                nodes.append(Node(int(y[0]), int(x[0]), *part, psf.core_half, padded, transfer))
-    return FieldBlur(shape, make_blur(psf.common, shape) if psf.common.any() else None, tuple(nodes))
+    (starts_y, hats_y), (starts_x, hats_x) = (_windows(h) for h in hats_of(psf, shape, shape, (0, 0)))
+    sizes = [int(fft.next_fast_len(h.shape[1] + 2 * psf.core_half, real=True)) for h in (hats_y, hats_x)]
+    n = len(psf.cores)
+    pairs = [(i, j) for i in range(n) for j in range(n)]
+    some_y, some_x = [i for i, _ in pairs], [j for _, j in pairs]
+    return FieldBlur(
+        shape,
+        make_blur(psf.common, shape) if psf.common.any() else None,
+        psf.core_half,
+        tuple((starts_y[i], starts_x[j]) for i, j in pairs),
+        hats_y[some_y],
+        hats_x[some_x],
+        (sizes[0], sizes[1]),
+        np.asarray(fft.rfft2(psf.cores.reshape(n * n, *psf.cores.shape[2:]), s=sizes, workers=CORES)),
+    )
+
+
+def _windows(every: Doubles) -> tuple[list[int], Doubles]:
+    """Cut hats, (node, place), to windows of one size inside the grid; where each begins, and its hat."""
+    lit = every > 0
+    size = int(lit.sum(axis=1).max())
+    starts = [int(min(row.argmax(), every.shape[1] - size)) for row in lit]
+    return starts, np.stack([row[a : a + size] for a, row in zip(starts, every, strict=True)])
 
 
 def hats_of(
     psf: FieldPsf, shape: tuple[int, int], field: tuple[int, int], first: tuple[int, int]
 ) -> list[Doubles]:
-    """Weights of the nodes along both axes of a window, (node, y) and (node, x); as in make_field_blur."""
+    """Weights of the nodes along both axes of a window, (node, y) and (node, x); as in mode_blur."""
     return [
         hats((np.arange(size) + start + 0.5) / whole * 2 - 1, len(psf.cores))
         for size, start, whole in zip(shape, first, field, strict=True)

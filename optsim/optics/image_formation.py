@@ -12,7 +12,7 @@ from optsim.forward.bands import in_bands
 from optsim.forward.field_blur import make_field_blur, reversed_psf
 from optsim.forward.integrate import cell_means
 from optsim.forward.mode_blur import ModeBlur, make_mode_blur
-from optsim.forward.psf import Blur, SomeBlur, blur_block, extend
+from optsim.forward.psf import Blur, blur_block, extend, make_blur
 from optsim.forward.wings import far_light, make_wings, moving_ends
 from optsim.optics.objective import Objective
 from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
@@ -50,7 +50,17 @@ def form_image(
     core = psf.middle(objective.core_half_width(cell_m))
     wings = make_wings(psf.kernel, core.half, pitch, shape)
     reach = psf.half
-    blur = make_field_blur(psf, (shape[0] + 2 * reach, shape[1] + 2 * reach), shape, (-reach, -reach))
+    blur = make_field_blur(psf, shape)
+    common = make_blur(psf.common, (shape[0] + 2 * reach, shape[1] + 2 * reach))
+
+    def collected(image: Floats) -> Doubles:
+        """Image of a picture that does not end where the panel does."""
+        wide = extend(image, reach).astype(np.float64)
+        light = common.adjoint(wide)[reach : reach + shape[0], reach : reach + shape[1]]
+        if isinstance(blur, Blur):
+            return light
+        rest = reach - blur.half
+        return light + blur.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
 
     def core_blur(window: tuple[int, int], first: tuple[int, int]) -> ModeBlur | Blur:
         return make_mode_blur(core, window, shape, first, objective.field_error)
@@ -64,7 +74,7 @@ def form_image(
         for seen, result in seen_keys:
             if seen is image or np.array_equal(seen, image):
                 return result
-        result = _sharp_to_blurred(image, blur, reach) * factor
+        result = collected(image) * factor
         seen_keys.append((image, result))
         del seen_keys[:-2]
         return result
@@ -106,11 +116,6 @@ def form_image(
         load=lru_cache(maxsize=kept_segments)(load),
         shading=cell_means(relative.astype(np.float32), pitch).astype(np.float32),
     )
-
-
-def _sharp_to_blurred(image: Floats, blur: SomeBlur, reach: int) -> Doubles:
-    rows, cols = image.shape
-    return blur.adjoint(extend(image, reach))[reach : reach + rows, reach : reach + cols]
 
 
 def _shaded(block: Block, factor: Floats) -> Block:

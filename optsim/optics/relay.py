@@ -110,4 +110,4 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
 
 @lru_cache(maxsize=4)
 def _blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
-    return make_field_blur(psf, shape, shape)
+    return make_field_blur(psf, shape)
