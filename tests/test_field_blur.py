@@ -17,7 +17,8 @@ ACHROMAT = Wavefront(spherical_waves=0.07, coma_waves=0.12, astigmatism_waves=0.
 
 def psf(wavefront=ACHROMAT, field_error=0.02, sides=(50, 60), **changes):
     lens = LENS | changes
-    kernel = psf_kernel(lens["f_number"], lens["sigma_m"], lens["cell_m"], WAVELENGTH_M, 5e-3)
+    disc_m = abs(lens.get("defocus_m", 0.0)) / lens["f_number"]
+    kernel = psf_kernel(lens["f_number"], lens["sigma_m"], lens["cell_m"], WAVELENGTH_M, 5e-3, disc_m=disc_m)
     return field_psf(wavefront, kernel, sides=sides, field_error=field_error, **lens)
 
 
@@ -126,6 +127,27 @@ def test_astigmatism_grows_with_the_square_and_curvature_blurs_alike_in_both_dir
     assert x > 1.1 * y
     _, _, y, x = spread(oval.at(1, 0))
     assert y > 1.1 * x
+
+
+@pytest.mark.parametrize("wavefront", [Wavefront(), Wavefront(coma_waves=1e-6)])
+def test_a_plane_out_of_focus_has_the_interference_of_waves_in_its_middle(wavefront):
+    """On the axis W waves at the rim leave sinc^2(W) of the peak: nothing for one (Born and Wolf, 8.8)."""
+    f_number, cell_m = LENS["f_number"], 0.5e-6
+    depth_m = 8 * f_number**2 * WAVELENGTH_M
+    peaks = []
+    for waves in (0.0, 0.5, 1.0, 1.5):
+        lens = {"sigma_m": 0.0, "cell_m": cell_m, "defocus_m": waves * depth_m}
+        own = psf(wavefront, **lens).at(0, 0)
+        peaks.append(own.max() if waves == 0 else own[len(own) // 2, len(own) // 2])
+    np.testing.assert_allclose(np.array(peaks[1:]) / peaks[0], np.sinc([0.5, 1.0, 1.5]) ** 2, atol=0.012)
+
+
+def test_a_large_cell_gets_the_light_of_the_small_ones_in_it():
+    small, large = (psf(sigma_m=0.0, cell_m=c, field_error=2e-3).at(1, 1) for c in (2e-6, 6e-6))
+    rows = np.arange(-10, 11)[:, None] * 3 + np.arange(-1, 2) + len(small) // 2
+    summed = small[np.ix_(rows.ravel(), rows.ravel())].reshape(21, 3, 21, 3).sum(axis=(1, 3))
+    middle = slice(len(large) // 2 - 10, len(large) // 2 + 11)
+    assert np.abs(large[middle, middle] - summed).sum() / 2 < 2e-3
 
 
 def test_hats_add_up_to_one_and_hold_beyond_the_field():

@@ -7,7 +7,7 @@ aberration everywhere alike, coma that grows with the field radius, astigmatism 
 with its square (M. Born and E. Wolf, *Principles of Optics*, 7th ed., section 5.3). Coma and astigmatism
 point along the radius. The tilt in coma is chosen so that the PSF's centroid stays where it is: whatever else
 would move it belongs to distortion. A PSF is the squared Fourier transform of the pupil, integrated over a
-cell.
+cell; a plane out of focus adds its share to the wavefront, positive as positive curvature is.
 
 Between the nodes of a square grid over the field the PSF is interpolated bilinearly: so it is nowhere
 negative, and every point keeps its energy. As many nodes are taken as a stated error asks for. Far wings,
@@ -86,7 +86,7 @@ def field_psf(
     field_error: float,
     defocus_m: float = 0.0,
 ) -> FieldPsf:
-    """Add a lens's wavefront error to the kernel that it has without any.
+    """Put the PSFs of a lens's wavefront in the place of the middle of the kernel that it has without any.
 
     Parameters
     ----------
@@ -101,27 +101,23 @@ def field_psf(
     field_error : float
         Share of a point's light that interpolation may misplace; 1 makes the PSF uniform.
     defocus_m : float
-        Distance of the plane from the sharp image, m; the kernel holds it already.
+        Distance of the plane from the sharp image, m.
     """
-    if wavefront == Wavefront():
+    if wavefront == Wavefront() and not defocus_m:
         return uniform(kernel)
     optics = _Optics(f_number, sigma_m, cell_m, wavelength_m)
     # Path difference at the rim of the pupil, waves (Goodman, section 6.4).
     defocus = defocus_m / (8 * f_number**2 * wavelength_m)
     half = _reach(_pupil(wavefront, _grid(np.linspace(-1, 1, 3), sides), defocus), optics)
-    sharp = _pupil(Wavefront(), [(0.0, 0.0)], defocus)
-    bare = _cells(sharp, optics, half)[0]
     whole = np.pad(kernel, max(0, half - len(kernel) // 2))
     inner = slice(len(whole) // 2 - half, len(whole) // 2 + half + 1)
 
     def cores(nodes: int) -> Doubles:
-        """PSFs on an even grid over the field: the kernel's closed form and what aberrations change."""
+        """PSFs on an even grid over the whole field."""
         found = _quarter(wavefront, optics, sides, defocus, half, nodes)  # pyright: ignore[reportArgumentType]
         # Light that leaves the window would be lost: it stays with its point.
-        found = found * (bare.sum() / found.sum(axis=(1, 2), keepdims=True))
-        found = np.maximum(whole[inner, inner] + found - bare, 0)
-        found *= whole[inner, inner].sum() / found.sum(axis=(1, 2), keepdims=True)
-        right = found.reshape((nodes + 1) // 2, (nodes + 1) // 2, *bare.shape)
+        found = found * (whole[inner, inner].sum() / found.sum(axis=(1, 2), keepdims=True))
+        right = found.reshape((nodes + 1) // 2, (nodes + 1) // 2, *found.shape[1:])
         # A lens is symmetric about both its axes.
         lower = np.concatenate([right[:, : -(nodes // 2) - 1 : -1, :, ::-1], right], axis=1)
         return np.concatenate([lower[: -(nodes // 2) - 1 : -1, :, ::-1], lower])
@@ -210,8 +206,9 @@ def _reach(pupil: _Pupil, optics: _Optics) -> int:
 def _cells(pupil: _Pupil, optics: _Optics, half: int) -> Doubles:
     """PSFs of a pupil's wavefronts over cells, (place, 2 half + 1, 2 half + 1); the whole plane sums to 1."""
     spread_m = optics.wavelength_m * optics.f_number
-    # The intensity has no finer detail than a wavelength times the f-number.
-    parts = max(1, int(np.ceil(2 * optics.cell_m / spread_m)))
+    # The intensity has no finer detail than a wavelength times the f-number: two samples of that would tell
+    # it apart, but their sum over a cell would make too much of the finest; with four it is right to 1e-3.
+    parts = max(1, int(np.ceil(4 * optics.cell_m / spread_m)))
     step_m = optics.cell_m / parts
     size = (2 * half + 1) * parts
     place_m = (np.arange(size) - (size - 1) / 2) * step_m

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from optsim.config import Part
 from optsim.forward.aberrations import Wavefront, field_psf
-from optsim.forward.field_blur import FieldPsf
+from optsim.forward.field_blur import FieldPsf, uniform
 from optsim.forward.psf import psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 
@@ -76,8 +76,11 @@ def _psf(
     kernel = psf_kernel(
         f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share, disc_m=disc_m, diffraction=diffraction
     )
+    # Without diffraction the plane out of focus blurs by geometry's disc, which the kernel holds.
+    if not diffraction:
+        return uniform(kernel)
     return field_psf(
-        wavefront if diffraction else Wavefront(),
+        wavefront,
         kernel,
         f_number=f_number,
         sigma_m=sigma_m,

@@ -26,8 +26,8 @@ class Relay(LensGroup):
     transmission : float
         Of all passes through its lenses.
     defocus_m : float
-        Distance of the CCD from the sharp image; it blurs by a disc, as in geometrical optics,
-        beside its share in the wavefront.
+        Distance of the CCD from the sharp image; its share in the wavefront is positive as positive curvature
+        is. Without diffraction it blurs by a disc, as in geometrical optics.
     ghost_share : float
         Share of the light that comes back from a face, mirrored through the axis and out of focus.
     ghost_blur_px : float
