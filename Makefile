@@ -28,7 +28,7 @@ bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
 
 validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)
-	@$(BIN)/python validation/emva1288/environment.py >/dev/null # first what needs a network
+	@$(BIN)/python validation/environments.py >/dev/null # first what needs a network
 	$(BIN)/optsim validate --write
 
 lint: setup
@@ -46,4 +46,4 @@ requirements: ## remake requirements.txt from pyproject.toml (needs uv)
 	  --no-emit-index-url --no-annotate --custom-compile-command "make requirements" -o requirements.txt
 
 clean:
-	rm -rf $(VENV) validation/emva1288/.venv .pytest_cache .ruff_cache
+	rm -rf $(VENV) validation/*/.venv .pytest_cache .ruff_cache

@@ -42,6 +42,8 @@ EFFECTS: dict[str, str] = {
     "panel_response": "first-order liquid-crystal response with history, late rows and unequal fields",
     "fringing": "fringing fields between panel pixels",
     "lens_psf": "diffraction and aberration blur of each lens group",
+    "field_psf": "wavefront aberrations over the field, by an independent optics library",
+    "slanted_edge": "contrast of an edge through the whole chain",
     "splitter_contrast": "system contrast of splitter, polarisers and panel",
     "veiling_glare": "uniform veiling glare of each lens group",
     "ghost": "mirrored, defocused ghost of the relay",

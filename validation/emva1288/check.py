@@ -21,8 +21,8 @@ from optsim.errors import StorageError
 from optsim.hardware import icx674, imx174
 from optsim.sensor import Ccd
 from validation.emva1288.bench import LEVELS, camera_of, take_bench
-from validation.emva1288.environment import reference_python
 from validation.emva1288.expected import expected, saturation_photons
+from validation.environments import reference_python
 
 CLAIM = (
     "on bench images of two sensors the reference implementation of EMVA 1288 finds the quantum efficiency, "
@@ -130,7 +130,7 @@ def _bench(kind: str, factors: dict[str, float], seed: int) -> Pairs:
 def _by_reference(descriptor: Path) -> dict[str, float]:
     program = str(Path(__file__).with_name("reference.py"))
     # -I: neither variables nor folders of this environment reach that one.
-    command = [str(reference_python()), "-I", program, str(descriptor)]
+    command = [str(reference_python("emva1288")), "-I", program, str(descriptor)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise StorageError(f"the reference implementation of EMVA 1288 failed: {done.stderr.strip()[-600:]}")

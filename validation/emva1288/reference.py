@@ -1,7 +1,7 @@
 """Run the reference implementation of EMVA 1288 on a bench and print what it finds as JSON.
 
-A program for the environment of environment.py, not for optsim's: ``python reference.py DESCRIPTOR``. The
-package is used as it is, through its public classes; its own log goes to standard error.
+A program for the environment of validation/environments.py, not for optsim's: ``python reference.py
+DESCRIPTOR``. The package is used as it is, through its public classes; its own log goes to standard error.
 """
 
 from __future__ import annotations
