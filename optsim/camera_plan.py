@@ -18,6 +18,8 @@ from optsim.effects import ALL, Changes, changed
 from optsim.optics import Objective, Relay
 from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
 
+# Scenes differ from the probe's: what is predicted is doubled.
+_MARGIN = 2.0
 _EVEN_PSFS: Changes = {"objective": {"field_error": 1.0}, "relay": {"field_error": 1.0}}
 
 
@@ -179,7 +181,7 @@ class _Ladder:
             sizes = [self.far.size(changes, {})] if self.cut.far else []
             if not self.cut.far or float(label) > NEAR_WINGS:
                 sizes.append(self.near.size(changes, {}))
-            self.found[step] = max(sizes)
+            self.found[step] = _MARGIN * max(sizes)
         return self.found[step]
 
     def farthest(self, limit: float) -> int:

@@ -137,7 +137,9 @@ class FieldBlur:
         return direct if self.common is None else direct + self.common.apply(exact)
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
-        """Transpose of :meth:`apply`."""
+        """Transpose of :meth:`apply`, for images (..., y, x)."""
+        if image.ndim > 2:
+            return np.stack([self.adjoint(each) for each in image])
         exact = image.astype(np.float64, copy=False)
         total = self.collect(np.pad(exact, self.half))
         return total if self.common is None else total + self.common.adjoint(exact)
@@ -168,22 +170,32 @@ class FieldBlur:
         return np.asarray(fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True))
 
 
-def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
-    """Prepare a PSF for images of the whole field, in float64.
+def make_field_blur(
+    psf: FieldPsf,
+    shape: tuple[int, int],
+    field: tuple[int, int] | None = None,
+    first: tuple[int, int] = (0, 0),
+) -> FieldBlur | Blur:
+    """Prepare a PSF for images of one shape, in float64.
 
     Parameters
     ----------
     psf : FieldPsf
         PSF over the field.
     shape : tuple of int
-        Rows and columns of the field.
+        Rows and columns of the images.
+    field : tuple of int, optional
+        Rows and columns of the field; by default that of the images.
+    first : tuple of int
+        Row and column of the field at which images begin; outside the field its edge's PSF holds.
     """
     if not psf.cores.size:
         return make_blur(psf.kernel, shape)
-    (starts_y, hats_y), (starts_x, hats_x) = (_windows(h) for h in hats_of(psf, shape, shape, (0, 0)))
+    every_y, every_x = hats_of(psf, shape, field or shape, first)
+    seen_y, seen_x = np.flatnonzero(every_y.any(axis=1)), np.flatnonzero(every_x.any(axis=1))
+    (starts_y, hats_y), (starts_x, hats_x) = _windows(every_y[seen_y]), _windows(every_x[seen_x])
     sizes = [int(fft.next_fast_len(h.shape[1] + 2 * psf.core_half, real=True)) for h in (hats_y, hats_x)]
-    n = len(psf.cores)
-    pairs = [(i, j) for i in range(n) for j in range(n)]
+    pairs = [(i, j) for i in range(len(seen_y)) for j in range(len(seen_x))]
     some_y, some_x = [i for i, _ in pairs], [j for _, j in pairs]
     return FieldBlur(
         shape,
@@ -193,7 +205,7 @@ def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
         hats_y[some_y],
         hats_x[some_x],
         (sizes[0], sizes[1]),
-        np.asarray(fft.rfft2(psf.cores.reshape(n * n, *psf.cores.shape[2:]), s=sizes, workers=CORES)),
+        np.asarray(fft.rfft2(psf.cores[seen_y[some_y], seen_x[some_x]], s=sizes, workers=CORES)),
     )
 
 

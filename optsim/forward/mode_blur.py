@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from optsim.forward.bands import CORES
 from optsim.forward.field_blur import FieldPsf, hats_of
 from optsim.forward.psf import Blur, fft, make_blur
-from optsim.quantities import Doubles, Floats
+from optsim.quantities import Block, Doubles, Floats
 
 _Region = tuple[int, int, int, int]  # first node and the one after the last, rows and columns
 
@@ -84,6 +84,24 @@ def make_mode_blur(
     mean, modes, coefficients = _modes(psf, region, (padded[0], padded[1]), error)
     shares = [every_y[region[0] : region[1]].T @ c @ every_x[region[2] : region[3]] for c in coefficients]
     return ModeBlur(shape, (padded[0], padded[1]), mean, np.array(shares, np.float32), modes)
+
+
+def split_bright(block: Block, level: float) -> tuple[Block, Block | None]:
+    """Split a block into what stays below a level at all times, and the rest, in as small a box as holds it.
+
+    What modes misplace of light a thousand times as bright as its surroundings would count beside these.
+    """
+    bright = np.abs(block.excess).max(axis=0) > level
+    if not bright.any():
+        return block, None
+    rows, cols = np.flatnonzero(bright.any(axis=1)), np.flatnonzero(bright.any(axis=0))
+    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+    part = np.where(bright[box], block.excess[:, box[0], box[1]], np.float32(0))
+    rest = np.where(bright, np.float32(0), block.excess)
+    return (
+        Block(block.row, block.col, rest),
+        Block(block.row + box[0].start, block.col + box[1].start, part),
+    )
 
 
 # Movers pass the same windows again and again: their transforms are kept.

@@ -9,13 +9,16 @@ import numpy as np
 from numba import njit
 
 from optsim.forward.bands import in_bands
-from optsim.forward.field_blur import make_field_blur, reversed_psf
+from optsim.forward.field_blur import FieldBlur, make_field_blur, reversed_psf
 from optsim.forward.integrate import cell_means
-from optsim.forward.mode_blur import ModeBlur, make_mode_blur
+from optsim.forward.mode_blur import ModeBlur, make_mode_blur, split_bright
 from optsim.forward.psf import Blur, blur_block, extend, make_blur
 from optsim.forward.wings import far_light, make_wings, moving_ends
 from optsim.optics.objective import Objective
 from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
+
+# Moving light of more than this times the declared white counts as bright.
+_BRIGHT = 4.0
 
 
 def form_image(
@@ -50,20 +53,31 @@ def form_image(
     core = psf.middle(objective.core_half_width(cell_m))
     wings = make_wings(psf.kernel, core.half, pitch, shape)
     reach = psf.half
-    blur = make_field_blur(psf, shape)
+    varying = make_field_blur(psf, shape) if psf.cores.size else None
     common = make_blur(psf.common, (shape[0] + 2 * reach, shape[1] + 2 * reach))
 
     def collected(image: Floats) -> Doubles:
         """Image of a picture that does not end where the panel does."""
         wide = extend(image, reach).astype(np.float64)
         light = common.adjoint(wide)[reach : reach + shape[0], reach : reach + shape[1]]
-        if isinstance(blur, Blur):
+        if not isinstance(varying, FieldBlur):
             return light
-        rest = reach - blur.half
-        return light + blur.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
+        rest = reach - varying.half
+        return light + varying.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
 
     def core_blur(window: tuple[int, int], first: tuple[int, int]) -> ModeBlur | Blur:
         return make_mode_blur(core, window, shape, first, objective.field_error)
+
+    def exact_blur(window: tuple[int, int], first: tuple[int, int]) -> FieldBlur | Blur:
+        return make_field_blur(core, window, shape, first)
+
+    def blurred(block: Block) -> list[Block]:
+        """Blur a block: by few modes, but what is bright, such as a window that is covered, exactly."""
+        if not core.cores.size:
+            return [blur_block(block, core.half, core_blur, shape)]
+        common, bright = split_bright(block, _BRIGHT * radiance.white_w_m2_sr)
+        images = [blur_block(common, core.half, core_blur, shape)]
+        return images if bright is None else [*images, blur_block(bright, core.half, exact_blur, shape)]
 
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
@@ -101,8 +115,7 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blurred = (blur_block(block, core.half, core_blur, shape) for block in segment.blocks)
-        blocks = tuple(_shaded(block, near) for block in blurred)
+        blocks = tuple(_shaded(each, near) for block in segment.blocks for each in blurred(block))
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(

@@ -31,7 +31,7 @@ ORACLE = (
     "the full model (tolerance 0) on made scenes that no plan has seen: other textures, two movers, one of "
     "them in front of the bright light; differences of expected electrons; numpy only"
 )
-SOURCE = "definition of an effect's size (rms of its change over the predicted noise); no model of ours but both cameras"
+SOURCE = "definition of an effect's size: rms of the change that it makes over the predicted noise"
 # In units of the tolerance asked for: the claim itself.
 TOLERANCE = 1.0
 FILES = (
@@ -44,6 +44,7 @@ FILES = (
     "optsim/hardware/*.py",
 )
 
+_FULL: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # frames of the full model, which take longest
 _WHITE = 0.1  # W m^-2 sr^-1
 _TOLERANCES = (0.03, 0.1, 0.3)
 _LIGHTS = {
@@ -105,25 +106,27 @@ def _light(camera: CodedCamera, light: str) -> Illumination:
 
 def _error(camera: CodedCamera, light: str, planned: CodedCamera) -> float:
     """Rms difference of the planned frame and the full one, over the noise."""
-    full = plan_camera(camera, _light(camera, light), 0.0).camera
     radiance = _scene(camera, _LIGHTS[light])
     # The light rule: the interior's bright places fill 0.8 of the well, all-on.
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(0.5 * _WHITE)}["electrons a frame"]
     nd = min(1.0, 0.8 * camera.sensor.full_well_e / all_on)
-    code = _code(camera)
-    frames = []
-    for each in (full, planned):
-        lit = each.with_nd(nd)
-        expected, _ = lit.expected_electrons(lit.form_image(radiance), 0, code, None)
-        sensor = lit.sensor
-        smear = sensor.smear_e(expected, lit.exposure_s)
-        frames.append((sensor.signal_e(expected, smear, lit.serial_number), expected < sensor.full_well_e))
-    (whole, usable), (ours, unclipped) = frames
+    key = camera.model_dump_json() + light
+    if key not in _FULL:
+        _FULL[key] = _frame(plan_camera(camera, _light(camera, light), 0.0).camera, radiance, nd)
+    (whole, usable), (ours, unclipped) = _FULL[key], _frame(planned, radiance, nd)
     inside = np.zeros(whole.shape, np.bool_)
     inside[8:-8, 8:-8] = True
     valid = usable & unclipped & inside
     noise_e = np.sqrt(np.mean(whole[usable & inside] + camera.sensor.read_noise_e**2))
     return float(np.sqrt(np.mean((whole - ours)[valid] ** 2)) / noise_e)
+
+
+def _frame(camera: CodedCamera, radiance: RadianceVideo, nd: float) -> tuple[np.ndarray, np.ndarray]:
+    """Signal without noise, electrons, and where it does not clip."""
+    lit = camera.with_nd(nd)
+    expected, _ = lit.expected_electrons(lit.form_image(radiance), 0, _code(camera), None)
+    smear = lit.sensor.smear_e(expected, lit.exposure_s)
+    return lit.sensor.signal_e(expected, smear, lit.serial_number), expected < lit.sensor.full_well_e
 
 
 def _scene(camera: CodedCamera, bright: BrightLight | None) -> RadianceVideo:
@@ -172,6 +175,5 @@ def _code(camera: CodedCamera) -> ExposureCode:
 
 if __name__ == "__main__":
     for case in grid():
-        print(
-            f"{case.camera:15} {case.light:10} {case.tolerance:5} {case.error / case.tolerance:7.3f}  {case.left_out}"
-        )
+        share = case.error / case.tolerance
+        print(f"{case.camera:15} {case.light:10} {case.tolerance:5} {share:7.3f}  {case.left_out}")
