@@ -80,7 +80,9 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
             planned.form_image(radiance), 0, code, planned.panel_at_rest()
         )
         if tolerance == _TOLERANCE:
-            start = time.perf_counter()
+            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        progress("optsim", done + 1, 1 + len(_FURTHER_TOLERANCES))
+    start = time.perf_counter()
     dense = _dense(plan_camera(camera, light, 0.0).camera, radiance, code, progress)
     dense_s = time.perf_counter() - start
     valid = dense < camera.sensor.full_well_e
