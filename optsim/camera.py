@@ -33,7 +33,7 @@ from optsim.quantities import (
 from optsim.sensor import Ccd
 
 NOT_MODELLED: tuple[str, ...] = (
-    "blur that varies over the field; depth of field",
+    "depth of field; aberrations beyond the third order",
     "distortion of the objective; lateral colour",
     "ghosts of the objective; glare is uniform",
     "polarised scenes; stress birefringence; bands other than 550 nm",

@@ -14,7 +14,17 @@ import typer
 
 from optsim import __version__
 from optsim.cli_groups import cache_app, config_app
-from optsim.cli_options import Backend, ExperimentName, Json, Names, Seed, Set, print_json
+from optsim.cli_options import (
+    Backend,
+    ExperimentName,
+    Json,
+    Names,
+    Seed,
+    Set,
+    Tolerance,
+    print_json,
+    with_tolerance,
+)
 from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
 
 app = typer.Typer(
@@ -54,6 +64,7 @@ def run(
     assignments: Set = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default reports/runs/NAME-TIME.")] = None,
     seed: Seed = None,
+    tolerance: Tolerance = None,
     backend: Backend = None,
     as_json: Json = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, render nothing.")] = False,
@@ -64,7 +75,7 @@ def run(
     from optsim.console import page, people, progress_bars
     from optsim.experiment import load_experiment
 
-    loaded = load_experiment(experiment, assignments or [], seed=seed)
+    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     folder = job.run_folder(loaded, out)
     needs = job.check(loaded, folder, backend)
     if dry_run:
@@ -153,6 +164,7 @@ def trace(
     ] = None,
     method: Annotated[str | None, typer.Option(metavar="NAME", help="Method; default the first.")] = None,
     assignments: Set = None,
+    tolerance: Tolerance = None,
     out: Annotated[Path | None, typer.Option(help="Folder; default reports/runs/trace-NAME-TIME.")] = None,
     backend: Backend = None,
     as_json: Json = False,
@@ -167,7 +179,7 @@ def trace(
     from optsim.report.trace_plot import trace_plot
     from optsim.trace import choose_aim, show, trace_experiment
 
-    loaded = load_experiment(experiment, assignments or [])
+    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
     aim = choose_aim(loaded, pixel, frame, method)
     folder = out or job.new_folder(f"trace-{loaded.name}")
     job.check(loaded, folder, backend)
@@ -233,14 +245,16 @@ def check(
 
 
 @app.command()
-def explain(experiment: ExperimentName, assignments: Set = None, as_json: Json = False) -> None:
-    """Geometry fit, photon ledger, physical latency and size of each imperfection, without rendering."""
+def explain(
+    experiment: ExperimentName, assignments: Set = None, tolerance: Tolerance = None, as_json: Json = False
+) -> None:
+    """Geometry fit, photon ledger, latency, size of each imperfection and what is left out; no rendering."""
     from optsim.console import page
     from optsim.experiment import experiment_path
     from optsim.explain import explanation, show
 
     experiment_path(experiment)
-    record = explanation(experiment, assignments or [])
+    record = explanation(experiment, with_tolerance(assignments, tolerance))
     if as_json:
         print_json(record)
     else:

@@ -11,12 +11,23 @@ ExperimentName = Annotated[str, typer.Argument(metavar="EXPERIMENT", help="A pre
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key; repeatable.")
 ]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="Error that leaving out may make, rms, relative to a frame's noise; 0 models everything [0.1]."
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
 Backend = Annotated[
     str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
 Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
+
+
+def with_tolerance(assignments: list[str] | None, tolerance: float | None) -> list[str]:
+    """Put the tolerance of a command line among its overrides."""
+    return [*(assignments or []), *([] if tolerance is None else [f"tolerance={tolerance!r}"])]
 
 
 def print_json(record: object) -> None:

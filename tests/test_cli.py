@@ -150,3 +150,14 @@ def test_a_cache_folder_that_is_a_file_is_no_traceback(cli, tmp_path: Path, monk
     code, _, err = cli("run", "demo", "--dry-run")
     assert code == 2
     assert "is a file, expected a folder" in err
+
+
+def test_a_tolerance_is_an_override_like_any_other(cli) -> None:
+    code, out, _ = cli("explain", "demo", "--tolerance", "0", "--json")
+    assert code == 0
+    plan = json.loads(out)["plan"]
+    assert plan["tolerance"] == 0
+    assert all(choice["full"] for choice in plan["choices"])
+    code, _, err = cli("explain", "demo", "--tolerance", "-1")
+    assert code == 2
+    assert "tolerance" in err
