@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
@@ -79,6 +79,23 @@ class CodedCamera(Part):
     overlap: bool = True
     serial_number: int = Field(default=1, ge=0)
 
+    @model_validator(mode="after")
+    def _parts_work_together(self) -> CodedCamera:
+        if self.coded_slots < 1:
+            raise ValueError(
+                f"slots_per_frame: got {self.slots_per_frame}, expected more than the "
+                f"{self.slots_per_frame - self.coded_slots} slots that the readout of "
+                f"{self.sensor.readout_s * 1e3:.3g} ms takes without overlap; raise it, or set overlap = true"
+            )
+        f_number, axis = self.objective.working_f_number, np.zeros(1)
+        off, on = (float(throughput(self.splitter, self.modulator, g, f_number, axis)[0]) for g in (0, np.pi))
+        if on <= 0 or off > on * (1 + 1e-9):
+            raise ValueError(
+                f"splitter: a bright panel passes {on:.3g} of the light and a dark one {off:.3g}, expected a "
+                "contrast of at least 1; raise tp over ts and rs over rp, or acceptance_rad"
+            )
+        return self
+
     # -- what it is ---------------------------------------------------------------------------------------
 
     @property
@@ -122,7 +139,8 @@ class CodedCamera(Part):
     @property
     def panel_response(self) -> PanelResponse:
         """True response of the panel between its polarisers, with the leak on axis."""
-        return self.modulator.response(float(self._leaks(np.zeros(1))[0]), self.panel_rows)
+        # Without any contrast rounding may put it a little above 1.
+        return self.modulator.response(min(float(self._leaks(np.zeros(1))[0]), 1.0), self.panel_rows)
 
     @property
     def irradiance_per_radiance(self) -> float:

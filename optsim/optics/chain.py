@@ -36,7 +36,9 @@ def stage_transmissions(
     back = (modulator.mueller(retardance_rad) @ at_panel[..., None])[..., 0]
     out = (splitter.outbound(rays) @ back[..., None])[..., 0]
     passed = np.stack([stokes[..., 0].mean(axis=-1) for stokes in (at_panel, back, out)])
-    passed[1:] /= passed[:-1].copy()
+    before = passed[:-1].copy()
+    # Of no light nothing passes: a coating far from its angle, or ideal polarisers that are crossed.
+    passed[1:] = np.divide(passed[1:], before, out=np.zeros_like(before), where=before > 0)
     return passed
 
 
@@ -51,6 +53,9 @@ def throughput(
 
 
 def leak(splitter: Splitter, modulator: Modulator, panel_f_number: float, x_m: Doubles) -> Doubles:
-    """Transmission fully off over fully on at points of the panel, (point,): one over the system contrast."""
+    """Transmission fully off over fully on at points of the panel, (point,): one over the system contrast.
+
+    0 where nothing passes at all.
+    """
     off, on = (throughput(splitter, modulator, g, panel_f_number, x_m) for g in (0.0, np.pi))
-    return off / on
+    return np.divide(off, on, out=np.zeros_like(on), where=on > 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.forward.psf import kernel_half_width
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, cos4, irradiance_factor
@@ -45,6 +45,15 @@ class Objective(LensGroup):
     aberration_m: float = Field(default=3e-6, ge=0)
     glare_share: float = Field(default=0.0025, ge=0, lt=1)
     natural_vignetting: bool = True
+
+    @model_validator(mode="after")
+    def _cone_within_a_half_space(self) -> Objective:
+        if self.working_f_number < 0.5:
+            raise ValueError(
+                f"magnification x f_number: got f/{self.working_f_number:.3g} on the panel, expected at "
+                "least f/0.5, light from a whole half space; raise one of them"
+            )
+        return self
 
     @property
     def working_f_number(self) -> float:
