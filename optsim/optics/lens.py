@@ -7,10 +7,14 @@ from functools import lru_cache
 from pydantic import Field
 
 from optsim.config import Part
+from optsim.errors import ConfigError
 from optsim.forward.aberrations import Wavefront, field_psf
 from optsim.forward.field_blur import FieldPsf, uniform
-from optsim.forward.psf import psf_kernel
+from optsim.forward.psf import kernel_half_width, psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
+
+# Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
+_LARGEST_HALF = 4096
 
 
 class LensGroup(Part):
@@ -53,10 +57,32 @@ class LensGroup(Part):
             Rows and columns of the used field.
         defocus_m : float
             Distance from the sharp image, m.
+
+        Raises
+        ------
+        ConfigError
+            When its window would be too large for any memory.
         """
+        self._check_window(f_number, cell_m, defocus_m)
         numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
         # A frozen model has a hash, which its types don't tell.
         return _psf(self.wavefront, self.diffraction, sides, *numbers)  # pyright: ignore[reportArgumentType]
+
+    def _check_window(self, f_number: float, cell_m: float, defocus_m: float) -> None:
+        part = f"camera.{type(self).__name__.lower()}"
+        half = kernel_half_width(MONO_WAVELENGTH_M, f_number, cell_m, self.wing_share)
+        if self.diffraction and half > _LARGEST_HALF:
+            raise ConfigError(
+                f"{part}.wing_share: got {self.wing_share:g}, at f/{f_number:.3g} and cells of "
+                f"{cell_m * 1e6:.3g} um the PSF would reach {half} cells, expected at most {_LARGEST_HALF}; "
+                f"raise it to {self.wing_share * half / _LARGEST_HALF * 1.05:.2g}, or lower the f-number"
+            )
+        blur_m, limit_m = abs(defocus_m) / f_number + 4 * self.aberration_m, _LARGEST_HALF / 4 * cell_m
+        if blur_m > limit_m:
+            raise ConfigError(
+                f"{part}: defocus_m and aberration_m = {self.aberration_m:g} blur over {blur_m:.3g} m, "
+                f"expected at most {limit_m:.3g} m, {_LARGEST_HALF // 4} cells; lower them"
+            )
 
 
 # Kept by the numbers that matter: cameras are copied with other densities all the time.
