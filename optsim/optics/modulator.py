@@ -106,7 +106,9 @@ class Modulator(Part):
             Rows used, from the middle of the panel.
         """
         slower = np.exp(-_TAU_PER_DEGREE * (self.temperature_c - 25))
-        first = (self.rows - rows) / 2 / self.rows
+        # More rows than there are don't fit (geometry.py says so); here they only scan as a larger panel's.
+        there = max(self.rows, rows)
+        first = (there - rows) / 2 / there
         drive = [
             field * (1 + sign * self.polarity_drive)
             for sign, field in zip((1, -1) * 3, self.field_drive * 2, strict=True)
@@ -118,7 +120,7 @@ class Modulator(Part):
             drive_exponent=self.drive_exponent,
             field_drive=tuple(drive) if len(set(drive)) > 1 else (drive[0],),
             delay_s=self.delay_s + self.scan_s * first,
-            scan_s=self.scan_s * rows / self.rows,
+            scan_s=self.scan_s * rows / there,
         )
 
     def mueller(self, retardance_rad: float) -> Doubles:
@@ -153,5 +155,8 @@ def _smooth_pattern(rows: int, cols: int, rms: float, serial_number: int) -> Flo
         for j in range(4):
             if i or j:
                 pattern += rng.standard_normal() * np.outer(np.cos(np.pi * i * y), np.cos(np.pi * j * x))
+    # A line of pixels sees the cosines across it as a constant, and a single pixel has no spread.
+    pattern -= pattern.mean()
     spread = pattern.std()
-    return (1 + rms * pattern / (spread if spread > 0 else 1)).astype(np.float32)
+    # The largest rms may reach below nothing in a corner.
+    return np.maximum(1 + rms * pattern / (spread if spread > 0 else 1), 0).astype(np.float32)
