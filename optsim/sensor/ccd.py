@@ -27,8 +27,11 @@ from optsim.config import Part
 from optsim.forward.bands import CORES
 from optsim.quantities import Doubles, Floats, Words
 
-# Below this an expected signal under zero is rounding of the optics' transforms, not negative light.
-_ROUNDING_E = 1e-6
+# Up to this, and this share of the brightest pixel, what is under zero is rounding of the optics' transforms,
+# not negative light: next to 1e12 electrons they round by more than any fixed bound.
+_ROUNDING_E, _ROUNDING_SHARE = 1e-6, 1e-14
+# More than any well holds and less than the most that a Poisson generator takes.
+_MOST_E = 1e18
 _STREAMS = 8
 _PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
 
@@ -153,13 +156,14 @@ class Ccd(Part):
         dark = self.dark_signal_e(serial_number)
         dn = np.empty(expected_e.shape, np.uint16)
         negative = np.zeros(_STREAMS, np.int64)
+        rounding_e = _ROUNDING_E + _ROUNDING_SHARE * float(expected_e.max())
         edges = [self.rows * stream // _STREAMS for stream in range(_STREAMS + 1)]
 
         def strip(stream: int, draw: Generator) -> None:
             rows = slice(edges[stream], edges[stream + 1])
             expected = expected_e[rows]
-            negative[stream] = np.count_nonzero(expected < -_ROUNDING_E)
-            electrons = draw.poisson(np.maximum(expected, 0)).astype(np.float64)
+            negative[stream] = np.count_nonzero(expected < -rounding_e)
+            electrons = draw.poisson(np.clip(expected, 0, _MOST_E)).astype(np.float64)
             signal = self._bent_signal(electrons, smear) + dark[rows]
             signal += draw.standard_normal(signal.shape, np.float32) * noise
             np.clip(np.rint(signal / self.gain_e + self.black_dn), 0, self.max_dn, out=signal)
