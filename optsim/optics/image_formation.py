@@ -18,7 +18,10 @@ from optsim.optics.objective import Objective
 from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
 # Moving light of more than this times the declared white counts as bright.
-_BRIGHT = 4.0
+BRIGHT = 4.0
+# What leaves takes its light from a base that was blurred without modes: what these misplace is left behind, as
+# light or as less than none. So they get a tenth of the error that the base is allowed.
+MODES_SHARE = 0.1
 
 
 def form_image(
@@ -66,7 +69,7 @@ def form_image(
         return light + varying.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
 
     def core_blur(window: tuple[int, int], first: tuple[int, int]) -> ModeBlur | Blur:
-        return make_mode_blur(core, window, shape, first, objective.field_error)
+        return make_mode_blur(core, window, shape, first, MODES_SHARE * objective.field_error)
 
     def exact_blur(window: tuple[int, int], first: tuple[int, int]) -> FieldBlur | Blur:
         return make_field_blur(core, window, shape, first)
@@ -75,7 +78,7 @@ def form_image(
         """Blur a block: by few modes, but what is bright, such as a window that is covered, exactly."""
         if not core.cores.size:
             return [blur_block(block, core.half, core_blur, shape)]
-        common, bright = split_bright(block, _BRIGHT * radiance.white_w_m2_sr)
+        common, bright = split_bright(block, BRIGHT * radiance.white_w_m2_sr)
         images = [blur_block(common, core.half, core_blur, shape)]
         return images if bright is None else [*images, blur_block(bright, core.half, exact_blur, shape)]
 
