@@ -48,6 +48,7 @@ EFFECTS: dict[str, str] = {
     "veiling_glare": "uniform veiling glare of each lens group",
     "ghost": "mirrored, defocused ghost of the relay",
     "relay_overlap": "panel to CCD mapping at any ratio, with keystone and distortion",
+    "skipping": "what a plan leaves out, over cameras, scenes and tolerances",
     "smear": "smear of an interline CCD",
 }
 

@@ -65,7 +65,7 @@ def calibrate_from(bench: Bench) -> Calibration:
     response = PanelResponse(leak=flat.leak)
     # Each needs the others; fields that differ by 5 % are settled after two rounds.
     for _ in range(2 if bench.fields else 1):
-        exponent = drive_exponent(bench.greys, picker, flat, response.field_drive)
+        exponent = drive_exponent(bench.greys, picker, flat, response, bench.slot_s)
         if exponent is not None:
             response = response.model_copy(update={"drive_exponent": exponent})
         response = response_times(bench.steps, picker, valid, bench.slot_s, response)

@@ -19,6 +19,7 @@ from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.errors import BenchError
 from optsim.forward.crosstalk import Dots, crosstalk_kernels
 from optsim.forward.ghost import mirrored
+from optsim.forward.panel import PanelResponse, slot_weights
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 # No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
@@ -223,19 +224,22 @@ def stray_light(glare: Sequence[Patches], picker: Picker, flat: Shading) -> tupl
 
 
 def drive_exponent(
-    greys: Sequence[Flat], picker: Picker, flat: Shading, field_drive: Sequence[float]
+    greys: Sequence[Flat], picker: Picker, flat: Shading, response: PanelResponse, slot_s: float
 ) -> float | None:
     """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
 
-    Flats are means over slots, whose fields may be driven differently: ``field_drive`` says how.
+    Flats are means over slots, whose fields may be driven differently: a level that is held follows them
+    with the response's lag.
     """
     from scipy.optimize import root_scalar
 
-    drive = np.array(field_drive)
+    held = np.full(4 * len(response.field_drive), 255, np.uint8)
 
     def opened(exponent: float, level: int) -> float:
-        share_of_pi = (level / 255) ** exponent
-        seen, full = (np.mean(np.sin(np.pi / 2 * share * drive) ** 2) for share in (share_of_pi, 1.0))
+        guess = response.model_copy(update={"drive_exponent": exponent, "leak": 0.0})
+        levels = np.stack([np.full(len(held), level, np.uint8), held], axis=1)[:, None, :]
+        weights, _ = slot_weights(levels, None, guess, slot_s)
+        seen, full = weights[-len(response.field_drive) :, 0].mean(axis=0, dtype=np.float64)
         return float(seen / full)
 
     exponents: list[float] = []

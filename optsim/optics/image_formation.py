@@ -19,8 +19,8 @@ from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceV
 
 # Moving light of more than this times the declared white counts as bright.
 BRIGHT = 4.0
-# What leaves takes its light from a base that was blurred without modes: what these misplace is left behind, as
-# light or as less than none. So they get a tenth of the error that the base is allowed.
+# What leaves takes its light from a base that was blurred without modes: what these misplace is left behind,
+# as light or as less than none. So they get a tenth of the error that the base is allowed.
 MODES_SHARE = 0.1
 
 
