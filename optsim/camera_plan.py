@@ -11,10 +11,12 @@ The claim that what is skipped stays below the tolerance is measured in ``valida
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from optsim.camera import CodedCamera
+from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import ALL, Changes, changed
+from optsim.forward.psf import kernel_half_width
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.optics import Objective, Relay
 from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
 
@@ -140,7 +142,9 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     tolerance : float
         Rms error allowed in a frame, relative to its noise; 0 models everything.
     """
-    open_to_choice = {name: cut for name, cut in SHORT_CUTS.items() if not _by_hand(camera, cut)}
+    open_to_choice = {
+        name: _within_reach(camera, cut) for name, cut in SHORT_CUTS.items() if not _by_hand(camera, cut)
+    }
     whole = camera
     for cut in open_to_choice.values():
         whole = changed(whole, cut.steps[0][1])
@@ -191,6 +195,24 @@ class _Ladder:
 
     def choice(self, name: str, step: int) -> Choice:
         return Choice(name, self.cut.what, self.cut.steps[step][0], step == 0, self.size(step))
+
+
+def _within_reach(camera: CodedCamera, cut: ShortCut) -> ShortCut:
+    """Leave out steps whose wings would reach farther than twice the length of the panel."""
+    if not cut.far:
+        return cut
+    lens, cell_m = camera.objective, camera.modulator.pitch_m / SAMPLES_PER_PITCH
+    f_number = lens.working_f_number
+    if "relay" in cut.steps[0][1]:
+        f_number = camera.relay.image_f_number(f_number)
+        cell_m *= camera.relay.magnification
+    farthest = 2 * max(camera.view.rows, camera.view.cols)
+
+    def reaches(share: float) -> int:
+        return kernel_half_width(MONO_WAVELENGTH_M, f_number, cell_m, share)
+
+    fitting = [step for step in cut.steps if reaches(float(step[0])) <= farthest]
+    return replace(cut, steps=tuple(fitting) or cut.steps[-1:])
 
 
 def _by_hand(camera: CodedCamera, cut: ShortCut) -> bool:

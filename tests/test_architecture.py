@@ -27,7 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "effects": {"camera"},
     "probe": {"camera", "effects", "scene"},
     "effect_sizes": {"effects", "probe"},
-    "camera_plan": {"camera", "effects", "optics", "probe"},
+    "camera_plan": {"forward", "camera", "effects", "optics", "probe"},
     "hardware": {"optics", "sensor", "camera", "forward"},
     "calibrate": {"forward"},
     "laboratory": {"forward", "camera", "calibrate"},

@@ -39,8 +39,23 @@ def test_nothing_is_left_out_without_a_tolerance():
     plan = plan_camera(demo(), WINDOW, 0.0)
     assert plan.predicted == 0
     assert all(choice.full for choice in plan.choices)
-    for cut in SHORT_CUTS.values():
-        assert changed(plan.camera, cut.steps[0][1]) == plan.camera
+    for name, cut in SHORT_CUTS.items():
+        if not name.endswith("wings"):
+            assert changed(plan.camera, cut.steps[0][1]) == plan.camera
+    # Wings need not reach beyond the panel, here 480 cells wide, and back.
+    for lens in (plan.camera.objective, plan.camera.relay):
+        assert lens.wing_share == 3e-4
+
+
+@pytest.mark.parametrize("f_number", [0.7, 16.0])
+def test_slow_and_fast_lenses_have_a_plan_and_an_image(f_number):
+    camera = demo()
+    lens = camera.objective.model_copy(update={"f_number": f_number})
+    slow = camera.model_copy(update={"objective": lens})
+    for tolerance in (0.0, 0.1):
+        plan = plan_camera(slow, WINDOW, tolerance)
+        assert plan.predicted <= tolerance
+        assert plan.camera.relay_operator().blur.shape == (360, 480)
 
 
 def test_beside_a_bright_window_wings_reach_farther():

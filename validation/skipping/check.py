@@ -6,9 +6,9 @@ Run as a program it prints the grid.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -54,8 +54,7 @@ _LIGHTS = {
 }
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One point of the grid."""
 
     camera: str
