@@ -116,13 +116,13 @@ def trace_experiment(
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     progress("laboratory", 0, 1)
-    experiment, _ = planned(experiment)
-    calibration = calibrate(experiment)
+    modelled, _ = planned(experiment)
+    calibration = calibrate(modelled)
     progress("laboratory", 1, 1)
-    camera, _ = set_light(experiment, radiance, calibration)
+    camera, _ = set_light(modelled, radiance, calibration)
     truth = camera.form_image(radiance)
     method = next(each for each in experiment.methods if each.name == aim.method)
-    taken = shots(experiment, method, camera, truth, calibration)
+    taken = shots(modelled, method, camera, truth, calibration)
     for index in range(aim.frame):
         next(taken)
         progress("capture", index + 1, aim.frame + 1)

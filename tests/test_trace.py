@@ -372,6 +372,7 @@ def test_the_drawn_number_is_exactly_that_of_the_run(experiment, tmp_path: Path)
         for pixel in ((41, 50), (1, 2)):
             found = trace_experiment(experiment, Aim(*pixel, frame, method))
             assert found.reading.drawn_dn == written[pixel], (method, frame, pixel)
+        assert found.fingerprint == read_json(tmp_path / "experiment.json")["fingerprint"]
         light = read_json(tmp_path / "results.json")["light_rule"]
         assert found.nd_transmission == light["nd_transmission"]
 
