@@ -11,11 +11,11 @@ from optsim.errors import ConfigError, ValueCheckError
 from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import integrate_exposure, slot_means
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
-from optsim.forward.radiometry import photons_per_joule
+from optsim.forward.radiometry import MONO_WAVELENGTH_M, photons_per_joule
 from optsim.forward.relay import RelayGeometry, RelayOperator
 from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
 from optsim.ledger import LedgerRow, photon_ledger
-from optsim.optics import Modulator, Objective, Relay, Splitter, form_image, leak, throughput
+from optsim.optics import Modulator, Objective, Relay, Splitter, chain, form_image
 from optsim.quantities import (
     Bools,
     Bytes,
@@ -33,10 +33,11 @@ from optsim.quantities import (
 from optsim.sensor import Ccd
 
 NOT_MODELLED: tuple[str, ...] = (
-    "depth of field; aberrations beyond the third order",
-    "distortion of the objective; lateral colour",
+    "aberrations beyond the third order; distortion of the objective beyond it; lateral colour",
+    "pupils cut off by the objective's edges; change of scale and f-number with focus",
     "ghosts of the objective; glare is uniform",
-    "polarised scenes; stress birefringence; bands other than 550 nm",
+    "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",
+    "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
     "twist of the liquid crystal; ripple of the panel within a slot",
     "the error of the panel's grey curve beyond its exponent",
     "blooming, lag and hot pixels of the CCD; smear is that of the frame's own light",
@@ -65,6 +66,8 @@ class CodedCamera(Part):
         many as the readout takes, are uncoded: panel black and shutter closed.
     serial_number : int
         Seed of the fixed patterns of this very camera.
+    wavelength_m : float
+        Of the light that it is used in, m: that of the scene's band, where the scene has any.
     """
 
     objective: Objective
@@ -78,6 +81,7 @@ class CodedCamera(Part):
     latency_frames: int = Field(default=3, ge=1)
     overlap: bool = True
     serial_number: int = Field(default=1, ge=0)
+    wavelength_m: float = Field(default=MONO_WAVELENGTH_M, gt=0)
 
     @model_validator(mode="after")
     def _parts_work_together(self) -> CodedCamera:
@@ -87,27 +91,33 @@ class CodedCamera(Part):
                 f"{self.slots_per_frame - self.coded_slots} slots that the readout of "
                 f"{self.sensor.readout_s * 1e3:.3g} ms takes without overlap; raise it, or set overlap = true"
             )
-        f_number, axis = self.objective.working_f_number, np.zeros(1)
-        off, on = (float(throughput(self.splitter, self.modulator, g, f_number, axis)[0]) for g in (0, np.pi))
-        if on <= 0 or off > on * (1 + 1e-9):
-            raise ValueError(
-                f"splitter: a bright panel passes {on:.3g} of the light and a dark one {off:.3g}, expected a "
-                "contrast of at least 1; raise tp over ts and rs over rp, or acceptance_rad"
-            )
+        self.splitter.check_band(self.wavelength_m)
+        self.sensor.efficiency_at(self.wavelength_m)
+        f_number = self.objective.working_f_number
+        chain.check_contrast(self.splitter, self.modulator, f_number, self.wavelength_m)
         return self
 
     # -- what it is ---------------------------------------------------------------------------------------
 
     @property
     def view(self) -> View:
-        """Fine grid on which scenes are rendered for this camera."""
-        half_width_m = self.panel_cols * self.modulator.pitch_m / 2
+        """Fine grid on which scenes are rendered for this camera, and the lens that they are seen through."""
+        lens, half_width_m = self.objective, self.panel_cols * self.modulator.pitch_m / 2
         return View(
             rows=self.panel_rows * SAMPLES_PER_PITCH,
             cols=self.panel_cols * SAMPLES_PER_PITCH,
             samples_per_pitch=SAMPLES_PER_PITCH,
-            tan_half_width=half_width_m * self.objective.tan_per_metre(),
+            tan_half_width=half_width_m * lens.tan_per_metre(),
+            aperture_m=0.0 if lens.focus_m == "everywhere" else lens.aperture_m,
+            focus_m=None if isinstance(lens.focus_m, str) else lens.focus_m,
+            defocus_per_m=lens.defocus_per_m,
+            distortion=lens.distortion,
         )
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Of the light, nm."""
+        return round(self.wavelength_m * 1e9, 6)
 
     @property
     def slot_s(self) -> float:
@@ -140,7 +150,9 @@ class CodedCamera(Part):
     def panel_response(self) -> PanelResponse:
         """True response of the panel between its polarisers, with the leak on axis."""
         # Without any contrast rounding may put it a little above 1.
-        return self.modulator.response(min(float(self._leaks(np.zeros(1))[0]), 1.0), self.panel_rows)
+        return self.modulator.response(
+            min(float(self._leaks(np.zeros(1))[0]), 1.0), self.panel_rows, self.wavelength_m
+        )
 
     @property
     def irradiance_per_radiance(self) -> float:
@@ -189,7 +201,7 @@ class CodedCamera(Part):
         """
         self._check(radiance)
         kept = max(2, self.slots_per_frame // radiance.slots_per_segment)
-        return form_image(self.objective, radiance, self.modulator.pitch_m, kept)
+        return form_image(self.objective, radiance, self.modulator.pitch_m, kept, self.wavelength_m)
 
     def panel_at_rest(self) -> PanelState:
         """State of a panel that has been dark for long."""
@@ -269,6 +281,7 @@ class CodedCamera(Part):
             self.modulator.pitch_m / samples_per_pitch,
             transmission,
             samples_per_pitch,
+            self.wavelength_m,
         )
 
     # -- what one knows before building it ----------------------------------------------------------------
@@ -283,6 +296,7 @@ class CodedCamera(Part):
             relay=self.relay,
             sensor=self.sensor,
             coded_slots=self.coded_slots,
+            wavelength_m=self.wavelength_m,
         )
 
     def geometry(self) -> GeometryReport:
@@ -338,8 +352,9 @@ class CodedCamera(Part):
     def panel_gain(self) -> Floats:
         """Transmission of splitter and panel fully on, (v, u)."""
         pattern = self.modulator.gain(self.panel_rows, self.panel_cols, self.serial_number)
-        f_number = self.objective.working_f_number
-        on = throughput(self.splitter, self.modulator, np.pi, f_number, self._column_places_m)
+        white_rad, f_number = self.modulator.white_rad(self.wavelength_m), self.objective.working_f_number
+        where = f_number, self._column_places_m, self.wavelength_m
+        on = chain.throughput(self.splitter, self.modulator, white_rad, *where)
         return pattern * on.astype(np.float32)
 
     @property
@@ -348,7 +363,8 @@ class CodedCamera(Part):
         return self._leaks(self._column_places_m)
 
     def _leaks(self, x_m: Doubles) -> Doubles:
-        return leak(self.splitter, self.modulator, self.objective.working_f_number, x_m)
+        f_number = self.objective.working_f_number
+        return chain.leak(self.splitter, self.modulator, f_number, x_m, self.wavelength_m)
 
     @property
     def _column_places_m(self) -> Doubles:
@@ -367,22 +383,14 @@ class CodedCamera(Part):
 
     def photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
         """Electrons that a radiant exposure of the CCD frees on average, (y, x)."""
-        per_j_m2 = self.sensor.pixel_area_m2 * photons_per_joule() * self.sensor.quantum_efficiency
+        per_j_m2 = self.sensor.pixel_area_m2 * photons_per_joule(self.wavelength_m)
+        per_j_m2 *= self.sensor.efficiency_at(self.wavelength_m)
         return energy_j_m2 * (per_j_m2 * self.sensor.pixel_response(self.serial_number))
 
     def relay_geometry(self, samples_per_pitch: int = SAMPLES_PER_PITCH) -> RelayGeometry:
         """Where the fine grid lands on the CCD."""
-        return RelayGeometry(
-            rows=self.panel_rows * samples_per_pitch,
-            cols=self.panel_cols * samples_per_pitch,
-            ccd_rows=self.sensor.rows,
-            ccd_cols=self.sensor.cols,
+        return self.relay.geometry(
+            cells=(self.panel_rows * samples_per_pitch, self.panel_cols * samples_per_pitch),
+            ccd=(self.sensor.rows, self.sensor.cols),
             cell_px=self.ratio / samples_per_pitch,
-            magnification=self.relay.magnification,
-            shift_y_px=self.relay.shift_y_px,
-            shift_x_px=self.relay.shift_x_px,
-            rotation_rad=self.relay.rotation_rad,
-            keystone_y=self.relay.keystone_y,
-            keystone_x=self.relay.keystone_x,
-            distortion=self.relay.distortion,
         )

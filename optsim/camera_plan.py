@@ -12,12 +12,10 @@ The claim that what is skipped stays below the tolerance is measured in ``valida
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, TypeGuard
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import ALL, Changes, changed
-from optsim.forward.psf import kernel_half_width
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.optics import Objective, Relay
 from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
 
 # Scenes differ from the probe's: what is predicted is doubled.
@@ -26,61 +24,87 @@ _EVEN_PSFS: Changes = {"objective": {"field_error": 1.0}, "relay": {"field_error
 
 
 @dataclass(frozen=True)
-class ShortCut:
-    """One thing that may be modelled less finely.
+class Coarser:
+    """A number of a lens that may be larger, and the model coarser.
 
     Parameters
     ----------
     what : str
         In a few words.
-    steps : tuple of (str, Changes)
-        From the full model to the cheapest, with the words that name each.
-    far : bool
-        Whether it reaches over the whole panel, so that the near probe alone doesn't show it.
+    part, field : str
+        Of the camera, and its number.
+    values : tuple of float
+        From the full model to the cheapest.
     """
 
     what: str
-    steps: tuple[tuple[str, Changes], ...]
-    far: bool = False
+    part: Literal["objective", "relay"]
+    field: Literal["field_error", "wing_share"]
+    values: tuple[float, ...]
+
+    @property
+    def steps(self) -> tuple[tuple[str, Changes], ...]:
+        """From the full model to the cheapest, with the words that name each."""
+        return tuple((f"{value:g}", {self.part: {self.field: value}}) for value in self.values)
 
 
-def _numbers(part: str, field: str, values: tuple[float, ...]) -> tuple[tuple[str, Changes], ...]:
-    return tuple((f"{value:g}", {part: {field: value}}) for value in values)
+@dataclass(frozen=True)
+class LeftOut:
+    """An effect that may be left out.
 
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    """
 
-def _left_out(effect: str) -> ShortCut:
-    return ShortCut(ALL[effect].what, (("modelled", {}), ("skipped", ALL[effect].ideal)))
+    effect: str
+
+    @property
+    def what(self) -> str:
+        """In a few words."""
+        return ALL[self.effect].what
+
+    @property
+    def steps(self) -> tuple[tuple[str, Changes], ...]:
+        """With the effect and without it, with the words that name each."""
+        return (("modelled", {}), ("skipped", ALL[self.effect].ideal))
 
 
 _FIELD = (5e-3, 0.01, 0.02, 0.05, 0.1, 1.0)
 _WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 # Those first that save most time at the prototype's scale.
-SHORT_CUTS: dict[str, ShortCut] = {
-    "objective_field": ShortCut(
+SHORT_CUTS: dict[str, Coarser | LeftOut] = {
+    "objective_field": Coarser(
         "PSF of the objective that varies: share of a point's light that may be misplaced",
-        _numbers("objective", "field_error", _FIELD),
+        "objective",
+        "field_error",
+        _FIELD,
     ),
-    "objective_wings": ShortCut(
+    "objective_wings": Coarser(
         "far wings of the objective's PSF: share of the light that they may lose",
-        _numbers("objective", "wing_share", _WINGS),
-        far=True,
+        "objective",
+        "wing_share",
+        _WINGS,
     ),
-    "relay_field": ShortCut(
+    "relay_field": Coarser(
         "PSF of the relay that varies: share of a point's light that may be misplaced",
-        _numbers("relay", "field_error", _FIELD),
+        "relay",
+        "field_error",
+        _FIELD,
     ),
-    "relay_wings": ShortCut(
+    "relay_wings": Coarser(
         "far wings of the relay's PSF: share of the light that they may lose",
-        _numbers("relay", "wing_share", _WINGS),
-        far=True,
+        "relay",
+        "wing_share",
+        _WINGS,
     ),
-    "objective_blur": _left_out("objective_blur"),
-    "relay_blur": _left_out("relay_blur"),
-    "response": _left_out("response"),
-    "ghost": _left_out("ghost"),
-    "smear": _left_out("smear"),
+    "objective_blur": LeftOut("objective_blur"),
+    "relay_blur": LeftOut("relay_blur"),
+    "response": LeftOut("response"),
+    "ghost": LeftOut("ghost"),
+    "smear": LeftOut("smear"),
 }
-_DEFAULTS = {"objective": Objective.model_fields, "relay": Relay.model_fields}
 
 
 @dataclass(frozen=True)
@@ -172,7 +196,7 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
 class _Ladder:
     """A short cut with the sizes of its steps, each found when it is asked for."""
 
-    cut: ShortCut
+    cut: Coarser | LeftOut
     near: Probe
     far: Probe
     found: dict[int, float]
@@ -181,44 +205,52 @@ class _Ladder:
         if step == 0:
             return 0.0
         if step not in self.found:
-            label, changes = self.cut.steps[step]
-            sizes = [self.far.size(changes, {})] if self.cut.far else []
-            if not self.cut.far or float(label) > NEAR_WINGS:
+            changes = self.cut.steps[step][1]
+            wings = self.cut.values[step] if _of_wings(self.cut) else None
+            # Wings reach over the whole panel; a near probe has no room for those that lose least.
+            sizes = [] if wings is None else [self.far.size(changes, {})]
+            if wings is None or wings > NEAR_WINGS:
                 sizes.append(self.near.size(changes, {}))
             self.found[step] = _MARGIN * max(sizes)
         return self.found[step]
 
     def farthest(self, limit: float) -> int:
-        """Cheapest step whose size is within a limit."""
-        last = len(self.cut.steps) - 1
-        return next(step for step in range(last, -1, -1) if step == 0 or self.size(step) <= limit)
+        """Cheapest step whose size is within a limit, by bisection: cheaper steps err more."""
+        within, beyond = 0, len(self.cut.steps)
+        while beyond - within > 1:
+            step = (within + beyond) // 2
+            within, beyond = (step, beyond) if self.size(step) <= limit else (within, step)
+        return within
 
     def choice(self, name: str, step: int) -> Choice:
         return Choice(name, self.cut.what, self.cut.steps[step][0], step == 0, self.size(step))
 
 
-def _within_reach(camera: CodedCamera, cut: ShortCut) -> ShortCut:
+def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
+    return isinstance(cut, Coarser) and cut.field == "wing_share"
+
+
+def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | LeftOut:
     """Leave out steps whose wings would reach farther than twice the length of the panel."""
-    if not cut.far:
+    if not _of_wings(cut):
         return cut
     lens, cell_m = camera.objective, camera.modulator.pitch_m / SAMPLES_PER_PITCH
     f_number = lens.working_f_number
-    if "relay" in cut.steps[0][1]:
-        f_number = camera.relay.image_f_number(f_number)
+    if cut.part == "relay":
+        lens, f_number = camera.relay, camera.relay.image_f_number(f_number)
         cell_m *= camera.relay.magnification
     farthest = 2 * max(camera.view.rows, camera.view.cols)
 
     def reaches(share: float) -> int:
-        return kernel_half_width(MONO_WAVELENGTH_M, f_number, cell_m, share)
+        return lens.half_width(f_number, cell_m, share, camera.wavelength_m)
 
-    fitting = [step for step in cut.steps if reaches(float(step[0])) <= farthest]
-    return replace(cut, steps=tuple(fitting) or cut.steps[-1:])
+    fitting = [share for share in cut.values if reaches(share) <= farthest]
+    return replace(cut, values=tuple(fitting) or cut.values[-1:])
 
 
-def _by_hand(camera: CodedCamera, cut: ShortCut) -> bool:
+def _by_hand(camera: CodedCamera, cut: Coarser | LeftOut) -> bool:
     """Whether the one number of a short cut isn't at its default any more."""
-    if cut.steps[0][0] == "modelled":
+    if isinstance(cut, LeftOut):
         return False
-    ((part, fields),) = cut.steps[0][1].items()
-    (field,) = fields
-    return bool(getattr(getattr(camera, part), field) != _DEFAULTS[part][field].default)
+    lens = camera.objective if cut.part == "objective" else camera.relay
+    return bool(getattr(lens, cut.field) != type(lens).model_fields[cut.field].default)

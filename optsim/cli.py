@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -266,17 +266,20 @@ def explain(
 
 @app.command()
 def train(
-    out: Annotated[Path | None, typer.Option(help="Dictionary to write; default the shipped one.")] = None,
-    atoms: Annotated[int, typer.Option(min=8, max=20000, help="Number of atoms.")] = 1000,
+    prior: Annotated[Literal["dictionary", "mixture"], typer.Argument(help="What to learn.")] = "dictionary",
+    out: Annotated[Path | None, typer.Option(help="File to write; default the shipped one.")] = None,
+    size: Annotated[
+        int | None, typer.Option(min=1, max=20000, help="Atoms (1000) or Gaussians (20).")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of scenes, patches and start.")] = 1,
     backend: Backend = None,
 ) -> None:
-    """Learn the sparse decoder's dictionary from renders of scenes/training_mix."""
+    """Learn a decoder's prior from renders of scenes/training_mix."""
     from optsim.console import people, progress_bars
     from optsim.train import train_shipped
 
     with progress_bars() as progress:
-        path = train_shipped(out, n_atoms=atoms, seed=seed, backend=backend, progress=progress)
+        path = train_shipped(prior, out, size=size, seed=seed, backend=backend, progress=progress)
     people.print(f"Wrote {path}")
 
 

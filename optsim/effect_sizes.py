@@ -26,9 +26,10 @@ class EffectSize:
 
 
 def effect_sizes(probe: Probe) -> list[EffectSize]:
-    """Predict the size of every effect, the largest first."""
+    """Predict the size of every effect that a probe shows, the largest first."""
     found = [
         EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), {}))
         for name, effect in ALL.items()
+        if not effect.in_scene
     ]
     return sorted(found, key=lambda each: -each.size)

@@ -31,11 +31,15 @@ class Effect:
         In a few words.
     ideal, pessimistic : mapping
         Part -> field -> value.
+    in_scene : bool
+        Whether it acts where light is rendered, so that only the scene tells its size (:mod:`optsim.focus`,
+        :func:`optsim.truth.scene_light`).
     """
 
     what: str
     ideal: Changes
     pessimistic: Changes
+    in_scene: bool = False
 
 
 ALL: dict[str, Effect] = {
@@ -78,10 +82,29 @@ ALL: dict[str, Effect] = {
         {"splitter": {"acceptance_rad": 1.0}},
         {"splitter": {"acceptance_rad": 0.02}},
     ),
+    "polarised_scene": Effect(
+        "light that gloss polarised, seen through the splitter",
+        {"splitter": {"scene_light": "unpolarised"}},
+        {"splitter": {"scene_light": "polarised"}},
+        in_scene=True,
+    ),
     "vignetting": Effect(
         "natural vignetting of the objective",
         {"objective": {"natural_vignetting": False}},
         {},
+    ),
+    # 0.1 dioptres, 7 m taken for 4 m, is a focus set by eye; 3 % is a cheap wide-angle lens: no source.
+    "depth_of_field": Effect(
+        "what is not in focus, by a thin lens",
+        {"objective": {"focus_m": "everywhere"}},
+        {"objective": {"defocus_per_m": 0.1}},
+        in_scene=True,
+    ),
+    "objective_distortion": Effect(
+        "distortion of the objective",
+        {"objective": {"distortion": 0.0}},
+        {"objective": {"distortion": -0.03}},
+        in_scene=True,
     ),
     "objective_blur": Effect(
         "diffraction and aberrations of the objective, over the field",

@@ -30,8 +30,11 @@ EFFECTS: dict[str, str] = {
     "difference_unbiased": "difference rendering, allocated samples and skipped paths: no bias",
     "interpolation_bound": "interpolation in time between rendered poses",
     "noise_calibrated": "noise of the truth where movers are, elsewhere, and with a moving camera",
+    "depth_of_field": "defocus of the objective, and what hides what out of focus",
+    "objective_distortion": "distortion of the objective",
     "stokes_malus": "polarised light through polarisers, in the Stokes pass",
     "stokes_brewster": "polarised gloss, in the Stokes pass",
+    "analysed_gloss": "polarised scenes: gloss as the splitter passes it",
     "cos4": "radiance to irradiance, natural vignetting",
     "energy_balance": "energy through splitter, panel and relay",
     "photon_transfer": "sensor noise, gain and full well",
@@ -185,9 +188,10 @@ def measure_all(names: Sequence[str], *, write: bool, progress: Progress = silen
         progress(f"validate {name}", done, len(chosen))
         found.append(measure(name))
         kept[name] = found[-1]
+        if write:
+            # One by one: what has been measured stays when a later check is interrupted.
+            write_json(_RECORDS, [asdict(kept[each]) for each in sorted(kept)])
     progress("validate", len(chosen), len(chosen))
-    if write:
-        write_json(_RECORDS, [asdict(kept[name]) for name in sorted(kept)])
     return found
 
 

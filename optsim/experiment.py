@@ -20,7 +20,7 @@ from optsim.errors import ConfigError, unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
-from optsim.scene import FootageSource
+from optsim.scene import FootageSource, load_scene
 
 
 class SceneChoice(Part):
@@ -171,7 +171,7 @@ def load_experiment(
     Raises
     ------
     ConfigError
-        For an unknown or ill-valued key.
+        For an unknown or ill-valued key, an unknown scene, or a band in which the camera doesn't work.
     GeometryError
         When the panel's image does not fit the CCD.
     """
@@ -179,12 +179,36 @@ def load_experiment(
     table = override(read_toml(path), list(assignments))
     if seed is not None:
         table["seed"] = seed
-    table["camera"] = _on_hardware(table.get("camera", {}))
+    camera: object = table.get("camera", {})
+    by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)
+    table["camera"] = _on_hardware(cast("object", camera))
     _find_footage(table, path.parent)
-    experiment = build(Experiment, table, where=path.name)
+    experiment = _in_band(build(Experiment, table, where=path.name), by_hand, path.name)
     if check_geometry:
         experiment.camera.geometry().check()
     return experiment
+
+
+def _in_band(experiment: Experiment, by_hand: bool, where: str) -> Experiment:
+    """Give the camera the light of the scene's band; a scene without bands has that which the camera says.
+
+    Raises
+    ------
+    ConfigError
+        When the camera was told of other light, or doesn't work in this.
+    """
+    scene, camera = experiment.scene, experiment.camera
+    bands = load_scene(scene.name, scene.variation).in_band(scene.band).bands if scene else ()
+    if not bands or camera.wavelength_m == bands[0].wavelength_m:
+        return experiment
+    if by_hand:
+        raise ConfigError(
+            f"{where}: camera.wavelength_m: got {camera.wavelength_nm:g} nm, but the scene's band "
+            f"{bands[0].name!r} is at {bands[0].wavelength_nm:g} nm; drop it, or choose another scene.band"
+        )
+    table = experiment.model_dump()
+    table["camera"]["wavelength_m"] = bands[0].wavelength_m
+    return build(Experiment, table, where=where)
 
 
 def _find_footage(table: Table, folder: Path) -> None:

@@ -8,8 +8,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, cast
 
 from optsim.console import table
+from optsim.forward.radiometry import photons_per_joule
 
 if TYPE_CHECKING:
+    from optsim.camera import CodedCamera
     from optsim.camera_plan import CameraPlan
 
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
@@ -17,7 +19,7 @@ MID_GREY = 0.18
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
-    """Geometry, photon ledger, latency, effects and plan of an experiment, also of one that doesn't fit.
+    """Band, geometry, focus, photons, latency, effects, plan of an experiment, also of one that doesn't fit.
 
     Returns
     -------
@@ -29,7 +31,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
     from optsim.probe import near_probe
-    from optsim.truth import describe_truth, illumination
+    from optsim.truth import describe_truth, illumination, scene_light
 
     try:
         experiment = load_experiment(name_or_path, assignments)
@@ -44,7 +46,10 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     return {
         "experiment": experiment.name,
         "truth": f"{truth.name} ({truth.variation}): {truth.description}",
+        "light": scene_light(experiment).why,
+        "band": band_record(camera),
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
+        "focus": None if truth.focus is None else truth.focus.record(),
         "latency": {
             **asdict(latency),
             "chosen_frames": camera.latency_frames,
@@ -57,6 +62,19 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "effects": [asdict(each) for each in effect_sizes(near_probe(plan.camera, light))],
         "plan": plan_record(plan),
+    }
+
+
+def band_record(camera: CodedCamera) -> dict[str, float]:
+    """Say what the light's wavelength decides, parts by themselves, on axis."""
+    wavelength_m = camera.wavelength_m
+    return {
+        "wavelength_nm": camera.wavelength_nm,
+        "photons_per_joule": photons_per_joule(wavelength_m),
+        "quantum_efficiency": camera.sensor.efficiency_at(wavelength_m),
+        "white_retardance_in_half_waves": camera.modulator.white_rad(wavelength_m) / math.pi,
+        "white_over_that_of_a_half_wave": camera.panel_response.white,
+        "splitter_leak_over_that_at_550_nm": camera.splitter.growth_of_leak(wavelength_m),
     }
 
 
@@ -75,6 +93,8 @@ def show(record: dict[str, Any]) -> list[object]:
     latency = cast("dict[str, Any]", record["latency"])
     items: list[object] = [
         record["truth"],
+        f"light of the scene: {record['light']}",
+        table("band", ("quantity", "value"), list(cast("dict[str, float]", record["band"]).items())),
         table("geometry", ("quantity", "value"), [(k, v) for k, v in geometry.items()]),
         table("latency", ("quantity", "value"), [(k, v) for k, v in latency.items()]),
     ]
@@ -95,7 +115,8 @@ def show(record: dict[str, Any]) -> list[object]:
     effects = cast("list[dict[str, Any]]", record["effects"])
     items.append(
         table(
-            "what each imperfection changes in a frame of a small probe, rms, in units of the noise",
+            "what each imperfection changes in a frame of a small probe, rms, in units of the noise "
+            "(depth of field and distortion of the objective need the scene: see the first lines)",
             ("effect", "size", "what it is"),
             [(row["effect"], row["size"], row["what"]) for row in effects],
         )

@@ -33,7 +33,7 @@ from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
 from optsim.scoring import Scorer
 from optsim.stopwatch import Stopwatch
-from optsim.truth import band_nm, check_truth, describe_truth, render_truth, renderer
+from optsim.truth import check_truth, describe_truth, render_truth, renderer, scene_light
 
 Results = dict[str, Any]
 
@@ -208,6 +208,8 @@ def execute(
             "name": origin.name,
             "variation": origin.variation,
             "description": origin.description,
+            "light": scene_light(experiment, preview=chosen.startswith("scalar")).why,
+            "wavelength_nm": camera.wavelength_nm,
             "white_w_m2_sr": radiance.white_w_m2_sr,
             "white_cd_m2": scorer.scale.white_cd_m2,
             "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),
@@ -258,7 +260,7 @@ def export_radiance(
     """Write the truth as one OpenEXR a coded frame: mean radiance a slot and panel pixel, float32."""
     from optsim.forward.integrate import slot_means
 
-    slots, seen_nm = experiment.timing.slots_per_frame, band_nm(experiment)
+    slots, seen_nm = experiment.timing.slots_per_frame, experiment.camera.wavelength_nm
     for index in range(experiment.n_frames):
         means = slot_means(radiance, index * slots, slots)
         write_exr(

@@ -53,11 +53,11 @@ def ideal_calibration(camera: CodedCamera) -> Calibration:
     nominal = camera.model_copy(update={"relay": aligned})
     electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
     shape = (camera.panel_rows, camera.panel_cols)
-    exponent = camera.modulator.drive_exponent
+    exponent, white_rad = camera.modulator.drive_exponent, camera.modulator.white_rad(camera.wavelength_m)
     return _known(
         "ideal",
         camera,
-        response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=exponent),
+        response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
         picks=nominal.relay_geometry().picks(SAMPLES_PER_PITCH),
         responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
         offset_e=np.zeros(shape),

@@ -95,6 +95,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         if half >= _LEAST_GLARE_PX
         else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
+        white_rad=camera.modulator.white_rad(camera.wavelength_m),
         fields=tuple(lab.field(level, slot) for level in (_FIELD_LEVEL, 255) for slot in range(_FIELDS)),
     )
 

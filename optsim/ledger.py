@@ -43,6 +43,7 @@ def photon_ledger(
     relay: Relay,
     sensor: Ccd,
     coded_slots: int,
+    wavelength_m: float,
 ) -> tuple[LedgerRow, ...]:
     """Follow a uniform radiance on axis through a camera that is all on; glare and fixed patterns left out.
 
@@ -54,6 +55,8 @@ def photon_ledger(
         The camera's parts.
     coded_slots : int
         Slots with the shutter open.
+    wavelength_m : float
+        Of the light, m.
 
     Returns
     -------
@@ -67,7 +70,12 @@ def photon_ledger(
     )
     on_axis = np.zeros(1)
     into, panel, out = stage_transmissions(
-        splitter, modulator, math.pi, objective.working_f_number, on_axis
+        splitter,
+        modulator,
+        modulator.white_rad(wavelength_m),
+        objective.working_f_number,
+        on_axis,
+        wavelength_m,
     ).ravel()
     for stage, factor in (
         ("objective glass", objective.transmission),
@@ -82,14 +90,15 @@ def photon_ledger(
     ):
         rows.append(LedgerRow(stage, float(factor), float(factor * rows[-1].value), "W m^-2"))
     exposure_s = coded_slots / modulator.field_rate_hz
-    photons = rows[-1].value * sensor.pixel_area_m2 * exposure_s * photons_per_joule()
-    electrons = photons * sensor.quantum_efficiency
+    photons = rows[-1].value * sensor.pixel_area_m2 * exposure_s * photons_per_joule(wavelength_m)
+    efficiency = sensor.efficiency_at(wavelength_m)
+    electrons = photons * efficiency
     per_slot = electrons / coded_slots
     dark = sensor.dark_current_e_s * exposure_s
     ratio = modulator.pitch_m * relay.magnification / sensor.pitch_m
     rows += [
         LedgerRow(f"photons a pixel in {exposure_s * 1e3:.1f} ms", None, photons, "photons"),
-        LedgerRow("electrons a frame", sensor.quantum_efficiency, electrons, "e-"),
+        LedgerRow("electrons a frame", efficiency, electrons, "e-"),
         LedgerRow("of the full well", None, electrons / sensor.full_well_e, "1"),
         LedgerRow("electrons a slot", 1 / coded_slots, per_slot, "e-"),
         LedgerRow("SNR of a frame, centre pixel", None, _snr(electrons, dark, sensor, 1), "1"),

@@ -48,6 +48,7 @@ class Scorer:
         self.scale = metrics.PhotometricScale(
             white_w_m2_sr=self.radiance.white_w_m2_sr,
             irradiance_per_radiance=self.camera.irradiance_per_radiance,
+            wavelength_m=self.camera.wavelength_m,
         )
         self.board = metrics.ScoreBoard(
             metrics=metrics.ALL,

@@ -1,9 +1,10 @@
-"""``optsim train``: render training footage, learn the dictionary, write the small file that ships."""
+"""``optsim train``: render training footage, learn a prior, write the small file that ships."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,11 +14,13 @@ from optsim.errors import ConfigError
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, Timing, View
 from optsim.reconstruct.dictionary import save_dictionary
+from optsim.reconstruct.mixture import save_mixture
+from optsim.reconstruct.mixture_training import train_mixture
 from optsim.reconstruct.training import train_dictionary
 from optsim.scene import Scene
 
 SCENE = "training_mix"
-SHIPPED = Path(str(files("optsim.reconstruct") / "dictionary.npz"))
+Prior = Literal["dictionary", "mixture"]
 # Small panels with the demo's field of view: speeds in pixels per slot are those that decoders will meet.
 _VIEW = View(rows=120, cols=160, samples_per_pitch=1, tan_half_width=0.32)
 _TIMING = Timing(slot_s=1 / 180, slots_per_frame=36, n_frames=2)
@@ -54,27 +57,30 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
 
 
 def train_shipped(
+    prior: Prior,
     out: Path | None,
     *,
-    n_atoms: int = 1000,
+    size: int | None = None,
     seed: int = 1,
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Path:
-    """Learn a dictionary from the training scene and write it.
+    """Learn a prior from the training scene and write it.
 
     Parameters
     ----------
+    prior : {"dictionary", "mixture"}
+        Atoms for sparse coding, or Gaussians for the mixture decoder; of 8 x 8 pixels x 36 slots.
     out : Path, optional
         File to write; by default the one that the package ships.
-    n_atoms : int
-        Atoms of 8 x 8 pixels x 36 slots.
+    size : int, optional
+        Atoms or Gaussians.
     seed : int
-        Of renders, patches and first atoms.
+        Of renders, patches and where learning begins.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of slots rendered and of alternations.
+        Told of slots rendered and of iterations.
 
     Returns
     -------
@@ -86,22 +92,27 @@ def train_shipped(
     ConfigError
         When the file to write is no .npz.
     """
-    path = out or SHIPPED
+    path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
     if path.suffix != ".npz":
         raise ConfigError(f"--out {path}: expected a name that ends in .npz")
     clips = training_clips(seed=seed, backend=backend, progress=progress)
-    dictionary = train_dictionary(
-        list(clips.values()),
-        rng=np.random.default_rng(seed),
-        n_atoms=n_atoms,
-        provenance={
-            "command": f"optsim train --atoms {n_atoms} --seed {seed}",
-            "scene": SCENE,
-            "variations": list(clips),
-            "samples": _SAMPLES,
-            "optsim": __version__,
-        },
-        progress=progress,
-    )
-    save_dictionary(path, dictionary)
+    footage = list(clips.values())
+    record: dict[str, Any] = {
+        "command": f"optsim train {prior}{'' if size is None else f' --size {size}'} --seed {seed}",
+        "scene": SCENE,
+        "variations": list(clips),
+        "samples": _SAMPLES,
+        "optsim": __version__,
+    }
+    common: dict[str, Any] = {
+        "rng": np.random.default_rng(seed),
+        "provenance": record,
+        "progress": progress,
+    }
+    if prior == "dictionary":
+        wanted = {} if size is None else {"n_atoms": size}
+        save_dictionary(path, train_dictionary(footage, **wanted, **common))
+    else:
+        wanted = {} if size is None else {"n_components": size}
+        save_mixture(path, train_mixture(footage, **wanted, **common))
     return path

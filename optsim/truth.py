@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from optsim.cache import Cache
-from optsim.errors import ConfigError
+from optsim.errors import BackendError, ConfigError
 from optsim.experiment import Experiment, Source
+from optsim.focus import Focus, focus_on, seen_through
 from optsim.probe import WHITE_OVER_INTERIOR, Illumination
 from optsim.progress import Progress, silent
-from optsim.quantities import RadianceVideo
+from optsim.quantities import RadianceVideo, View
 from optsim.scene import (
-    MONO_NM,
     BrightLight,
     FootageTruth,
     Scene,
@@ -39,12 +39,70 @@ class TruthFacts:
         A sentence or two.
     white_w_m2_sr : float
         Declared white, W m^-2 sr^-1.
+    focus : Focus or None
+        What the lens does to the scene; None of footage, which has been through a lens already.
     """
 
     name: str
     variation: str
     description: str
     white_w_m2_sr: float
+    focus: Focus | None
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """As what light a scene is rendered.
+
+    Parameters
+    ----------
+    azimuth_rad : float or None
+        Of the component that is seen, twice, of polarised light; None for unpolarised light.
+    why : str
+        One line for people.
+    """
+
+    azimuth_rad: float | None
+    why: str
+
+
+def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
+    """Decide whether a scene is rendered with its polarisation, as ``camera.splitter.scene_light`` says.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its scene's materials decide where that is ``auto``.
+    preview : bool
+        Whether only the scalar renderer works, which has no polarised light.
+
+    Raises
+    ------
+    BackendError
+        When polarised light is insisted on and there is none.
+    """
+    splitter = experiment.camera.splitter
+    if experiment.scene is None:
+        return SceneLight(None, "unpolarised: of a recording nothing else is known")
+    if splitter.scene_light == "unpolarised":
+        return SceneLight(None, "unpolarised, as camera.splitter.scene_light says")
+    found = chosen_scene(experiment).polarising()
+    if splitter.scene_light == "auto" and not found:
+        return SceneLight(None, "unpolarised: no material of the scene polarises")
+    if preview and splitter.scene_light == "auto":
+        return SceneLight(
+            None, f"TAKEN AS UNPOLARISED, though {', '.join(found)} polarise: the scalar renderer cannot"
+        )
+    if preview:
+        raise BackendError(
+            "camera.splitter.scene_light: got 'polarised', but only the scalar renderer works here, which "
+            "has no polarised light; cure: 'optsim doctor', or set it to 'auto' or 'unpolarised'"
+        )
+    return SceneLight(
+        splitter.azimuth_rad,
+        f"polarised by {', '.join(found) or 'nothing'}: twice the component at "
+        f"{math.degrees(splitter.azimuth_rad):g} degrees from the picture's rows",
+    )
 
 
 def render_truth(
@@ -64,7 +122,8 @@ def render_truth(
     Returns
     -------
     RadianceVideo
-        Lazy: poses stay in the cache until a segment is asked for.
+        Lazy: poses stay in the cache until a segment is asked for. Of polarised light it is twice the
+        component that the splitter transmits in, see :func:`scene_light`.
 
     Raises
     ------
@@ -78,16 +137,36 @@ def render_truth(
         return recorded.radiance(Cache(), progress)
     from optsim import render
 
+    light = scene_light(experiment, preview=render.choose_backend(backend).preview)
     return render.render_truth(
         chosen_scene(experiment),
-        experiment.camera.view,
+        truth_view(experiment),
         experiment.timing,
         experiment.render,
         cache=Cache(),
         noise=camera_noise(experiment),
         backend=backend,
+        azimuth_rad=light.azimuth_rad,
         progress=progress,
     )
+
+
+def scene_focus(experiment: Experiment) -> Focus:
+    """Find what the objective's focus and distortion do to an experiment's scene, without rendering.
+
+    Raises
+    ------
+    ConfigError
+        When the truth is footage, which has been through a lens already.
+    """
+    timing = experiment.timing
+    duration_s = timing.n_slots * timing.slot_s
+    return focus_on(chosen_scene(experiment), experiment.camera, duration_s, experiment.tolerance)
+
+
+def truth_view(experiment: Experiment) -> View:
+    """Return what an experiment's scene is rendered through: a pinhole where no defocus would be seen."""
+    return seen_through(experiment.camera.view, scene_focus(experiment))
 
 
 def camera_noise(experiment: Experiment) -> CameraNoise | None:
@@ -107,13 +186,15 @@ def camera_noise(experiment: Experiment) -> CameraNoise | None:
 
 def illumination(experiment: Experiment) -> Illumination:
     """Find what a probe of an experiment's camera is told of the light, without rendering."""
-    white_w_m2_sr = describe_truth(experiment).white_w_m2_sr
     view = experiment.camera.view
     if experiment.scene is not None:
-        bright = brightest_light(chosen_scene(experiment), view.tan_half_width, view.rows / view.cols)
+        scene = chosen_scene(experiment)
+        white_w_m2_sr = scene.white_w_m2_sr
+        bright = brightest_light(scene, view.tan_half_width, view.rows / view.cols)
     else:
         # Of a recording it is known how bright it can get, not how much of it does.
         footage = cast("Source", experiment.source).footage
+        white_w_m2_sr = footage.white_w_m2_sr
         bright = BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)
     return Illumination(white_w_m2_sr, experiment.light.percentile, experiment.light.saturation_share, bright)
 
@@ -124,10 +205,18 @@ def chosen_scene(experiment: Experiment) -> Scene:
     Raises
     ------
     ConfigError
-        When the truth is footage, which has no objects, depth or flow to render, or for an unknown band.
+        When the truth is footage, which has no objects, depth or flow to render, for an unknown band, or when
+        the camera is one for other light.
     """
-    whole = whole_scene(experiment)
-    return whole.in_band(experiment.scene.band if experiment.scene else None)
+    whole, camera = whole_scene(experiment), experiment.camera
+    scene = whole.in_band(experiment.scene.band if experiment.scene else None)
+    if scene.bands and scene.bands[0].wavelength_m != camera.wavelength_m:
+        raise ConfigError(
+            f"camera.wavelength_m: got {camera.wavelength_nm:g} nm, expected the scene's band "
+            f"{scene.bands[0].name!r} at {scene.bands[0].wavelength_nm:g} nm; load the experiment with this "
+            "scene.band"
+        )
+    return scene
 
 
 def whole_scene(experiment: Experiment) -> Scene:
@@ -144,14 +233,6 @@ def whole_scene(experiment: Experiment) -> Scene:
             "an experiment that has a [scene]"
         )
     return load_scene(experiment.scene.name, experiment.scene.variation)
-
-
-def band_nm(experiment: Experiment) -> float:
-    """Wavelength of the band that an experiment sees, nm; 550 unless its scene says otherwise."""
-    if experiment.scene is None:
-        return MONO_NM
-    bands = chosen_scene(experiment).bands
-    return bands[0].wavelength_nm if bands else MONO_NM
 
 
 def chosen_footage(experiment: Experiment) -> FootageTruth | None:
@@ -175,12 +256,16 @@ def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthF
     recorded = chosen_footage(experiment)
     if recorded is None:
         scene = chosen_scene(experiment)
-        said = scene.description
+        focus = scene_focus(experiment)
+        said = f"{scene.description}; {focus.text()}"
         if scene.bands:
             said += f"; in its band {scene.bands[0].name} at {scene.bands[0].wavelength_nm:g} nm"
-        return TruthFacts(scene.name, scene.variation, said, scene.white_w_m2_sr)
+        return TruthFacts(scene.name, scene.variation, said, scene.white_w_m2_sr, focus)
     files = Path(recorded.source.path).name
-    return TruthFacts("footage", files, recorded.description(cache), recorded.source.white_w_m2_sr)
+    said = (
+        f"{recorded.description(cache)}; its focus and distortion are those of the lens that it was taken by"
+    )
+    return TruthFacts("footage", files, said, recorded.source.white_w_m2_sr, None)
 
 
 def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, str]:
@@ -189,7 +274,7 @@ def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, s
     Raises
     ------
     BackendError
-        When no renderer backend works.
+        When no renderer backend works, or none that the scene's light needs.
     ConfigError
         When a backend is asked for and nothing is to be rendered.
     """
@@ -197,6 +282,7 @@ def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, s
         from optsim import render
 
         chosen = render.choose_backend(backend)
+        scene_light(experiment, preview=chosen.preview)
         return chosen.variant, chosen.reason
     if backend is not None:
         raise ConfigError(

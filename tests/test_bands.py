@@ -14,7 +14,7 @@ from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import Scene, load_scene
-from optsim.truth import band_nm, chosen_scene, describe_truth
+from optsim.truth import chosen_scene, describe_truth
 
 BANDS = """
 bands = [
@@ -189,16 +189,15 @@ def experiment(tmp_path_factory) -> Experiment:
 def test_an_experiment_sees_one_band_and_says_which(experiment) -> None:
     assert chosen_scene(experiment).bands[0].name == "green"
     assert "band green at 540 nm" in describe_truth(experiment).description
-    assert band_nm(experiment) == 540
-    choice = experiment.scene.model_copy(update={"band": "red"})
-    red = experiment.model_copy(update={"scene": choice})
+    assert experiment.camera.wavelength_nm == 540
+    red = load_experiment("demo", [*SMALL, f"scene.name={experiment.scene.name}", "scene.band=red"])
     assert chosen_scene(red).lamps["top"].radiance_w_m2_sr == 8
-    assert band_nm(red) == 620
+    assert red.camera.wavelength_nm == 620
     assert red.fingerprint() != experiment.fingerprint()
-    wrong = experiment.model_copy(update={"scene": choice.model_copy(update={"band": "rad"})})
+    wrong = experiment.model_copy(update={"scene": red.scene.model_copy(update={"band": "rad"})})
     with pytest.raises(ConfigError, match="'red'"):
         describe_truth(wrong)
-    assert band_nm(load_experiment("demo")) == 550
+    assert load_experiment("demo").camera.wavelength_nm == 550
     assert "band" not in describe_truth(load_experiment("demo")).description
 
 

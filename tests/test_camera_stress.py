@@ -296,7 +296,9 @@ def test_a_psf_that_no_memory_holds_is_refused_with_the_key_and_the_cure():
     cure = float(str(error.value).split("raise it to ")[1].split(",")[0])
     with pytest.raises(ConfigError, match="wing_share"):
         changed(slow, relay={"wing_share": cure * 0.9}).relay_operator()
-    assert slow.relay.model_copy(update={"wing_share": cure})._check_window(60.0, 4.54e-6, 0.0) is None
+    assert (
+        slow.relay.model_copy(update={"wing_share": cure})._check_window(60.0, 4.54e-6, 0.0, 550e-9) is None
+    )
     with pytest.raises(ConfigError, match=r"camera\.relay: defocus_m"):
         small(2, 2, relay={"defocus_m": 1.0}).relay_operator()
 
@@ -314,7 +316,7 @@ def test_an_exposure_over_15_orders_of_radiance_is_that_of_dense_float64(diffrac
         5,
         7,
         modulator={"fringing_px": 0.0},
-        objective=lens,
+        objective=lens | {"distortion": 0.0},
         relay=lens | {"ghost_share": 0.0, "distortion": 0.0},
     )
     rng, view = np.random.default_rng(5), camera.view

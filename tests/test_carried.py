@@ -7,7 +7,7 @@ from optsim.cache import Cache
 from optsim.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
-from optsim.render.carried import Key, between, depths, filled
+from optsim.render.carried import Key, between, filled, seen_at
 from optsim.render.stage import Looks, Stage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal
@@ -38,7 +38,7 @@ def key(*paths: tuple[int, int, float, float, float]) -> Key:
     sample, shape, *values = np.array(sorted(paths)).T
     depth, albedo, light = (np.asarray(column, np.float32) for column in values)
     first = np.searchsorted(sample, np.arange(2 * VIEW.rows * VIEW.cols + 1))
-    return Key(first, shape.astype(np.int64), depth, albedo, light)
+    return Key((0, 0), (VIEW.rows, VIEW.cols), first, shape.astype(np.int64), depth, albedo, light)
 
 
 def irradiance(of: Key, at: Looks, here=HERE, then=THEN, half=0) -> float:
@@ -76,7 +76,8 @@ def test_points_between_vertices_are_projected_in_perspective():
     # seen at (1 * 0 + 4 * 5) / (1 + 4) = column 4 of a picture in which the ends are at columns 0 and 5.
     slanted = np.array([[0.5, 0.0, 1.0], [4.0, 0.0, 1.0], [0.5, 5.0, 4.0]])
     edge = looks(0.0, 0.5)
-    assert depths(edge, ONE, FACES, slanted) == pytest.approx(2.5)
+    # Halfway between rows 0.5 and 0.5, columns 0 and 5.
+    np.testing.assert_allclose(seen_at(edge, ONE, FACES, slanted), [[0.5, 4.0, 2.5]])
     there = key((4, 7, 2.5, 0.5, 2.0), (2, 7, 2.5, 0.5, 9.0))
     assert irradiance(there, edge, here=slanted, then=slanted) == pytest.approx(4.0)
 

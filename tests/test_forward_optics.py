@@ -5,9 +5,11 @@ import pytest
 from scipy.signal import fftconvolve
 
 from optsim.forward.crosstalk import crosstalk_kernels, true_dots
+from optsim.forward.field_blur import uniform
 from optsim.forward.fringing import border_shares
+from optsim.forward.moving_blur import ModesError, blur_moving
 from optsim.forward.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
-from optsim.forward.psf import blur_block, extend, make_blur, psf_kernel
+from optsim.forward.psf import extend, make_blur, psf_kernel
 from optsim.forward.radiometry import cos4, irradiance_factor, photons_per_joule
 from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
 from optsim.quantities import Block
@@ -88,7 +90,8 @@ def test_a_block_blurs_like_the_whole_image(row, col):
     excess = rng.normal(0, 1, (2, 7, 6)).astype(np.float32)
     whole = np.zeros((2, 32, 50), np.float32)
     whole[:, row : row + 7, col : col + 6] = excess
-    block = blur_block(Block(row, col, excess), half, lambda window, _: make_blur(kernel, window), (32, 50))
+    factor = np.ones((32, 50), np.float32)
+    block = blur_moving(Block(row, col, excess), uniform(kernel), factor, ModesError(1e-3, 1.0))
     ours = np.zeros((2, 32, 50))
     _, h, w = block.excess.shape
     ours[:, block.row : block.row + h, block.col : block.col + w] = block.excess

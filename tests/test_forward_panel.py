@@ -74,7 +74,7 @@ def test_the_stated_table_error_holds_between_nodes():
     worst = 0.0
     for level in (0, 60, 128, 200, 255):
         levels = np.full((1, 100, 100), level, np.uint8)
-        target = float(settled_retardance(levels[0, :1, :1], 1.2)[0, 0])
+        target = float(settled_retardance(levels[0, :1, :1], response)[0, 0])
         rising = mean_intensity(start, target, SLOT_S, 5e-3)
         falling = mean_intensity(start, target, SLOT_S, 1e-4)
         weights, _ = slot_weights(levels, panel(start), response, SLOT_S)
@@ -146,7 +146,7 @@ def test_an_instantaneous_panel_shows_its_levels_at_once():
     response = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0)
     weights, end = slot_weights(levels, panel(np.full((4, 6), 2.0, np.float32)), response, SLOT_S)
     np.testing.assert_allclose(weights, settled_weight(levels, response), atol=1e-6)
-    np.testing.assert_allclose(end.retardance_rad, settled_retardance(levels[-1], 1.2), atol=1e-6)
+    np.testing.assert_allclose(end.retardance_rad, settled_retardance(levels[-1], response), atol=1e-6)
     assert weights[levels == 0].max(initial=0) < 1e-9
 
 

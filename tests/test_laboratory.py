@@ -120,8 +120,9 @@ def test_map(camera: CodedCamera, found: Calibration) -> None:
     x = camera.ratio * (c * centre[:, 1] - s * centre[:, 0]) + 102 - 1.8
     picked = np.stack([found.pick_row, found.pick_col], axis=-1).reshape(-1, 2) + 0.5
     # Within 0.05 CCD pixels of a border either neighbour is right; 0.02 more in the corners, where coma's
-    # tail lies beyond what a dot's centre is measured from (without coma the worst is 0.013).
-    assert np.abs(np.stack([y, x], axis=-1) - picked).max() < 0.57
+    # tail lies beyond what a dot's centre is measured from (without coma the worst is 0.013), and 0.005 for
+    # the map's own noise, about half its residual.
+    assert np.abs(np.stack([y, x], axis=-1) - picked).max() < 0.575
     assert found.valid.all()
     assert 0.001 < found.map_residual_px < 0.01
 

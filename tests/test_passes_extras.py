@@ -20,7 +20,7 @@ from optsim.render.stage import Stage
 from optsim.render.stokes import render_stokes
 from optsim.report.pass_sheet import pass_sheet
 from optsim.scene import load_scene
-from optsim.truth import chosen_scene
+from optsim.truth import chosen_scene, truth_view
 
 # Slots of 5.56 ms: the pulses are on in slots 0 and 1 (80 % of it), off in 2 to 5, and so on.
 SCENE = """
@@ -173,7 +173,7 @@ def test_the_stokes_channels_are_the_pass_of_the_middle(experiment, folder) -> N
     start_s, stop_s = times(experiment, BRIGHT_SLOT)
     bright = bright_during(chosen_scene(experiment), start_s, stop_s)
     seed = seed_of(experiment.render.seed, "stokes", BRIGHT_SLOT)
-    expected = render_stokes(bright, experiment.camera.view, (start_s + stop_s) / 2, 24, seed)
+    expected = render_stokes(bright, truth_view(experiment), (start_s + stop_s) / 2, 24, seed)
     for i in range(4):
         np.testing.assert_allclose(channels[f"S{i}"], expected[i], rtol=1e-4, atol=1e-6)
     floor = channels["id"] == int(next(k for k, v in said["id_table"].items() if v == "object/floor"))

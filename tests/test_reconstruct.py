@@ -13,11 +13,21 @@ from optsim.calibrate.sample import noise_variance, separate, separated_variance
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
 from optsim.errors import ConfigError
 from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import ALL, Decoder, HdrMerge, SparseCoding, Union
+from optsim.reconstruct import (
+    ALL,
+    Average,
+    Decoder,
+    GaussianMixture,
+    HdrMerge,
+    Interpolation,
+    SparseCoding,
+    Union,
+)
 from optsim.reconstruct.dictionary import Dictionary, save_dictionary, unit
 
 ROWS, COLS = 32, 40
-NATURAL = {HdrMerge: HdrMosaic(), SparseCoding: RandomExposure(), Union: MotionAdaptive()}
+VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation)
+NATURAL = {HdrMerge: HdrMosaic(), Union: MotionAdaptive(), **dict.fromkeys(VIDEO, RandomExposure())}
 
 
 def last(decoder, frames, calibration):
@@ -45,7 +55,7 @@ def test_uniform_still_light_comes_back(kind, irradiance):
     assert not result.interpolated.any()
     error = result.irradiance_w_m2.mean(axis=0) / irradiance - 1
     exposure = 13 if kind is HdrMerge or kind is Union else 3.3
-    n_frames = 1 if kind is SparseCoding else 4
+    n_frames = 1 if kind in VIDEO else 4
     electrons = irradiance * 270 * exposure * n_frames
     one_pixel = np.sqrt(electrons + 9 * n_frames) / electrons
     # Neighbours share patches and crosstalk, so 64 pixels count as one; 3 standard errors, and half a DN of
@@ -309,6 +319,8 @@ def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):
     adapter: TypeAdapter = TypeAdapter(Decoder)
     decoder = adapter.validate_python({"kind": "union", "moving": {"stride_px": 2}})
     assert decoder == Union(moving=SparseCoding(stride_px=2))
+    other = adapter.validate_python({"kind": "union", "moving": {"kind": "gaussian_mixture", "single": True}})
+    assert other == Union(moving=GaussianMixture(single=True))
     atoms = unit(np.ones((3, 8, 8, 12), np.float32))
     save_dictionary(tmp_path / "short.npz", Dictionary(atoms))
     calibration = ideal_calibration(16, 16)
@@ -333,3 +345,29 @@ def test_single_alarms_are_not_believed_and_regions_are():
     assert abs(found[10, 10] - newest[10, 10]) > 0.05
     believed = last(HdrMerge(speck_px=1), frames, calibration).irradiance_w_m2[0]
     assert believed[10, 10] == pytest.approx(newest[10, 10], rel=1e-4)
+
+
+def test_interpolation_gives_back_what_is_even_and_fills_only_what_is_near():
+    calibration = ideal_calibration(ROWS, COLS)
+    slopes = np.linspace(0.2, 0.8, COLS, dtype=np.float32) * np.ones((ROWS, 1), np.float32)
+    frames = film(calibration, RandomExposure(), [still_light(slopes)], None)
+    found = last(Interpolation(), frames, calibration)
+    # Samples' weight lies beside the place asked for, typically by less than a pixel, their Gaussian's width.
+    slope = slopes[0, 1] - slopes[0, 0]
+    error = (found.irradiance_w_m2 - slopes)[:, 5:-5, 5:-5]
+    assert np.sqrt((error**2).mean()) < slope
+    assert abs(error.mean()) < 0.1 * slope
+    nowhere = replace(
+        frames[0], code=ExposureCode(np.zeros_like(frames[0].code.levels), frames[0].code.moving)
+    )
+    assert not last(Interpolation(), [nowhere], calibration).valid.any(), "never open: nothing to go on"
+
+
+def test_average_is_the_mean_of_its_two():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, RandomExposure(), crossing(1), np.random.default_rng(1))
+    (both,) = Average().layers(frames, calibration)
+    (one,) = SparseCoding().layers(frames, calibration)
+    (other,) = GaussianMixture(stride_px=1).layers(frames, calibration)
+    wanted = (one.irradiance_w_m2 + other.irradiance_w_m2) / 2
+    np.testing.assert_allclose(both.irradiance_w_m2, wanted, rtol=1e-6)

@@ -13,7 +13,7 @@ from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, mot
 from optsim.known_calibration import true_calibration
 from optsim.loop import calibrate, capture, set_light
 from optsim.quantities import ExposureCode, PanelState
-from optsim.reconstruct import HdrMerge, SparseCoding, Union, hdr_merge, sparse_coding
+from optsim.reconstruct import HdrMerge, SparseCoding, Union, coded_images, hdr_merge
 from optsim.reconstruct.layer import Layer
 
 V, U = 24, 24
@@ -26,7 +26,7 @@ def scene(value: float, patch: float | None = None) -> np.ndarray:
     return still_light(image)
 
 
-@pytest.mark.parametrize("room", [hdr_merge, sparse_coding, motion_adaptive])
+@pytest.mark.parametrize("room", [hdr_merge, coded_images, motion_adaptive])
 def test_the_panel_of_a_frame_is_what_the_frame_before_left(
     room: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,7 +108,7 @@ def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: p
         given.append(estimate)
         return separate(calibration, sample, estimate)
 
-    monkeypatch.setattr(sparse_coding, "separate", spy)
+    monkeypatch.setattr(coded_images, "separate", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))

@@ -140,7 +140,8 @@ def behind_a_polariser(roll_deg: float, mirror: dict[str, object] | None = None)
         if mirror:
             half_way = turning + TOWARDS + np.array([0, -1.0, 0])
             content["mirror"] = {"type": "rectangle", "to_world": facing(turning, half_way), "bsdf": mirror}
-        return stokes_image(mi, mi.load_dict(content, optimize=False), 8, 1, max_depth=6)[:, 0, 0]
+        loaded = mi.load_dict(content, optimize=False)
+        return stokes_image(mi, loaded, View(1, 1, 1, 1e-5), 8, 1, max_depth=6)[:, 0, 0]
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 45.0, 90.0, 135.0])

@@ -22,6 +22,7 @@ ALL: dict[str, str] = {
     "omp.k2000": "omp",
     "omp.k5000": "omp",
     "omp.k10000": "omp",
+    "reconstruct.moving_share": "reconstruct",
     "render.window_room": "render",
     "render.half_moving": "render",
     "render.moving_camera": "render",

@@ -215,8 +215,8 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
         passed = fine_image((weights[slot] * camera.panel_gain).astype(np.float64), borders)
         arrived += relay.apply(passed * irradiance.load(slot).start * camera.slot_s)
         progress("dense", slot + 1, camera.slots_per_frame)
-    efficiency = sensor.quantum_efficiency * sensor.pixel_response(serial)
-    electrons = arrived * sensor.pixel_area_m2 * photons_per_joule() * efficiency
+    efficiency = sensor.efficiency_at(camera.wavelength_m) * sensor.pixel_response(serial)
+    electrons = arrived * sensor.pixel_area_m2 * photons_per_joule(camera.wavelength_m) * efficiency
     return electrons + sensor.dark_current_e_s * camera.exposure_s
 
 

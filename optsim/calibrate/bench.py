@@ -32,6 +32,7 @@ fields        a flash as long as a slot, in each of six successive slots in turn
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -43,7 +44,7 @@ from optsim.errors import BenchError, StorageError
 from optsim.files import read_json, write_json, write_png16
 from optsim.quantities import Bytes, Words, checked
 
-_FORMAT = "optsim bench 2"
+_FORMAT = "optsim bench 3"
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,9 @@ class Bench:
         Frames without light.
     flats, off, greys, saturated, anchors, dots, glare, steps, fields
         See the module's table.
+    white_rad : float
+        Retardance of level 255 in the bench's light, rad: pi times the wavelength at which the panel's data
+        sheet calls it a half wave, over the light's. An error in it goes into the grey curve's exponent.
     """
 
     FILES: ClassVar[tuple[str, ...]] = (
@@ -167,6 +171,7 @@ class Bench:
     glare: tuple[Patches, ...]
     steps: tuple[Step, ...]
     fields: tuple[Step, ...] = ()
+    white_rad: float = math.pi
 
     def __post_init__(self) -> None:
         ccd = self.darks.shape[1:]
@@ -177,6 +182,10 @@ class Bench:
                     f"bench {name}: got images of {dn.shape[1:]} pixels, expected {ccd} as the darks have; "
                     "take all images with the same full CCD frame"
                 )
+        if not 0 < self.white_rad < 2 * math.pi:
+            raise BenchError(
+                f"bench white_rad: got {self.white_rad:g}, expected more than 0 and less than 2 pi"
+            )
         for name, least in (("darks", 2), ("off", 1), ("saturated", 2)):
             group = self.darks if name == "darks" else cast("Flat", getattr(self, name)).dn
             _enough(name, len(group), least, "frames")
@@ -207,6 +216,7 @@ class Bench:
             "slots_per_frame": self.slots_per_frame,
             "coded_slots": self.coded_slots,
             "panel_shape": list(self.panel_shape),
+            "white_rad": self.white_rad,
             "darks": _write_images(folder, "dark", self.darks),
         }
         for name in self.FILES:
@@ -249,6 +259,7 @@ class Bench:
             glare=tuple(_patches(t) for t in table.tables("glare")),
             steps=tuple(_step(t) for t in table.tables("steps")),
             fields=tuple(_step(t) for t in table.tables("fields")),
+            white_rad=table.number("white_rad"),
         )
 
 

@@ -62,7 +62,7 @@ def calibrate_from(bench: Bench) -> Calibration:
     # Pixels without meaning get the typical value, so that nobody divides by zero or meets a NaN.
     responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
     saturation_dn = np.where(valid, picker.saturation_dn, np.median(picker.saturation_dn[valid]))
-    response = PanelResponse(leak=flat.leak)
+    response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad)
     # Each needs the others; fields that differ by 5 % are settled after two rounds.
     for _ in range(2 if bench.fields else 1):
         exponent = drive_exponent(bench.greys, picker, flat, response, bench.slot_s)

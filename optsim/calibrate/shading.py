@@ -247,11 +247,16 @@ def drive_exponent(
     for grey in greys:
         rate, _ = picker.rate((grey,))
         open_share = (float(rate[flat.valid].sum()) / on - flat.leak) / (1 - flat.leak)
-        if not (0 < grey.level < 255 and 0 < open_share < 1):
+        past_a_half_wave = response.white_rad > np.pi
+        if not (0 < grey.level < 255 and open_share > 0 and (open_share < 1 or past_a_half_wave)):
             raise BenchError(
                 f"bench greys: level {grey.level} lets {open_share:.3g} of the light through, expected a "
                 "level and a share strictly between off and on"
             )
+
+        if open_share >= 1:
+            # Past a half wave some greys are brighter than white, each brightness at two retardances.
+            continue
 
         def off(exponent: float, level: int = grey.level, seen: float = open_share) -> float:
             return opened(exponent, level) - seen

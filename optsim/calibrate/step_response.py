@@ -54,7 +54,7 @@ def step_weights(
     ndarray of shape (step, row), float64
     """
     ends = np.array([[s.before, s.after] for s in steps], np.uint8)
-    held = settled_retardance(ends, response.drive_exponent).astype(np.float64)
+    held = settled_retardance(ends, response).astype(np.float64)
     flash_s = np.array([[s.flash_s] for s in steps])
     # Times since the row's turn; the change comes with the second slot of a frame, hence the second field.
     begin = np.array([[s.delay_s] for s in steps]) - row_delays_s
@@ -69,7 +69,7 @@ def step_weights(
         start = target + (gamma - target) * np.exp(-first / tau)
         light += length * mean_intensity(start, target, np.maximum(length, _INSTANTLY_S), tau)
         gamma = target + (gamma - target) * np.exp(-slot_s / tau)
-    return response.leak + (1 - response.leak) * light / flash_s
+    return response.leak + (1 - response.leak) / response.white * light / flash_s
 
 
 def response_times(

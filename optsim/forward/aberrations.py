@@ -13,7 +13,8 @@ Between the nodes of a square grid over the field the PSF is interpolated biline
 negative, and every point keeps its energy. As many nodes are taken as a stated error asks for. Far wings,
 which aberrations leave as they are, are the same everywhere.
 
-Not modelled: terms beyond third order, mechanical vignetting of the pupil, colour.
+Not modelled: terms beyond third order, mechanical vignetting of the pupil, dispersion: the path differences
+are those of 550 nm in every light.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from scipy.ndimage import gaussian_filter
 
 from optsim.config import Part
 from optsim.forward.field_blur import FieldPsf, uniform
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.quantities import Doubles
 
 # Nodes along each side of the field to choose from, each grid within the next; the last one is not looked at
@@ -40,7 +42,7 @@ _MARGIN = 4.0
 
 
 class Wavefront(Part):
-    """Rms wavefront error of a lens, waves: spherical everywhere, the others at the used panel's corner.
+    """Rms wavefront error of a lens, waves of 550 nm: spherical everywhere, the others at the panel's corner.
 
     Positive coma has its tail away from the axis; positive curvature and spherical aberration have the sign
     of Noll's polynomials, as a positive defocus has.
@@ -51,8 +53,13 @@ class Wavefront(Part):
     astigmatism_waves: float = 0.0
     curvature_waves: float = 0.0
 
+    def in_light_of(self, wavelength_m: float) -> Wavefront:
+        """Return the same path differences in waves of another wavelength."""
+        waves = MONO_WAVELENGTH_M / wavelength_m
+        return Wavefront(**{name: value * waves for name, value in self})
+
     def at(self, field_y: float, field_x: float, pupil_y: Doubles, pupil_x: Doubles) -> Doubles:
-        """Wavefront error in the pupil, waves.
+        """Wavefront error in the pupil, in the waves that its numbers count in.
 
         Parameters
         ----------
@@ -91,7 +98,7 @@ def field_psf(
     Parameters
     ----------
     wavefront : Wavefront
-        The lens's aberrations.
+        The lens's aberrations, in waves of this light.
     kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
         From :func:`optsim.forward.psf.psf_kernel`, with the same numbers.
     f_number, sigma_m, cell_m, wavelength_m : float

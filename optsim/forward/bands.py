@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -27,6 +27,11 @@ def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
         work(0, rows)
         return
     edges = [rows * band // CORES for band in range(CORES + 1)]
+    side_by_side(lambda a=a, b=b: work(a, b) for a, b in pairwise(edges) if b > a)
+
+
+def side_by_side(pieces: Iterable[Callable[[], None]]) -> None:
+    """Do pieces of work that don't wait for each other, as many at a time as there are cores."""
     with ThreadPoolExecutor(CORES) as pool:
-        for done in [pool.submit(work, a, b) for a, b in pairwise(edges) if b > a]:
+        for done in [pool.submit(piece) for piece in pieces]:
             done.result()

@@ -10,7 +10,8 @@ deviation sigma, at a distance x into the black pixel,
 
 That share is taken for all levels and times, row by column: weights are mixed with those of the
 neighbours, linearly. ``validation/fringing`` measures what that leaves out, on grey levels, in corners and
-in passing from level to level.
+in passing from level to level. In other light than that of which white is a half wave the shares stay as they
+are; what that leaves out is not measured.
 """
 
 from __future__ import annotations

@@ -54,6 +54,8 @@ class PanelResponse(Part):
         Time constants towards larger and towards smaller retardance, s; 0 is instantaneous.
     leak : float
         Transmission of the whole chain fully off over fully on, 1/CR; 0 is infinite contrast.
+    white_rad : float
+        Retardance of level 255 in the light that is used; pi is a half wave, the brightest there is.
     drive_exponent : float
         Exponent of retardance against level; 1.2 has no source, it is a sensible default.
     field_drive : tuple of float
@@ -66,19 +68,25 @@ class PanelResponse(Part):
     tau_on_s: float = Field(default=0.5e-3, ge=0)
     tau_off_s: float = Field(default=1.0e-3, ge=0)
     leak: float = Field(default=0.01, ge=0, le=1)
+    white_rad: float = Field(default=np.pi, gt=0, lt=2 * np.pi)
     drive_exponent: float = Field(default=1.2, gt=0)
     field_drive: tuple[float, ...] = (1.0,)
     delay_s: float = Field(default=0.0, ge=0)
     scan_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def white(self) -> float:
+        """Share of the light that level 255 passes, held, over what a half wave would."""
+        return float(np.sin(self.white_rad / 2) ** 2)
 
     def row_delays_s(self, rows: int) -> Doubles:
         """When each row of the panel turns to a slot's level, after the slot has begun, s."""
         return self.delay_s + self.scan_s * (np.arange(rows) + 0.5) / rows
 
 
-def settled_retardance(levels: Bytes, drive_exponent: float) -> Floats:
-    """Retardance that each drive level reaches if it is held, rad: pi (level / 255)^exponent."""
-    return _curve(drive_exponent).astype(np.float32)[levels]
+def settled_retardance(levels: Bytes, response: PanelResponse) -> Floats:
+    """Retardance that each drive level reaches if it is held, rad: white (level / 255)^exponent."""
+    return _curve(response).astype(np.float32)[levels]
 
 
 def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
@@ -87,13 +95,13 @@ def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
     Between fields that are driven differently it never quite settles: off by their difference times
     exp(-slot / tau).
     """
-    held = settled_retardance(levels, response.drive_exponent) * np.float32(response.field_drive[-1])
+    held = settled_retardance(levels, response) * np.float32(response.field_drive[-1])
     return PanelState(held, levels, 0)
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
     """Weight of each drive level if it is held for ever, all fields driven alike; 1 at level 255."""
-    intensity = np.sin(settled_retardance(levels, response.drive_exponent) / 2) ** 2
+    intensity = np.sin(settled_retardance(levels, response) / 2) ** 2 / response.white
     return (response.leak + (1 - response.leak) * intensity).astype(np.float32)
 
 
@@ -166,14 +174,16 @@ def slot_weights(
     Returns
     -------
     weights : ndarray of shape (slot * instants_per_slot, v, u), float32
-        Mean over the instant of leak + (1 - leak) sin^2(Gamma / 2): 1 for a pixel that has always been on.
+        Mean over the instant of leak + (1 - leak) sin^2(Gamma / 2) / sin^2(white / 2): 1 for a pixel that has
+        always been on; more in between where white is past a half wave.
     panel : PanelState
         The panel when the last slot ends.
 
     Raises
     ------
     ValueCheckError
-        When the shapes don't agree, or the last row's turn comes after the slot.
+        When the shapes don't agree, the last row's turn comes after the slot, or the drive asks for more than
+        a whole wave.
     """
     if panel is None:
         dark = settled_panel(np.zeros(levels.shape[1:], np.uint8), response)
@@ -189,16 +199,21 @@ def slot_weights(
             f"delay_s + scan_s: got {response.delay_s + response.scan_s:g} s, expected less than the slot of "
             f"{slot_s:g} s"
         )
+    if (most_rad := response.white_rad * max(response.field_drive)) > 2 * np.pi:
+        raise ValueCheckError(
+            f"white_rad x field_drive: got {most_rad:.3g} rad, expected at most a whole wave, 2 pi"
+        )
     # Drive of the slot before the first, then of each slot.
     n_fields = len(response.field_drive)
     drive = [response.field_drive[(panel.slots_shown + k) % n_fields] for k in range(-1, n_slots)]
-    targets = np.array(drive)[:, None] * _curve(response.drive_exponent)
+    targets = np.array(drive)[:, None] * _curve(response)
     instant_s = slot_s / instants_per_slot
     delays_s = response.row_delays_s(rows)
     turn = np.floor(delays_s / instant_s).astype(np.int64)
     early_s = delays_s - turn * instant_s
     taus = np.array([response.tau_on_s, response.tau_off_s])
     leaks = np.full(cols, response.leak) if leak is None else np.asarray(leak, np.float64)
+    spans = (1 - leaks) / response.white
     weights = np.empty((n_slots * instants_per_slot, rows, cols), np.float32)
     retardance, shown = panel.retardance_rad.copy(), panel.levels.copy()
 
@@ -206,15 +221,15 @@ def slot_weights(
         part = slice(first, end)
         _run(
             levels[:, part], retardance[part], shown[part], targets, np.cos(targets), np.sin(targets), taus,
-            turn[part], early_s[part], instant_s, leaks, _si_cin_table(), weights[:, part],
+            turn[part], early_s[part], instant_s, leaks, spans, _si_cin_table(), weights[:, part],
         )  # fmt: skip
 
     in_bands(rows, band)
     return weights, PanelState(retardance, shown, panel.slots_shown + n_slots)
 
 
-def _curve(drive_exponent: float) -> Doubles:
-    return np.pi * (np.arange(256) / 255.0) ** drive_exponent
+def _curve(response: PanelResponse) -> Doubles:
+    return response.white_rad * (np.arange(256) / 255.0) ** response.drive_exponent
 
 
 @lru_cache(maxsize=1)
@@ -274,6 +289,7 @@ def _run(
     early_s: Doubles,
     instant_s: float,
     leaks: Doubles,
+    spans: Doubles,
     table: Doubles,
     weights: Floats,
 ) -> None:
@@ -310,6 +326,6 @@ def _run(
                         cosine += after
                     retardance[v, u] = gamma
                     # Dark is dark: the table's error must not make light negative.
-                    row[u] = leaks[u] + (1 - leaks[u]) * max(0.5 - 0.5 * cosine / instant_s, 0.0)
+                    row[u] = leaks[u] + spans[u] * max(0.5 - 0.5 * cosine / instant_s, 0.0)
             for u in range(cols):
                 shown[v, u] = levels[slot, v, u]

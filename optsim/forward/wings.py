@@ -70,7 +70,8 @@ def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, in
         return None
     coarse = coarse_kernel(wings, pitch)
     reach = coarse.shape[0] // 2
-    return make_blur(coarse, (shape[0] // pitch + 2 * reach, shape[1] // pitch + 2 * reach))
+    wide = (shape[0] // pitch + 2 * reach, shape[1] // pitch + 2 * reach)
+    return make_blur(coarse, wide, wraps=True)
 
 
 def far_light(ends: Doubles, wings: Blur, pitch: int) -> Doubles:

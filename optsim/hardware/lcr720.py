@@ -24,6 +24,8 @@ def lcr720() -> Modulator:
         # 2.2 tau, rise and fall together, are then 3.3 ms.
         tau_on_s=0.5e-3,
         tau_off_s=1.0e-3,
+        # No source: the note's phase range of about pi in the visible says as much, not where.
+        half_wave_m=550e-9,
         # No source: no measured grey curve was found.
         drive_exponent=1.2,
         # No source for the next four. Fields that differ by 1 %, a polarity that is 1 % off balance, rows

@@ -4,6 +4,27 @@ from __future__ import annotations
 
 from optsim.sensor import Ccd
 
+# Quantum efficiency over that at 550 nm. No source for the shape: no curve of either chip was found in print;
+# a sensible default for silicon behind micro-lenses.
+_INTERLINE = tuple(
+    (nm / 1e9, relative / 0.99)
+    for nm, relative in (
+        (400, 0.72),
+        (450, 0.95),
+        (500, 1.03),
+        (525, 1.0),
+        (550, 0.99),
+        (600, 0.90),
+        (650, 0.76),
+        (700, 0.60),
+        (750, 0.44),
+        (800, 0.31),
+        (850, 0.20),
+        (900, 0.13),
+        (1000, 0.04),
+    )
+)
+
 
 def icx674() -> Ccd:
     """Point Grey GS3-U3-28S5M (Sony ICX674, interline), the coded camera of the prototype, 14 bit."""
@@ -14,6 +35,7 @@ def icx674() -> Ccd:
         pitch_m=4.54e-6,
         # Same table: 0.67 at 525 nm; times 0.99 to 550 nm (no source for the shape of the curve).
         quantum_efficiency=0.663,
+        spectral_response=_INTERLINE,
         # Published Mitsuba-based simulation of the ICX674. The table's 14 693 e- is the EMVA saturation
         # capacity, the peak of the variance, a little below.
         full_well_e=15770.0,
@@ -48,6 +70,8 @@ def imx174() -> Ccd:
         pitch_m=5.86e-6,
         # Point Grey's figure at 525 nm, not seen in print; 550 nm taken as equal.
         quantum_efficiency=0.76,
+        # No source: no curve of it was found; taken as that of the CCD.
+        spectral_response=_INTERLINE,
         # From the same manual's SNR of 45.1 dB and dynamic range of 73 dB.
         full_well_e=32400.0,
         read_noise_e=7.2,

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from optsim.forward.mueller import UNPOLARISED
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.optics.modulator import Modulator
 from optsim.optics.splitter import Splitter
 from optsim.quantities import Doubles
 
 
 def stage_transmissions(
-    splitter: Splitter, modulator: Modulator, retardance_rad: float, panel_f_number: float, x_m: Doubles
+    splitter: Splitter,
+    modulator: Modulator,
+    retardance_rad: float,
+    panel_f_number: float,
+    x_m: Doubles,
+    wavelength_m: float = MONO_WAVELENGTH_M,
 ) -> Doubles:
     """Power transmission of the way in, of the panel and of the way out, for unpolarised light.
 
@@ -25,6 +31,8 @@ def stage_transmissions(
         Of the cone that lands on the panel, taken as evenly filled.
     x_m : ndarray of shape (point,), float64
         Places on the panel from the axis, along its rows.
+    wavelength_m : float
+        Of the light, m; in it the panel has the given retardance.
 
     Returns
     -------
@@ -32,9 +40,9 @@ def stage_transmissions(
         Mean over the rays of each point.
     """
     rays = splitter.rays(x_m, panel_f_number)
-    at_panel = splitter.inbound(rays) @ UNPOLARISED
+    at_panel = splitter.inbound(rays, wavelength_m) @ UNPOLARISED
     back = (modulator.mueller(retardance_rad) @ at_panel[..., None])[..., 0]
-    out = (splitter.outbound(rays) @ back[..., None])[..., 0]
+    out = (splitter.outbound(rays, wavelength_m) @ back[..., None])[..., 0]
     passed = np.stack([stokes[..., 0].mean(axis=-1) for stokes in (at_panel, back, out)])
     before = passed[:-1].copy()
     # Of no light nothing passes: a coating far from its angle, or ideal polarisers that are crossed.
@@ -43,19 +51,59 @@ def stage_transmissions(
 
 
 def throughput(
-    splitter: Splitter, modulator: Modulator, retardance_rad: float, panel_f_number: float, x_m: Doubles
+    splitter: Splitter,
+    modulator: Modulator,
+    retardance_rad: float,
+    panel_f_number: float,
+    x_m: Doubles,
+    wavelength_m: float = MONO_WAVELENGTH_M,
 ) -> Doubles:
     """Power transmission of the whole chain for unpolarised light at points of the panel, (point,).
 
     Affine in cos(retardance); arguments as of :func:`stage_transmissions`.
     """
-    return stage_transmissions(splitter, modulator, retardance_rad, panel_f_number, x_m).prod(axis=0)
+    stages = stage_transmissions(splitter, modulator, retardance_rad, panel_f_number, x_m, wavelength_m)
+    return stages.prod(axis=0)
 
 
-def leak(splitter: Splitter, modulator: Modulator, panel_f_number: float, x_m: Doubles) -> Doubles:
+def leak(
+    splitter: Splitter,
+    modulator: Modulator,
+    panel_f_number: float,
+    x_m: Doubles,
+    wavelength_m: float = MONO_WAVELENGTH_M,
+) -> Doubles:
     """Transmission fully off over fully on at points of the panel, (point,): one over the system contrast.
 
     0 where nothing passes at all.
     """
-    off, on = (throughput(splitter, modulator, g, panel_f_number, x_m) for g in (0.0, np.pi))
+    ends = (0.0, modulator.white_rad(wavelength_m))
+    off, on = (throughput(splitter, modulator, g, panel_f_number, x_m, wavelength_m) for g in ends)
     return np.divide(off, on, out=np.zeros_like(on), where=on > 0)
+
+
+def check_contrast(
+    splitter: Splitter, modulator: Modulator, panel_f_number: float, wavelength_m: float
+) -> None:
+    """Refuse parts that together pass no light, or more of it from a dark panel than from a bright one.
+
+    Raises
+    ------
+    ValueError
+        With the keys.
+    """
+    white_rad, at = modulator.white_rad(wavelength_m), (panel_f_number, np.zeros(1), wavelength_m)
+    most_waves = white_rad * max(modulator.drives) / (2 * np.pi)
+    if most_waves >= 1:
+        raise ValueError(
+            f"modulator.half_wave_m: got {modulator.half_wave_m * 1e9:g} nm, in light of "
+            f"{wavelength_m * 1e9:g} nm white is up to {most_waves:.3g} waves, expected less than one; lower "
+            "it, or choose light nearer to it"
+        )
+    off, on = (float(throughput(splitter, modulator, gamma, *at)[0]) for gamma in (0, white_rad))
+    if on <= 0 or off > on * (1 + 1e-9):
+        raise ValueError(
+            f"splitter: a bright panel passes {on:.3g} of the light and a dark one {off:.3g}, expected a "
+            "contrast of at least 1; raise tp over ts and rs over rp, or acceptance_rad, or choose light "
+            "nearer to modulator.half_wave_m"
+        )

@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numba import njit
 
 from optsim.forward.bands import in_bands
-from optsim.forward.field_blur import FieldBlur, make_field_blur, reversed_psf
+from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.forward.integrate import cell_means
-from optsim.forward.mode_blur import ModeBlur, make_mode_blur, split_bright
-from optsim.forward.psf import Blur, blur_block, extend, make_blur
+from optsim.forward.moving_blur import ModesError, blur_moving
+from optsim.forward.psf import Blur, extend, make_blur
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.wings import far_light, make_wings, moving_ends
-from optsim.optics.objective import Objective
-from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
+from optsim.optics.objective import CORE_SHARE, Objective
+from optsim.quantities import Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
 # Moving light of more than this times the declared white counts as bright.
 BRIGHT = 4.0
@@ -25,7 +27,11 @@ MODES_SHARE = 0.1
 
 
 def form_image(
-    objective: Objective, radiance: RadianceVideo, pitch_m: float, kept_segments: int
+    objective: Objective,
+    radiance: RadianceVideo,
+    pitch_m: float,
+    kept_segments: int,
+    wavelength_m: float = MONO_WAVELENGTH_M,
 ) -> IrradianceVideo:
     """Irradiance on the modulator: blur, cos^4, radiance to irradiance, veiling glare.
 
@@ -42,6 +48,8 @@ def form_image(
         Panel pitch, m.
     kept_segments : int
         Segments kept for the next use.
+    wavelength_m : float
+        Of the light, m.
 
     Returns
     -------
@@ -51,37 +59,10 @@ def form_image(
     shape = (radiance.rows, radiance.cols)
     pitch = radiance.samples_per_pitch
     cell_m = pitch_m / pitch
-    # Along a ray radiance stays, so a point of the image collects from around with weights that sum to one.
-    psf = reversed_psf(objective.psf(objective.working_f_number, cell_m, shape))
-    core = psf.middle(objective.core_half_width(cell_m))
-    wings = make_wings(psf.kernel, core.half, pitch, shape)
-    reach = psf.half
-    varying = make_field_blur(psf, shape) if psf.cores.size else None
-    common = make_blur(psf.common, (shape[0] + 2 * reach, shape[1] + 2 * reach))
-
-    def collected(image: Floats) -> Doubles:
-        """Image of a picture that does not end where the panel does."""
-        wide = extend(image, reach).astype(np.float64)
-        light = common.adjoint(wide)[reach : reach + shape[0], reach : reach + shape[1]]
-        if not isinstance(varying, FieldBlur):
-            return light
-        rest = reach - varying.half
-        return light + varying.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
-
-    def core_blur(window: tuple[int, int], first: tuple[int, int]) -> ModeBlur | Blur:
-        return make_mode_blur(core, window, shape, first, MODES_SHARE * objective.field_error)
-
-    def exact_blur(window: tuple[int, int], first: tuple[int, int]) -> FieldBlur | Blur:
-        return make_field_blur(core, window, shape, first)
-
-    def blurred(block: Block) -> list[Block]:
-        """Blur a block: by few modes, but what is bright, such as a window that is covered, exactly."""
-        if not core.cores.size:
-            return [blur_block(block, core.half, core_blur, shape)]
-        common, bright = split_bright(block, BRIGHT * radiance.white_w_m2_sr)
-        images = [blur_block(common, core.half, core_blur, shape)]
-        return images if bright is None else [*images, blur_block(bright, core.half, exact_blur, shape)]
-
+    f_number = objective.working_f_number
+    psf = objective.psf(f_number, cell_m, shape, 0.0, wavelength_m)
+    blurs = _blurs(psf, objective.half_width(f_number, cell_m, CORE_SHARE, wavelength_m), pitch, shape)
+    modes_error = ModesError(MODES_SHARE * objective.field_error, BRIGHT * radiance.white_w_m2_sr)
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
     seen_keys: list[tuple[Floats, Doubles]] = []
@@ -91,7 +72,7 @@ def form_image(
         for seen, result in seen_keys:
             if seen is image or np.array_equal(seen, image):
                 return result
-        result = collected(image) * factor
+        result = blurs.collected(image) * factor
         seen_keys.append((image, result))
         del seen_keys[:-2]
         return result
@@ -110,15 +91,15 @@ def form_image(
         fluxes = [
             float(key.mean()) + float((line * factor).mean()) for key, line in zip(keys, moving, strict=True)
         ]
-        if wings is None:
+        if blurs.wings is None:
             ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
         else:
-            far = far_light(moving, wings, pitch)
+            far = far_light(moving, blurs.wings, pitch)
             ends = [
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blocks = tuple(_shaded(each, near) for block in segment.blocks for each in blurred(block))
+        blocks = tuple(blur_moving(block, blurs.core, near, modes_error) for block in segment.blocks)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(
@@ -134,10 +115,56 @@ def form_image(
     )
 
 
-def _shaded(block: Block, factor: Floats) -> Block:
-    _, height, width = block.excess.shape
-    part = factor[block.row : block.row + height, block.col : block.col + width]
-    return Block(block.row, block.col, block.excess * part)
+@dataclass(frozen=True, eq=False)
+class _Blurs:
+    """A PSF made ready for a field, turned by half a turn.
+
+    Along a ray radiance stays, so a point of the image collects from around with weights that sum to one.
+
+    Parameters
+    ----------
+    core : FieldPsf
+        What moving light gets in each instant.
+    wings : Blur or None
+        What it gets as a straight line in time.
+    reach : int
+        Half width of the whole.
+    common : Blur
+        Part that is the same everywhere, on the field and ``reach`` around it.
+    varying : FieldBlur or None
+        The other part, on the field.
+    """
+
+    core: FieldPsf
+    wings: Blur | None
+    reach: int
+    common: Blur
+    varying: FieldBlur | None
+
+    def collected(self, image: Floats) -> Doubles:
+        """Image of a picture that does not end where the panel does."""
+        reach = self.reach
+        wide = extend(image, reach).astype(np.float64)
+        light = self.common.adjoint(wide)[reach : reach + len(image), reach : reach + image.shape[1]]
+        if self.varying is None:
+            return light
+        rest = reach - self.varying.half
+        return light + self.varying.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
+
+
+# Kept, since a camera takes many videos; two, since they are as large as many pictures.
+@lru_cache(maxsize=2)
+def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) -> _Blurs:
+    turned = reversed_psf(psf)
+    core = turned.middle(core_half)
+    wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
+    return _Blurs(
+        core,
+        make_wings(turned.kernel, core.half, pitch, shape),
+        psf.half,
+        make_blur(turned.common, wide, wraps=True),
+        varying_blur(turned, shape, None) if psf.cores.size else None,
+    )
 
 
 def _with_glare(image: Doubles, flux: float, share: float) -> Floats:

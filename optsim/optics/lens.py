@@ -27,7 +27,7 @@ class LensGroup(Part):
     diffraction : bool
         Whether its aperture blurs, and with it its wavefront; the Gaussian does anyway.
     wavefront : Wavefront
-        Its third-order aberrations.
+        Its third-order aberrations, path differences that are the same in every light.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
     wing_share : float
@@ -44,7 +44,14 @@ class LensGroup(Part):
     wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
     field_error: float = Field(default=0.02, ge=1e-3, le=1)
 
-    def psf(self, f_number: float, cell_m: float, sides: tuple[int, int], defocus_m: float = 0.0) -> FieldPsf:
+    def psf(
+        self,
+        f_number: float,
+        cell_m: float,
+        sides: tuple[int, int],
+        defocus_m: float = 0.0,
+        wavelength_m: float = MONO_WAVELENGTH_M,
+    ) -> FieldPsf:
         """PSF in its image on a grid of square cells.
 
         Parameters
@@ -57,20 +64,37 @@ class LensGroup(Part):
             Rows and columns of the used field.
         defocus_m : float
             Distance from the sharp image, m.
+        wavelength_m : float
+            Of the light, m.
 
         Raises
         ------
         ConfigError
             When its window would be too large for any memory.
         """
-        self._check_window(f_number, cell_m, defocus_m)
+        self._check_window(f_number, cell_m, defocus_m, wavelength_m)
+        wavefront = self.wavefront.in_light_of(wavelength_m)
         numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
         # A frozen model has a hash, which its types don't tell.
-        return _psf(self.wavefront, self.diffraction, sides, *numbers)  # pyright: ignore[reportArgumentType]
+        return _psf(wavefront, self.diffraction, sides, *numbers, wavelength_m)  # pyright: ignore[reportArgumentType]
 
-    def _check_window(self, f_number: float, cell_m: float, defocus_m: float) -> None:
+    def half_width(
+        self, f_number: float, cell_m: float, wing_share: float, wavelength_m: float = MONO_WAVELENGTH_M
+    ) -> int:
+        """Cells from the centre to the edge of a PSF's window that misses a share of the light.
+
+        Parameters
+        ----------
+        f_number, cell_m, wavelength_m : float
+            As in :meth:`psf`.
+        wing_share : float
+            Share of the light.
+        """
+        return kernel_half_width(wavelength_m, f_number, cell_m, wing_share)
+
+    def _check_window(self, f_number: float, cell_m: float, defocus_m: float, wavelength_m: float) -> None:
         part = f"camera.{type(self).__name__.lower()}"
-        half = kernel_half_width(MONO_WAVELENGTH_M, f_number, cell_m, self.wing_share)
+        half = self.half_width(f_number, cell_m, self.wing_share, wavelength_m)
         if self.diffraction and half > _LARGEST_HALF:
             raise ConfigError(
                 f"{part}.wing_share: got {self.wing_share:g}, at f/{f_number:.3g} and cells of "
@@ -97,10 +121,11 @@ def _psf(
     f_number: float,
     cell_m: float,
     defocus_m: float,
+    wavelength_m: float,
 ) -> FieldPsf:
     disc_m = abs(defocus_m) / f_number
     kernel = psf_kernel(
-        f_number, sigma_m, cell_m, MONO_WAVELENGTH_M, wing_share, disc_m=disc_m, diffraction=diffraction
+        f_number, sigma_m, cell_m, wavelength_m, wing_share, disc_m=disc_m, diffraction=diffraction
     )
     # Without diffraction the plane out of focus blurs by geometry's disc, which the kernel holds.
     if not diffraction:
@@ -111,7 +136,7 @@ def _psf(
         f_number=f_number,
         sigma_m=sigma_m,
         cell_m=cell_m,
-        wavelength_m=MONO_WAVELENGTH_M,
+        wavelength_m=wavelength_m,
         sides=sides,
         field_error=field_error,
         defocus_m=defocus_m,

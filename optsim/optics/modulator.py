@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from optsim.config import Part
 from optsim.forward.mueller import depolariser, mirror, retarder_45
 from optsim.forward.panel import PanelResponse
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.quantities import Bools, Bytes, Doubles, Floats
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
@@ -41,6 +42,10 @@ class Modulator(Part):
         Time constants towards larger and smaller retardance, at 25 degrees C.
     temperature_c : float
         Of the crystal, degrees C: the time constants fall by 3 % a degree (no source, a sensible default).
+    half_wave_m : float
+        Wavelength at which level 255 is a half wave there and back, the brightest there is: in other light
+        its retardance is larger or smaller by the ratio of the two, since the path difference is taken to be
+        the same (dispersion of the crystal's birefringence is not modelled). 550 nm has no source.
     drive_exponent : float
         Exponent of retardance against level.
     field_drive : tuple of three float
@@ -71,6 +76,7 @@ class Modulator(Part):
     tau_on_s: float = Field(ge=0)
     tau_off_s: float = Field(ge=0)
     temperature_c: float = Field(default=25.0, ge=-20, le=90)
+    half_wave_m: float = Field(default=550e-9, gt=0)
     drive_exponent: float = Field(gt=0)
     field_drive: tuple[_Drive, _Drive, _Drive] = (1.0, 1.0, 1.0)
     polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
@@ -95,7 +101,20 @@ class Modulator(Part):
         """Of the mirrors, on a whole pitch cell."""
         return self.mirror_reflectivity * self.fill_factor
 
-    def response(self, leak: float, rows: int) -> PanelResponse:
+    @property
+    def drives(self) -> tuple[float, ...]:
+        """Relative retardance of six successive slots: three colours, whose sign turns from slot to slot."""
+        signs = (1, -1) * 3
+        return tuple(
+            field * (1 + sign * self.polarity_drive)
+            for sign, field in zip(signs, self.field_drive * 2, strict=True)
+        )
+
+    def white_rad(self, wavelength_m: float) -> float:
+        """Round-trip retardance of level 255 in light of a wavelength, rad."""
+        return np.pi * (self.half_wave_m / wavelength_m)
+
+    def response(self, leak: float, rows: int, wavelength_m: float = MONO_WAVELENGTH_M) -> PanelResponse:
         """How the panel answers its drive.
 
         Parameters
@@ -104,21 +123,21 @@ class Modulator(Part):
             Off over on of the whole chain.
         rows : int
             Rows used, from the middle of the panel.
+        wavelength_m : float
+            Of the light, m.
         """
         slower = np.exp(-_TAU_PER_DEGREE * (self.temperature_c - 25))
         # More rows than there are don't fit (geometry.py says so); here they only scan as a larger panel's.
         there = max(self.rows, rows)
         first = (there - rows) / 2 / there
-        drive = [
-            field * (1 + sign * self.polarity_drive)
-            for sign, field in zip((1, -1) * 3, self.field_drive * 2, strict=True)
-        ]
+        drive = self.drives
         return PanelResponse(
             tau_on_s=self.tau_on_s * slower,
             tau_off_s=self.tau_off_s * slower,
             leak=leak,
+            white_rad=self.white_rad(wavelength_m),
             drive_exponent=self.drive_exponent,
-            field_drive=tuple(drive) if len(set(drive)) > 1 else (drive[0],),
+            field_drive=drive if len(set(drive)) > 1 else (drive[0],),
             delay_s=self.delay_s + self.scan_s * first,
             scan_s=self.scan_s * rows / there,
         )

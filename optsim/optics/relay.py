@@ -10,6 +10,7 @@ from scipy import sparse
 
 from optsim.forward.field_blur import FieldBlur, FieldPsf, make_field_blur
 from optsim.forward.psf import Blur
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
 from optsim.optics.lens import LensGroup
 
@@ -64,6 +65,23 @@ class Relay(LensGroup):
         """Share of the panel's cone that passes the relay's stop, in a uniformly filled cone."""
         return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
 
+    def geometry(self, cells: tuple[int, int], ccd: tuple[int, int], cell_px: float) -> RelayGeometry:
+        """Where (y, x) cells on the panel, each of so many CCD pixels, land on a CCD of (y, x) pixels."""
+        return RelayGeometry(
+            rows=cells[0],
+            cols=cells[1],
+            ccd_rows=ccd[0],
+            ccd_cols=ccd[1],
+            cell_px=cell_px,
+            magnification=self.magnification,
+            shift_y_px=self.shift_y_px,
+            shift_x_px=self.shift_x_px,
+            rotation_rad=self.rotation_rad,
+            keystone_y=self.keystone_y,
+            keystone_x=self.keystone_x,
+            distortion=self.distortion,
+        )
+
     def operator(
         self,
         geometry: RelayGeometry,
@@ -71,6 +89,7 @@ class Relay(LensGroup):
         cell_m: float,
         transmission: float,
         samples_per_pitch: int,
+        wavelength_m: float = MONO_WAVELENGTH_M,
     ) -> RelayOperator:
         """Operator from the fine panel grid to the CCD; kept for the next call with the same numbers.
 
@@ -86,10 +105,12 @@ class Relay(LensGroup):
             Of everything that the operator stands for; at most 1.
         samples_per_pitch : int
             Fine cells to a panel pixel.
+        wavelength_m : float
+            Of the light, m.
         """
         f_number = self.image_f_number(panel_f_number)
         shape = (geometry.rows, geometry.cols)
-        psf = self.psf(f_number, cell_m * self.magnification, shape, self.defocus_m)
+        psf = self.psf(f_number, cell_m * self.magnification, shape, self.defocus_m, wavelength_m)
         ghost = None
         if self.ghost_share:
             ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)

@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from optsim.config import Part
+from optsim.errors import ConfigError
 from optsim.forward.mueller import polariser, turned
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.quantities import Doubles
 
 # Rings of equal area over the cone, rays of each: the leak of skew rays is then off by less than 0.5 %.
@@ -39,12 +41,24 @@ class Splitter(Part):
     Defaults of the coating: typical broadband visible cube; no data sheet was at hand, so they have no
     source. Clean-up polarisers stand before and behind, each with its transmission and contrast.
 
+    Of polarised light the camera sees p only. Irradiance on the modulator is unpolarised-equivalent, so the
+    scene's radiance is then twice the component along p, S0 + S1 cos 2a + S2 sin 2a. Not modelled: the
+    crossed component that gets in with it, ts over tp times cleanup_contrast, 1.1e-6 of what is polarised
+    across (1.1e-3 without a clean-up polariser).
+
     Parameters
     ----------
     tp, ts : float
         Transmittance of p and of s at 45 degrees.
     rs, rp : float
         Reflectance of s and of p at 45 degrees.
+    azimuth_rad : float
+        Of p in the picture: from its rows anticlockwise, as one looks at the upright picture. 0, p along the
+        rows, is how a coating stands whose plane of incidence is along the rows. Other values turn what is
+        analysed, as a half-wave plate in front would, not the angles on the coating.
+    scene_light : {"auto", "polarised", "unpolarised"}
+        Whether the scene is rendered with its polarisation; auto: where any of its materials polarises.
+        Unpolarised light stands for a perfect depolariser in front.
     placement : {"collimated", "converging"}
         Where it stands. In collimated space a point of the panel sees the coating under one angle, which
         varies over its columns, and light comes back along its own way: nothing is skew. In converging space
@@ -56,6 +70,12 @@ class Splitter(Part):
     acceptance_rad : float
         Up to this angle from 45 degrees, in glass, the coating does what it says; beyond, ts and rp grow with
         the square of the angle over it, and take from tp and rs what they gain (about 2 degrees; no source).
+    chromatic_m : float
+        So far from 550 nm ts and rp are twice what they are there, and grow with the square of the distance;
+        100 nm has no source. Polarisers and faces are the same in every light.
+    shortest_m, longest_m : float
+        Between these the coating is known: the usual range of broadband visible cubes; no data sheet was at
+        hand. A design that is flat even from 400 to 700 nm: Appl. Opt. 35(13), 2221 (1996).
     face_transmission : float
         Of the cube's faces together, both passes.
     cleanup_transmission : float
@@ -68,13 +88,33 @@ class Splitter(Part):
     ts: float = Field(default=0.001, ge=0, le=1)
     rs: float = Field(default=0.99, gt=0, le=1)
     rp: float = Field(default=0.03, ge=0, le=1)
+    azimuth_rad: float = Field(default=0.0, ge=-np.pi, le=np.pi)
+    scene_light: Literal["auto", "polarised", "unpolarised"] = "auto"
     placement: Literal["collimated", "converging"] = "collimated"
     collimator_m: float = Field(default=75e-3, gt=0)
     glass_index: float = Field(default=1.52, ge=1, le=3)
     acceptance_rad: float = Field(default=0.035, gt=0)
+    chromatic_m: float = Field(default=100e-9, gt=0)
+    shortest_m: float = Field(default=420e-9, gt=0)
+    longest_m: float = Field(default=680e-9, gt=0)
     face_transmission: float = Field(default=0.97, gt=0, le=1)
     cleanup_transmission: float = Field(default=0.9, gt=0, le=1)
     cleanup_contrast: float = Field(default=1000.0, ge=1)
+
+    def check_band(self, wavelength_m: float) -> None:
+        """Refuse light in which the coating is not known.
+
+        Raises
+        ------
+        ConfigError
+            With the keys.
+        """
+        if not self.shortest_m <= wavelength_m <= self.longest_m:
+            raise ConfigError(
+                f"camera.wavelength_m: got {wavelength_m * 1e9:g} nm, expected {self.shortest_m * 1e9:g} to "
+                f"{self.longest_m * 1e9:g} nm, where the splitter's coating is known; choose another band, "
+                "or state a coating by camera.splitter.shortest_m and longest_m"
+            )
 
     def rays(self, x_m: Doubles, panel_f_number: float) -> Rays:
         """Rays that meet points of the panel: arrays (point, ray).
@@ -100,19 +140,24 @@ class Splitter(Part):
         wide = np.ones((len(x_m), 1))
         return Rays(incidence * wide, skew * wide)
 
-    def inbound(self, rays: Rays) -> Doubles:
+    def inbound(self, rays: Rays, wavelength_m: float = MONO_WAVELENGTH_M) -> Doubles:
         """Mueller matrices from the objective to the panel, one a ray."""
-        wanted, growth = self.cleanup_transmission, self._growth(rays)
+        wanted, growth = self.cleanup_transmission, self._growth(rays, wavelength_m)
         coating = polariser(np.maximum(self.tp - self.rp * (growth - 1), 0), np.minimum(self.ts * growth, 1))
         return turned(coating, rays.skew_rad) @ polariser(wanted, wanted / self.cleanup_contrast)
 
-    def outbound(self, rays: Rays) -> Doubles:
+    def outbound(self, rays: Rays, wavelength_m: float = MONO_WAVELENGTH_M) -> Doubles:
         """Mueller matrices from the panel to the relay, one a ray; carry the transmission of the faces."""
         wanted = self.cleanup_transmission * self.face_transmission
-        growth = self._growth(rays)
+        growth = self._growth(rays, wavelength_m)
         coating = polariser(np.minimum(self.rp * growth, 1), np.maximum(self.rs - self.ts * (growth - 1), 0))
         # Turned the other way, seen from behind the mirror: the same angle.
         return polariser(wanted / self.cleanup_contrast, wanted) @ turned(coating, rays.skew_rad)
 
-    def _growth(self, rays: Rays) -> Doubles:
-        return np.maximum((rays.incidence_rad / self.acceptance_rad) ** 2, 1.0)
+    def growth_of_leak(self, wavelength_m: float) -> float:
+        """Ts and rp at 45 degrees in light of a wavelength, over those at 550 nm."""
+        return 1 + ((wavelength_m - MONO_WAVELENGTH_M) / self.chromatic_m) ** 2
+
+    def _growth(self, rays: Rays, wavelength_m: float) -> Doubles:
+        by_angle = np.maximum((rays.incidence_rad / self.acceptance_rad) ** 2, 1.0)
+        return by_angle * self.growth_of_leak(wavelength_m)

@@ -16,7 +16,8 @@ _NOISE_SIDE = 5
 CONVENTIONS = {
     "axes": "y, x: row, column; row 0 on top; sample centres at +0.5",
     "instant": "radiance: mean over the slot; all other passes: the middle of the slot, times_s[1]",
-    "rays": "all but radiance: one ray through the centre of each sample, first surface, never filtered",
+    "rays": "all but radiance: one ray through the centre of each sample and of the lens, first surface, "
+    "never filtered",
     "nothing": "id 0, all other passes 0, occluded 1",
     "depth": "Z: planar, z of the camera frame; distance: along the ray from the pinhole",
     "normal": "unit shading normal in the world, on the camera's side",
@@ -24,7 +25,8 @@ CONVENTIONS = {
     "now; also given where it is hidden then",
     "occluded": "1 where the surface point is not seen at that instant: hidden, or outside of the picture",
     "moving": "1 where the object is a mover, even if it rests",
-    "camera": "frame as OpenCV's: x right, y down, z forward; intrinsics_px takes it to (column, row)",
+    "camera": "frame as OpenCV's: x right, y down, z forward; intrinsics_px takes it to (column, row), after "
+    "x/z and y/z were multiplied by 1 + radial_k1 ((x/z)^2 + (y/z)^2)",
     "camera_to_world": "camera frame -> world, m, at each of times_s",
     "object_poses": "rigid movers: world at time 0 -> world at each of times_s; null for movers that deform",
     "Y.sigma": f"standard deviation of the Monte-Carlo noise of Y, from the two halves of the render, over "

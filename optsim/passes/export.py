@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from optsim.cache import hash_of
+from optsim.effects import with_effects
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
 from optsim.files import read_exr, read_json, write_exr, write_json, write_png8
@@ -30,7 +31,7 @@ from optsim.passes.extras import ExtraChannels, Extras, channel_names
 from optsim.progress import Progress, silent
 from optsim.quantities import Passes, RadianceVideo
 from optsim.report.pass_sheet import pass_sheet
-from optsim.truth import band_nm, chosen_scene, render_truth, renderer, whole_scene
+from optsim.truth import chosen_scene, render_truth, renderer, truth_view, whole_scene
 
 _KIND = "optsim passes 1"
 _MANIFEST = "manifest.json"
@@ -117,7 +118,7 @@ def export_passes(
 
     slots, extras = check_slots(experiment, slots), extras or Extras()
     extras.check(backend)
-    scene, view, slot_s = chosen_scene(experiment), experiment.camera.view, experiment.timing.slot_s
+    scene, view, slot_s = chosen_scene(experiment), truth_view(experiment), experiment.timing.slot_s
     made_by = {**versions(), "variant": renderer(experiment, backend)[0]}
     if extras.denoise:
         made_by["mitsuba-oidn"] = version("mitsuba-oidn")
@@ -129,13 +130,16 @@ def export_passes(
         *(settings, half, extras.model_dump(mode="json"), made_by),
     )
     short = (*HALF_CHANNELS, *more) if half else ()
-    export = _Export(folder, experiment, identity, short, extras, band_nm(experiment), made_by)
+    export = _Export(folder, experiment, identity, short, extras, experiment.camera.wavelength_nm, made_by)
     files = _found(export)
     missing = [slot for slot in slots if slot not in files]
     _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
     _write_manifest(export, files, complete=not missing)
     if missing:
-        radiance = render_truth(experiment, backend=backend, progress=progress)
+        # For others, without this camera's splitter: polarisation is a channel of its own.
+        plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
+        light = experiment.model_copy(update={"camera": plain})
+        radiance = render_truth(light, backend=backend, progress=progress)
         look = PassRenderer(scene, view, backend=backend)
         further = ExtraChannels(extras, experiment, backend=backend)
         for done, slot in enumerate(missing, start=1):
@@ -274,6 +278,7 @@ def _attributes(export: _Export, passes: Passes, slot: int) -> Record:
         "slot_stop_s": (slot + 1) * slot_s,
         "times_s": list(passes.times_s),
         "intrinsics_px": passes.intrinsics_px.tolist(),
+        "radial_k1": passes.radial_k1,
         "camera_to_world": passes.camera_to_world.tolist(),
         "id_table": {str(number): name for number, name in passes.id_table.items()},
         "object_poses": {

@@ -13,7 +13,7 @@ from optsim.experiment import Experiment
 from optsim.passes.slot_light import SlotLight, bright_during, named_groups
 from optsim.quantities import Floats, Passes
 from optsim.scene import Scene
-from optsim.truth import chosen_scene, whole_scene
+from optsim.truth import chosen_scene, truth_view, whole_scene
 
 # Samples of a fine sample and slot unless told otherwise: noise of about a fifth in window_room. No source.
 LIGHT_SAMPLES = 64
@@ -234,7 +234,7 @@ class ExtraChannels:
         from optsim.render.plan import seed_of
         from optsim.render.stokes import render_stokes
 
-        view, slot_s = self._experiment.camera.view, self._experiment.timing.slot_s
+        view, slot_s = truth_view(self._experiment), self._experiment.timing.slot_s
         seen = np.zeros((4, view.rows, view.cols), np.float32)
         if (scene := bright_during(self._scene, slot * slot_s, (slot + 1) * slot_s)) is not None:
             seed = seed_of(self._experiment.render.seed, "stokes", slot)

@@ -12,6 +12,7 @@ from optsim.progress import silent
 from optsim.quantities import Doubles
 from optsim.scene import Scene
 from optsim.scene.bands import mono
+from optsim.truth import truth_view
 
 
 def named_groups(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -58,7 +59,7 @@ class SlotLight:
         from optsim.render.plan import Plan
         from optsim.render.stage import Stage
 
-        view, settings = experiment.camera.view, experiment.render
+        view, settings = truth_view(experiment), experiment.render
         self.groups = named_groups(scene)
         self._lamps, self._samples = scene.lamps, samples
         self._plan = Plan(scene, view, experiment.timing, settings, None, Cache(), silent, "slot light")

@@ -53,7 +53,10 @@ class Passes:
     mask says so. A point then behind the camera has flow 0 and is masked.
 
     The camera frame is that of OpenCV: x right, y down, z forward. ``intrinsics_px`` takes it to (column,
-    row), whose origin is the outer corner of the first sample, so that sample centres are at +0.5.
+    row), whose origin is the outer corner of the first sample, so that sample centres are at +0.5. Before
+    that, a lens that distorts displaces x/z and y/z by the factor 1 + ``radial_k1`` ((x/z)^2 + (y/z)^2).
+
+    The ray through a sample is its chief ray, through the middle of the lens: passes are never out of focus.
 
     Parameters
     ----------
@@ -80,7 +83,9 @@ class Passes:
         Object id -> name, ``lamp/...``, ``object/...``, ``mover/...`` or ``static/...`` (a shape of the
         scene's own file), whether in view or not.
     intrinsics_px : ndarray of shape (3, 3), float64
-        Camera frame -> (column, row, 1) times depth, in fine samples.
+        Camera frame -> (column, row, 1) times depth, in fine samples, of the image without distortion.
+    radial_k1 : float
+        Distortion, as OpenCV's k1; 0 for none, negative for a barrel.
     camera_to_world : ndarray of shape (3, 4, 4), float64
         Camera frame -> world at t-, t, t+.
     object_poses : Mapping
@@ -100,6 +105,7 @@ class Passes:
     occluded_backward: Bools
     id_table: Mapping[int, str]
     intrinsics_px: Doubles
+    radial_k1: float
     camera_to_world: Doubles
     object_poses: Mapping[str, ObjectPose]
 

@@ -38,7 +38,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class View:
-    """What part of the scene the fine grid sees: a pinhole in front of square samples.
+    """What part of the scene the fine grid sees, and through what: a pinhole, or a thin lens, before it.
 
     Parameters
     ----------
@@ -47,13 +47,28 @@ class View:
     samples_per_pitch : int
         Fine samples per panel pixel, along each axis.
     tan_half_width : float
-        Tangent of half the horizontal field of view: half the image width over the focal length.
+        Tangent of half the horizontal field of view without distortion: half the image width over the focal
+        length.
+    aperture_m : float
+        Diameter of the thin lens, m; 0 is a pinhole.
+    focus_m : float or None
+        Depth in focus along the axis, m; None is the distance of the scene camera's target. What a pinhole
+        sees doesn't depend on it.
+    defocus_per_m : float
+        By how much the focus misses that, towards the camera, 1/m.
+    distortion : float
+        Relative displacement of what belongs into the grid's corner, growing with the square of the distance
+        from the middle; negative is a barrel (``forward.lens``).
     """
 
     rows: int
     cols: int
     samples_per_pitch: int
     tan_half_width: float
+    aperture_m: float = 0.0
+    focus_m: float | None = None
+    defocus_per_m: float = 0.0
+    distortion: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,22 @@ from typing import Annotated
 
 from pydantic import Field
 
-from optsim.reconstruct.branches import HdrMerge, SparseCoding
+from optsim.reconstruct.average import Average
+from optsim.reconstruct.branches import GaussianMixture, HdrMerge, Interpolation, SparseCoding
 from optsim.reconstruct.union import Union
 
-ALL = (HdrMerge, SparseCoding, Union)
-Decoder = Annotated[HdrMerge | SparseCoding | Union, Field(discriminator="kind")]
+ALL = (HdrMerge, SparseCoding, GaussianMixture, Average, Interpolation, Union)
+Decoder = Annotated[
+    HdrMerge | SparseCoding | GaussianMixture | Average | Interpolation | Union, Field(discriminator="kind")
+]
 
-__all__ = ["ALL", "Decoder", "HdrMerge", "SparseCoding", "Union"]
+__all__ = [
+    "ALL",
+    "Average",
+    "Decoder",
+    "GaussianMixture",
+    "HdrMerge",
+    "Interpolation",
+    "SparseCoding",
+    "Union",
+]

@@ -1,6 +1,8 @@
-"""The decoders that the union can be made of."""
+"""The decoders that others are made of."""
 
+from optsim.reconstruct.gaussian_mixture import GaussianMixture
 from optsim.reconstruct.hdr_merge import HdrMerge
+from optsim.reconstruct.interpolation import Interpolation
 from optsim.reconstruct.sparse_coding import SparseCoding
 
-__all__ = ["HdrMerge", "SparseCoding"]
+__all__ = ["GaussianMixture", "HdrMerge", "Interpolation", "SparseCoding"]

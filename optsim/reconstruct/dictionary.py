@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim.errors import StorageError, ValueCheckError
-from optsim.files import atomic
+from optsim.errors import ValueCheckError
 from optsim.quantities import Floats, checked
+from optsim.reconstruct.prior_file import read_prior, write_prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +57,10 @@ def unit(atoms: Floats) -> Floats:
 
 
 def save_dictionary(path: Path, dictionary: Dictionary) -> None:
-    """Write a dictionary as a compressed .npz: 8 bits a number, one scale an atom, provenance as JSON."""
+    """Write a dictionary as a compressed .npz: 8 bits a number, one scale an atom."""
     scales = np.abs(dictionary.atoms).max(axis=(1, 2, 3)) / 127
     codes = np.rint(dictionary.atoms / scales[:, None, None, None]).astype(np.int8)
-    text = json.dumps(dict(dictionary.provenance), allow_nan=False)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, atoms=codes, provenance=np.array(text))
-    with atomic(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
+    write_prior(path, {"atoms": codes}, dictionary.provenance)
 
 
 def load_dictionary(path: Path) -> Dictionary:
@@ -77,15 +71,8 @@ def load_dictionary(path: Path) -> Dictionary:
     StorageError
         When the file is missing or is no dictionary.
     """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            codes = stored["atoms"]
-            provenance = json.loads(str(stored["provenance"]))
-    except FileNotFoundError:
-        raise StorageError(f"no such dictionary: {path}; make one with 'optsim train'") from None
-    except (OSError, ValueError, KeyError) as error:
-        raise StorageError(f"{path} is not a dictionary: {error}") from None
-    return Dictionary(unit(codes.astype(np.float32)), provenance)
+    stored, provenance = read_prior(path, "dictionary", ("atoms",))
+    return Dictionary(unit(stored["atoms"].astype(np.float32)), provenance)
 
 
 @lru_cache(maxsize=2)

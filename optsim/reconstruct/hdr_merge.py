@@ -21,10 +21,9 @@ from optsim.calibrate.sample import (
     separated_variance,
     take,
 )
-from optsim.config import Part
 from optsim.forward.motion import Bounds, changed, without_specks
-from optsim.quantities import Bools, CodedFrame, Floats, PanelState, Reconstruction
-from optsim.reconstruct.layer import Layer
+from optsim.quantities import Bools, CodedFrame, Floats, PanelState
+from optsim.reconstruct.layer import Branch, Layer
 
 # Saturated neighbours and the dark samples between them are estimated from each other: each pass leaves about
 # half of the error at a crosstalk of a few per cent and exposures of 1 : 36.
@@ -32,7 +31,7 @@ _MOST_PASSES = 16
 _SETTLED = 1e-3
 
 
-class HdrMerge(Part):
+class HdrMerge(Branch):
     """Merge all unsaturated samples of a pixel since it last changed.
 
     The estimate is the weighted least-squares one, ``sum(W I / var) / sum(W^2 / var)``, which is
@@ -66,11 +65,6 @@ class HdrMerge(Part):
     crosstalk: Crosstalk = "undone"
     taint_tolerance: float = Field(default=0.005, ge=0)
     paper_literal: bool = False
-
-    def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame, each from itself and those before."""
-        for layer in self.layers(frames, calibration):
-            yield layer.finished()
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, before negative light is clipped: one image a frame."""

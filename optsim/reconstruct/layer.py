@@ -1,12 +1,16 @@
-"""What a branch of a decoder hands over before branches are joined."""
+"""What a branch of a decoder hands over before branches are joined, and what a branch is."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.quantities import Bools, Floats, Reconstruction
+from optsim.calibrate.calibration import Calibration
+from optsim.config import Part
+from optsim.quantities import Bools, CodedFrame, Floats, Reconstruction
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,3 +44,22 @@ class Layer:
         video = np.maximum(self.irradiance_w_m2, 0)
         video = np.broadcast_to(video, (self.slots, *video.shape[1:]))
         return Reconstruction(self.index, video, self.valid, self.interpolated, self.moving)
+
+
+class Branch(Part, ABC):
+    """A decoder that works by itself and that others join with theirs."""
+
+    @abstractmethod
+    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+        """As :meth:`decode`, before negative light is clipped and with the opacity of a seam."""
+
+    def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
+        """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
+
+        Raises
+        ------
+        ConfigError
+            When what is learned does not fit the frames.
+        """
+        for layer in self.layers(frames, calibration):
+            yield layer.finished()

@@ -1,99 +1,63 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""Orthogonal matching pursuit for many signals that share one matrix, in compiled single-thread kernels.
+"""Orthogonal matching pursuit for many short signals that share one matrix, in single-thread kernels.
 
-Pati, Rezaiifar and Krishnaprasad, "Orthogonal matching pursuit", Asilomar 1993
-(doi:10.1109/ACSSC.1993.342465), in the QR form: with q the part of the atom just picked that is orthogonal
-to those before, its correlations with all atoms are ``A'q = (G_k - sum r_i A'q_i) / |.|``; ``A'residual``
-then loses a multiple of that. So an atom costs one row of the Gram matrix G and a few vectors of K
-numbers that stay in cache. Rows of G are computed when first asked for and kept: a matrix used once costs
-what it must, a matrix shared by thousands of patches costs its Gram matrix once (compare Rubinstein,
-Zibulevsky and Elad, Technion CS-2008-08, which keeps G but not ``A'q``).
+Each step picks the atom that leaves the least residual once all picked ones are fitted: the greatest
+``c**2 / n`` with c the atom's correlation with the residual and n its squared distance from the span of
+those picked. That is the order-recursive form (Gharavi-Alkhansari and Huang, ICASSP 1998,
+doi:10.1109/ICASSP.1998.681678; Rebollo-Neira and Lowe, 2002, doi:10.1109/LSP.2002.1001652), which SPAMS
+computes too; Pati, Rezaiifar and Krishnaprasad (1993) pick the greatest ``|c|``.
+
+The direction q that an atom adds changes all c and n by ``A'q``: one product of q with the matrix a step. It
+runs in 16-bit integers for a few signals at a time (:mod:`.correlation_bounds`), which gives bounds; atoms
+whose bound could win are compared exactly, in float64. So picks don't depend on how signals are blocked.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from optsim.quantities import Bools, Doubles, Floats, Ints
+from optsim.reconstruct.correlation_bounds import (
+    COPY,
+    PANEL,
+    SHARING,
+    atom_of,
+    correlate,
+    pack,
+    packed_shape,
+    peaks_of,
+    round_unit,
+)
 
-# Sums may be reordered for vector units; NaN keeps its meaning.
-_FAST = {"reassoc", "contract", "arcp", "nsz"}
-_BLOCK = 32
-_CHUNK = 256
-_LANE = 128
-# Squared distance of an atom from the span of those picked below which it is a copy, in float32.
-_COPY = 1e-5
-
-
-@njit(nogil=True, cache=True, fastmath=_FAST)
-def correlations(signals: Floats, matrix: Floats, out: Floats) -> None:
-    """Products ``signals @ matrix`` into ``out``, four signals and four rows at a time.
-
-    Parameters
-    ----------
-    signals : ndarray of shape (p, m), float32
-    matrix : ndarray of shape (m, k), float32
-    out : ndarray of shape (p, k), float32
-    """
-    n, rows = signals.shape
-    width = matrix.shape[1]
-    for first in range(0, width, _CHUNK):
-        last = min(width, first + _CHUNK)
-        for p in range(0, n - 3, 4):
-            o0 = out[p, first:last]
-            o1 = out[p + 1, first:last]
-            o2 = out[p + 2, first:last]
-            o3 = out[p + 3, first:last]
-            o0[:] = 0
-            o1[:] = 0
-            o2[:] = 0
-            o3[:] = 0
-            for m in range(0, rows - 3, 4):
-                a = matrix[m, first:last]
-                b = matrix[m + 1, first:last]
-                c = matrix[m + 2, first:last]
-                d = matrix[m + 3, first:last]
-                s0 = signals[p, m : m + 4]
-                s1 = signals[p + 1, m : m + 4]
-                s2 = signals[p + 2, m : m + 4]
-                s3 = signals[p + 3, m : m + 4]
-                a0, b0, c0, d0 = s0[0], s0[1], s0[2], s0[3]
-                a1, b1, c1, d1 = s1[0], s1[1], s1[2], s1[3]
-                a2, b2, c2, d2 = s2[0], s2[1], s2[2], s2[3]
-                a3, b3, c3, d3 = s3[0], s3[1], s3[2], s3[3]
-                for k in range(last - first):
-                    o0[k] += a0 * a[k] + b0 * b[k] + c0 * c[k] + d0 * d[k]
-                    o1[k] += a1 * a[k] + b1 * b[k] + c1 * c[k] + d1 * d[k]
-                    o2[k] += a2 * a[k] + b2 * b[k] + c2 * c[k] + d2 * d[k]
-                    o3[k] += a3 * a[k] + b3 * b[k] + c3 * c[k] + d3 * d[k]
-            for m in range(rows - rows % 4, rows):
-                for q in range(p, p + 4):
-                    _add(out[q, first:last], signals[q, m], matrix[m, first:last])
-        for p in range(n - n % 4, n):
-            out[p, first:last] = 0
-            for m in range(rows):
-                _add(out[p, first:last], signals[p, m], matrix[m, first:last])
+# Signals in work together: their states fit into a second-level cache beside the matrix up to 2000 atoms.
+_SLOTS = 8
+# Shares of a signal's energy below this are rounding of its float32 numbers.
+_NOTHING = 1e-12
+# Correlations are computed afresh where their bound exceeds this share of the residual.
+_STALE = 0.0015
+# Peaks looked through together.
+_CHUNK = 32
+# Of float32 sums, relative to a signal.
+_ROUNDING = 1e-6
 
 
-@njit(nogil=True, cache=True, fastmath=_FAST)
-def _add(target: Floats, factor: float, source: Floats) -> None:
-    for k in range(len(target)):
-        target[k] += factor * source[k]
+class _Atoms(NamedTuple):
+    """Columns of a matrix as contiguous vectors: all copied for many signals, else when first asked for."""
+
+    matrix: Floats  # (m, k)
+    columns: Floats  # (k, m)
+    known: Bools  # (k,)
 
 
 @njit(nogil=True, cache=True)
-def pursue(
-    matrix: Floats,
-    signals: Floats,
-    stop_energy: Floats,
-    gram: Floats,
-    known: Bools,
-    support: Ints,
-    amounts: Floats,
-) -> None:
+def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, amounts: Floats) -> None:
     """Sparse codes of signals over the columns of a matrix.
+
+    Atoms nearer than ``sqrt(1e-5)`` to the span of those picked count as copies and are never picked.
 
     Parameters
     ----------
@@ -103,151 +67,278 @@ def pursue(
         One signal a row.
     stop_energy : ndarray of shape (p,), float32
         Squared residual at which a signal is done.
-    gram : ndarray of shape (k, k), float32
-        Rows of ``matrix.T @ matrix``, valid where ``known``; others are filled in on the way.
-    known : ndarray of shape (k,), bool
-        Which rows of ``gram`` are valid.
     support : ndarray of shape (p, s), int64
         Filled with the atoms in the order picked, -1 after the last.
     amounts : ndarray of shape (p, s), float32
         Filled with their coefficients.
     """
-    width = matrix.shape[1]
-    products = np.empty((_BLOCK, width), np.float32)
-    for first in range(0, len(signals), _BLOCK):
-        block = signals[first : first + _BLOCK]
-        correlations(block, matrix, products)
-        pursue_products(
-            products[: len(block)],
-            (block.astype(np.float64) ** 2).sum(axis=1),
-            stop_energy[first : first + _BLOCK],
-            matrix,
-            gram,
-            known,
-            support[first : first + _BLOCK],
-            amounts[first : first + _BLOCK],
-        )
-
-
-@njit(nogil=True, cache=True)
-def pursue_products(
-    products: Floats,
-    energy: Doubles,
-    stop_energy: Floats,
-    matrix: Floats,
-    gram: Floats,
-    known: Bools,
-    support: Ints,
-    amounts: Floats,
-) -> None:
-    """As :func:`pursue`, from the products ``signals @ matrix`` (overwritten) and the signals' energies."""
+    rows, width = matrix.shape
     n, cap = support.shape
-    width = products.shape[1]
-    spans = np.empty((cap, width), np.float32)
-    for p in range(n):
-        _one(products[p], energy[p], stop_energy[p], matrix, gram, known, spans, support[p], amounts[p])
-
-
-@njit(nogil=True, cache=True)
-def _one(
-    products: Floats,
-    energy: float,
-    stop_energy: float,
-    matrix: Floats,
-    gram: Floats,
-    known: Bools,
-    spans: Floats,
-    support: Ints,
-    amounts: Floats,
-) -> None:
-    cap = len(support)
-    triangle = np.zeros((cap, cap), np.float64)
-    shares = np.zeros(cap, np.float64)
-    picked = 0
+    packed = np.empty(packed_shape(rows, width), np.int16)
+    grid = pack(matrix, packed)
+    atoms = _Atoms(matrix, np.empty((width, rows), np.float32), np.zeros(width, np.bool_))
     support[:] = -1
     amounts[:] = 0
-    best = _largest(products)
-    while picked < cap and energy > stop_energy and products[best] != 0:
-        rest = 1.0
-        for i in range(picked):
-            triangle[i, picked] = spans[i, best]
-            rest -= triangle[i, picked] ** 2
-        if rest < _COPY:
+    slots = min(_SLOTS, n)
+    if n > _SLOTS:
+        _turn(matrix, atoms.columns)
+        atoms.known[:] = True
+    # What correlate() reads and renews.
+    moves = np.zeros((slots, packed.shape[1]), np.int32)
+    state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
+    terms = np.zeros((slots, 4), np.float32)
+    peaks = np.zeros((slots, peaks_of(packed.shape[0])), np.float32)
+    # Of each slot: its signal and the length of that, to which all else relates; its number of atoms.
+    owner, length, picked = np.full(slots, -1, np.int64), np.zeros(slots), np.zeros(slots, np.int64)
+    # The residual, its energy, and that at which it is done.
+    residual, energy, enough = np.zeros((slots, rows)), np.zeros(slots), np.zeros(slots)
+    # Picked atoms, one a row, in an orthonormal basis; the signal in that basis.
+    basis, triangle = np.zeros((slots, cap, rows)), np.zeros((slots, cap, cap))
+    shares, parts = np.zeros((slots, cap)), np.zeros(cap)
+    # Sum of the squared errors of its products; whether correlations are due anew before the next pick.
+    doubt, stale = np.zeros(slots), np.zeros(slots, np.bool_)
+    following = 0
+    while True:
+        busy = 0
+        for slot in range(slots):
+            while owner[slot] < 0 and following < n:
+                residual[slot] = signals[following]
+                square = _dot(residual[slot], residual[slot])
+                if square > stop_energy[following]:
+                    owner[slot], length[slot], picked[slot] = following, np.sqrt(square), 0
+                    energy[slot], enough[slot] = 1, max(stop_energy[following] / square, _NOTHING)
+                    residual[slot] /= length[slot]
+                    doubt[slot] = 0
+                    _restart(state[:, slot, 1], width)
+                    _look(residual[slot], energy[slot], grid, state[:, slot, 0], moves[slot], terms[slot])
+                following += 1
+            if owner[slot] >= 0:
+                busy = slot + 1
+        if busy == 0:
             break
-        if not known[best]:
-            _gram_row(matrix, best, gram[best])
-            known[best] = True
-        length = np.sqrt(rest)
-        triangle[picked, picked] = length
-        support[picked] = best
-        shares[picked] = products[best] / length
-        energy -= shares[picked] ** 2
-        factors = triangle[:, picked].astype(np.float32)
-        _project(gram[best], spans, factors, picked, 1 / length, shares[picked], products)
-        picked += 1
-        best = _largest(products)
-    for i in range(picked - 1, -1, -1):
-        total = shares[i]
-        for j in range(i + 1, picked):
-            total -= triangle[i, j] * amounts[j]
+        correlate(packed, moves, state, terms, peaks, busy)
+        for slot in range(busy):
+            p, count = owner[slot], picked[slot]
+            if p < 0:
+                continue
+            if stale[slot]:
+                _look(residual[slot], energy[slot], grid, state[:, slot, 0], moves[slot], terms[slot])
+                stale[slot] = False
+                continue
+            best = _best(slot, state, peaks, terms, atoms, residual, basis, triangle, parts, count)
+            if best >= 0:
+                shares[slot, count] = _extend(slot, atoms.columns[best], basis, triangle, residual, count)
+                energy[slot] = _dot(residual[slot], residual[slot])
+                support[p, count] = best
+                count += 1
+                picked[slot] = count
+            if best < 0 or count == cap or energy[slot] <= enough[slot]:
+                _solve(triangle[slot], shares[slot], length[slot], amounts[p, :count])
+                owner[slot] = -1
+                terms[slot] = 0
+                continue
+            share = shares[slot, count - 1]
+            step, rounding = round_unit(basis[slot, count - 1], 1.0, moves[slot])
+            unit = grid[0] * step
+            off = grid[1] + rounding + _ROUNDING
+            doubt[slot] += off * off
+            terms[slot, 0], terms[slot, 1] = -share * unit, -unit * unit
+            terms[slot, 2] += abs(share) * off + np.sqrt(energy[slot]) * _ROUNDING
+            # The products of an atom with all directions are at most 1 in their squares' sum.
+            terms[slot, 3] = 2 * np.sqrt(doubt[slot]) + doubt[slot]
+            stale[slot] = terms[slot, 2] > _STALE * np.sqrt(energy[slot])
+
+
+@njit(nogil=True, cache=True)
+def _look(
+    residual: Doubles,
+    energy: float,
+    grid: tuple[float, float],
+    correlations: Floats,
+    move: NDArray[np.int32],
+    terms: Floats,
+) -> None:
+    """Have the correlations computed from the residual itself."""
+    length = np.sqrt(energy)
+    step, rounding = round_unit(residual, length, move)
+    correlations[:] = 0
+    terms[0], terms[1] = length * grid[0] * step, 0
+    terms[2] = length * (grid[1] + rounding + _ROUNDING)
+
+
+@njit(nogil=True, cache=True)
+def _turn(matrix: Floats, columns: Floats) -> None:
+    """Transpose, some columns at a time, since single ones would miss the cache at each number."""
+    rows, width = matrix.shape
+    for first in range(0, width, PANEL):
+        for m in range(rows):
+            for k in range(first, min(first + PANEL, width)):
+                columns[k, m] = matrix[m, k]
+
+
+@njit(nogil=True, cache=True)
+def _restart(distances: Floats, width: int) -> None:
+    """Distances of unit atoms from nothing; what lies beyond the last atom is never picked."""
+    distances[:] = 1
+    for atom in range(width, distances.size):
+        distances[atom // PANEL, atom % PANEL] = np.inf
+
+
+# The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
+@njit(nogil=True, cache=True)
+def _best(
+    slot: int,
+    state: Floats,
+    peaks: Floats,
+    terms: Floats,
+    atoms: _Atoms,
+    residual: Doubles,
+    basis: Doubles,
+    triangle: Doubles,
+    parts: Doubles,
+    count: int,
+) -> int:
+    """Atom that takes most of the residual's energy, the first of equal ones; -1 if none takes any.
+
+    Its parts along the basis are left in the triangle.
+    """
+    c_error, n_error = terms[slot, 2], terms[slot, 3]
+    n_peaks = peaks.shape[1]
+    highest, top = np.float32(-1), 0
+    for chunk in range(0, n_peaks, _CHUNK):
+        largest = _largest(peaks, slot, chunk)
+        if largest > highest:
+            highest, top = largest, chunk
+    while peaks[slot, top] != highest:
+        top += 1
+    # The likeliest first: its exact value rules out nearly all others.
+    first, bound = 0, 0.0
+    for i in range(SHARING):
+        product, distance = _bounds(state, slot, atom_of(top, i), c_error, n_error)
+        if product > bound * distance:
+            first, bound = atom_of(top, i), product / distance
+    best, score = -1, _NOTHING
+    taken = _energy_taken(slot, first, atoms, residual, basis, parts, count, 0.0)
+    if taken > score:
+        best, score = first, taken
+        triangle[slot, count, :count] = parts[:count]
+    for chunk in range(0, n_peaks, _CHUNK):
+        if _largest(peaks, slot, chunk) <= score:
+            continue
+        for peak in range(chunk, min(chunk + _CHUNK, n_peaks)):
+            if peaks[slot, peak] <= score:
+                continue
+            for i in range(SHARING):
+                atom = atom_of(peak, i)
+                product, distance = _bounds(state, slot, atom, c_error, n_error)
+                if product <= score * distance:
+                    continue
+                taken = _energy_taken(slot, atom, atoms, residual, basis, parts, count, score * distance)
+                if taken > score or (taken == score and atom < best):
+                    best, score = atom, taken
+                    triangle[slot, count, :count] = parts[:count]
+                elif taken < 0:
+                    state[atom // PANEL, slot, 1, atom % PANEL] = np.inf
+    return best
+
+
+@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
+    """Largest of a chunk of peaks."""
+    largest = np.float32(-1)
+    for k in range(first, min(first + _CHUNK, peaks.shape[1])):
+        if peaks[slot, k] > largest:
+            largest = peaks[slot, k]
+    return largest
+
+
+@njit(nogil=True, cache=True)
+def _bounds(
+    state: Floats, slot: int, atom: int, c_error: np.float32, n_error: np.float32
+) -> tuple[float, float]:
+    """Greatest c**2 and least n of an atom, as :func:`correlate` computes them; nothing beyond the last."""
+    panel, place = atom // PANEL, atom % PANEL
+    if panel >= len(state):
+        return 0.0, 1.0
+    most = abs(state[panel, slot, 0, place]) + c_error
+    return float(most * most), float(max(state[panel, slot, 1, place] - n_error, np.float32(COPY)))
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def _energy_taken(
+    slot: int,
+    atom: int,
+    atoms: _Atoms,
+    residual: Doubles,
+    basis: Doubles,
+    parts: Doubles,
+    count: int,
+    least: float,
+) -> float:
+    """Energy that an atom takes from the residual, exactly; 0 if c**2 is below the least, -1 for a copy.
+
+    Finds the atom's parts along the basis.
+    """
+    columns, rows = atoms.columns, atoms.columns.shape[1]
+    if not atoms.known[atom]:
+        columns[atom] = atoms.matrix[:, atom]
+        atoms.known[atom] = True
+    # Rounded to float32 an atom's length is not quite 1, and ties are finer than that.
+    product, distance = 0.0, 0.0
+    for m in range(rows):
+        number = np.float64(columns[atom, m])
+        product += residual[slot, m] * number
+        distance += number * number
+    if product * product < least:
+        return 0.0
+    for k in range(count):
+        part = 0.0
+        for m in range(rows):
+            part += basis[slot, k, m] * columns[atom, m]
+        parts[k] = part
+        distance -= part * part
+    return product * product / distance if distance >= COPY else -1.0
+
+
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def _extend(
+    slot: int, column: Floats, basis: Doubles, triangle: Doubles, residual: Doubles, count: int
+) -> float:
+    """Add an atom, whose parts are in the triangle, to the basis; take its share from the residual."""
+    rows = len(column)
+    for m in range(rows):
+        basis[slot, count, m] = column[m]
+    for k in range(count):
+        part = triangle[slot, count, k]
+        for m in range(rows):
+            basis[slot, count, m] -= part * basis[slot, k, m]
+    square = 0.0
+    for m in range(rows):
+        square += basis[slot, count, m] ** 2
+    length = np.sqrt(square)
+    share = 0.0
+    for m in range(rows):
+        basis[slot, count, m] /= length
+        share += basis[slot, count, m] * residual[slot, m]
+    for m in range(rows):
+        residual[slot, m] -= share * basis[slot, count, m]
+    triangle[slot, count, count] = length
+    return share
+
+
+@njit(nogil=True, cache=True)
+def _solve(triangle: Doubles, shares: Doubles, length: float, amounts: Floats) -> None:
+    """Coefficients of the atoms from those of the basis."""
+    for i in range(len(amounts) - 1, -1, -1):
+        total = length * shares[i]
+        for j in range(i + 1, len(amounts)):
+            total -= triangle[j, i] * amounts[j]
         amounts[i] = total / triangle[i, i]
 
 
-@njit(nogil=True, cache=True, fastmath=_FAST)
-def _gram_row(matrix: Floats, column: int, row: Floats) -> None:
-    row[:] = 0
-    for m in range(matrix.shape[0]):
-        _add(row, matrix[m, column], matrix[m])
-
-
-@njit(nogil=True, cache=True, fastmath=_FAST)
-def _project(
-    row: Floats, spans: Floats, factors: Floats, picked: int, scale: float, share: float, products: Floats
-) -> None:
-    """Fill ``spans[picked]`` with the new direction's correlations; take its share out of the products."""
-    # Only in-place updates: where a loop's source may be its own target, compilers fall back to scalar code.
-    scale32, share32 = np.float32(scale), np.float32(share)
-    new = spans[picked]
-    for k in range(len(new)):
-        new[k] = row[k]
-    whole = picked - picked % 4
-    for i in range(0, whole, 4):
-        a, b, c, d = spans[i], spans[i + 1], spans[i + 2], spans[i + 3]
-        fa, fb, fc, fd = factors[i], factors[i + 1], factors[i + 2], factors[i + 3]
-        for k in range(len(new)):
-            new[k] -= fa * a[k] + fb * b[k] + fc * c[k] + fd * d[k]
-    for i in range(whole, picked):
-        _add(new, -factors[i], spans[i])
-    for k in range(len(new)):
-        value = new[k] * scale32
-        new[k] = value
-        products[k] -= share32 * value
-
-
-@njit(nogil=True, cache=True)
-def _largest(values: Floats) -> int:
-    """Index of the largest magnitude.
-
-    Floats without their sign bit are in the order of their bit patterns, and compilers turn an integer
-    maximum into vector code, unlike a float one: ten times faster here.
-    """
-    bits = values.view(np.int32)
-    peak = np.int32(-1)
-    start = 0
-    for first in range(0, len(bits), _LANE):
-        local = _peak(bits[first : first + _LANE])
-        if local > peak:
-            peak = local
-            start = first
-    for k in range(start, len(bits)):
-        if bits[k] & np.int32(0x7FFFFFFF) == peak:
-            return k
-    return 0
-
-
-@njit(nogil=True, cache=True)
-def _peak(bits: NDArray[np.int32]) -> np.int32:
-    peak = np.int32(-1)
-    for k in range(len(bits)):
-        peak = max(peak, bits[k] & np.int32(0x7FFFFFFF))
-    return peak
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+def _dot(a: Doubles, b: Doubles | Floats) -> float:
+    total = 0.0
+    for m in range(len(a)):
+        total += a[m] * b[m]
+    return total

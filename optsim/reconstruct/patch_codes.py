@@ -15,29 +15,13 @@ import numpy as np
 from numba import njit
 
 from optsim.quantities import Bools, Floats, Ints
+from optsim.reconstruct.coded_images import CodedImage
 from optsim.reconstruct.dictionary import Dictionary
 from optsim.reconstruct.matching_pursuit import pursue
 
 _STRIP = 16
-
-
-@dataclass(frozen=True, eq=False)
-class CodedImage:
-    """What the sparse decoder needs of a coded frame.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (v, u), float32
-        Sum over the slots of weight times irradiance; 0 where not usable.
-    variance : ndarray of shape (v, u), float32
-        Its noise variance; 0 where not usable.
-    weights : ndarray of shape (v, u, slot), float32
-        Weights; 0 where not usable.
-    """
-
-    signal: Floats
-    variance: Floats
-    weights: Floats
+# Patches of a job: enough that a matrix shared by them costs little, few enough to keep all cores at work.
+_OWN_BLOCK, _SHARED_BLOCK = 256, 2048
 
 
 def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
@@ -100,6 +84,20 @@ def deviating(weights: Floats, nominal: Floats, corners: Ints, patch: int, toler
     return error > tolerance**2 * energy
 
 
+def tile_phases(weights: Floats, nominal: Floats, corners: Ints, patch: int, tolerance: float) -> Ints:
+    """Where in the tile each patch begins, row by row; -1 for those :func:`deviating` from it."""
+    tile = nominal.shape[0]
+    own = deviating(weights, nominal, corners, patch, tolerance)
+    return np.where(own, -1, corners[:, 0] % tile * tile + corners[:, 1] % tile)
+
+
+def phase_weights(nominal: Floats, phase: int, patch: int) -> Floats:
+    """Weights (pixel, slot) of the patches that begin at a place of the tile."""
+    tile = nominal.shape[0]
+    v, u = (np.mod(first + np.arange(patch), tile) for first in divmod(phase, tile))
+    return nominal[v[:, None], u].reshape(patch**2, -1)
+
+
 @dataclass(frozen=True, eq=False)
 class PatchCoder:
     """A dictionary laid out for measuring: used for all frames of a video.
@@ -149,11 +147,9 @@ class PatchCoder:
             Patches that needed a matrix of their own.
         """
         patch = self.atoms.shape[1]
-        tile = nominal.shape[0]
-        own = deviating(image.weights, nominal, corners, patch, tolerance)
         support = np.empty((len(corners), cap), np.int64)
         amounts = np.empty((len(corners), cap), np.float32)
-        phase = np.where(own, -1, corners[:, 0] % tile * tile + corners[:, 1] % tile)
+        phase = tile_phases(image.weights, nominal, corners, patch, tolerance)
 
         def run(number: int, members: Ints) -> None:
             signals, stop = _gather(image.signal, image.variance, corners[members], patch)
@@ -162,19 +158,19 @@ class PatchCoder:
             if number < 0:
                 _encode_own(self.by_pixel, self.sums, image.weights, corners[members], signals, stop, *codes)
             else:
-                v = np.mod(number // tile + np.arange(patch), tile)
-                u = np.mod(number % tile + np.arange(patch), tile)
-                weights = nominal[v[:, None], u].reshape(patch**2, -1)
+                weights = phase_weights(nominal, number, patch)
                 _encode_shared(self.by_pixel, self.sums, weights, signals, stop, *codes)
             support[members], amounts[members] = codes
 
-        jobs = [(n, np.flatnonzero(phase == n)) for n in np.unique(phase[phase >= 0])]
-        slow = np.flatnonzero(own)
-        jobs += [(-1, slow[first : first + 256]) for first in range(0, len(slow), 256)]
+        jobs: list[tuple[int, Ints]] = []
+        for number in np.unique(phase):
+            members = np.flatnonzero(phase == number)
+            block = _OWN_BLOCK if number < 0 else _SHARED_BLOCK
+            jobs += [(number, members[first : first + block]) for first in range(0, len(members), block)]
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for done in [pool.submit(run, int(n), members) for n, members in jobs]:
                 done.result()
-        return support, amounts, len(slow)
+        return support, amounts, int((phase < 0).sum())
 
     def paint(
         self, corners: Ints, support: Ints, amounts: Floats, shape: tuple[int, int]
@@ -274,8 +270,7 @@ def _encode_shared(
     width = sums.shape[1]
     matrix, lengths = np.empty(sums.shape, np.float32), np.empty(width, np.float32)
     measurement_matrix(by_pixel, sums, weights, matrix, lengths)
-    gram, known = np.empty((width, width), np.float32), np.zeros(width, np.bool_)
-    pursue(matrix, signals, stop, gram, known, support, amounts)
+    pursue(matrix, signals, stop, support, amounts)
     _rescale(support, amounts, lengths)
 
 
@@ -293,16 +288,14 @@ def _encode_own(
     width = sums.shape[1]
     patch = int(np.sqrt(sums.shape[0]))
     matrix, lengths = np.empty(sums.shape, np.float32), np.empty(width, np.float32)
-    gram, known = np.empty((width, width), np.float32), np.zeros(width, np.bool_)
     own = np.empty((patch * patch, weights.shape[2]), np.float32)
     for p in range(len(corners)):
         v0, u0 = corners[p]
         for v in range(patch):
             own[v * patch : (v + 1) * patch] = weights[v0 + v, u0 : u0 + patch]
         measurement_matrix(by_pixel, sums, own, matrix, lengths)
-        known[:] = False
         one = slice(p, p + 1)
-        pursue(matrix, signals[one], stop[one], gram, known, support[one], amounts[one])
+        pursue(matrix, signals[one], stop[one], support[one], amounts[one])
         _rescale(support[one], amounts[one], lengths)
 
 

@@ -6,20 +6,19 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk, Sample, separate, take
-from optsim.config import Part
-from optsim.errors import ConfigError
-from optsim.quantities import Bools, CodedFrame, PanelState, Reconstruction
+from optsim.calibrate.sample import Crosstalk
+from optsim.quantities import CodedFrame
+from optsim.reconstruct.coded_images import coded_images, covered
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, shipped_dictionary
-from optsim.reconstruct.layer import Layer
-from optsim.reconstruct.patch_codes import CodedImage, PatchCoder, nominal_tile, overlap, patch_corners
+from optsim.reconstruct.layer import Branch, Layer
+from optsim.reconstruct.patch_codes import PatchCoder, nominal_tile, overlap, patch_corners
+from optsim.reconstruct.prior_file import check_fit
 
 
-class SparseCoding(Part):
+class SparseCoding(Branch):
     """Orthogonal matching pursuit patch by patch, overlapping patches averaged.
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
@@ -55,63 +54,26 @@ class SparseCoding(Part):
     weight_tolerance: float = Field(default=0.02, ge=0)
     crosstalk: Crosstalk = "undone"
 
-    def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
-
-        Raises
-        ------
-        ConfigError
-            When the dictionary does not fit the frames.
-        """
-        for layer in self.layers(frames, calibration):
-            yield layer.finished()
-
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, before negative light is clipped and with the opacity of the seam."""
         coder = PatchCoder.of(self._dictionary(calibration))
-        panel: PanelState | None = None
-        estimate = np.full(calibration.shape, np.nan, np.float32)
-        for frame in frames:
-            sample, panel = take(calibration, frame, panel, self.crosstalk)
-            if self.crosstalk == "undone":
-                sample = separate(calibration, sample, estimate)
-            measured = sample.valid & ~sample.saturated & (sample.exposure > 0)
-            mean = sample.signal / np.maximum(sample.exposure, 1e-6)
-            estimate = np.where(measured, mean, estimate).astype(np.float32)
-            yield self._layer(frame.index, sample, frame.code.moving, coder)
+        patch = coder.atoms.shape[1]
+        for frame, image in coded_images(frames, calibration, self.crosstalk):
+            moving = frame.code.moving
+            corners = patch_corners(moving, patch, self.stride_px)
+            nominal = nominal_tile(image.weights, moving & image.usable, self.tile_px)
+            support, amounts, _ = coder.encode(
+                image,
+                corners,
+                nominal,
+                self.weight_tolerance,
+                cap=self.max_atoms,
+                noise_gain=self.noise_gain,
+            )
+            total, count = coder.paint(corners, support, amounts, calibration.shape)
+            yield covered(frame, image, total, count, overlap(calibration.shape, patch, self.stride_px))
 
     def _dictionary(self, calibration: Calibration) -> Dictionary:
         found = shipped_dictionary() if self.dictionary is None else load_dictionary(Path(self.dictionary))
-        if found.slots != calibration.slots_per_frame or found.patch > min(calibration.shape):
-            raise ConfigError(
-                f"dictionary: got patches of {found.patch} pixels and {found.slots} slots, expected "
-                f"{calibration.slots_per_frame} slots and at most {min(calibration.shape)} pixels; "
-                "cure: train one for this camera"
-            )
+        check_fit(found, "dictionary", calibration)
         return found
-
-    def _layer(self, index: int, sample: Sample, moving: Bools, coder: PatchCoder) -> Layer:
-        patch, slots = coder.atoms.shape[1], coder.atoms.shape[3]
-        usable = sample.valid
-        image = CodedImage(
-            np.where(usable, sample.signal, 0).astype(np.float32),
-            np.where(usable, sample.variance, 0).astype(np.float32),
-            np.ascontiguousarray(np.moveaxis(np.where(usable, sample.weights, 0), 0, -1)),
-        )
-        corners = patch_corners(moving, patch, self.stride_px)
-        nominal = nominal_tile(image.weights, moving & usable, self.tile_px)
-        support, amounts, _ = coder.encode(
-            image,
-            corners,
-            nominal,
-            self.weight_tolerance,
-            cap=self.max_atoms,
-            noise_gain=self.noise_gain,
-        )
-        total, count = coder.paint(corners, support, amounts, sample.valid.shape)
-        full = overlap(moving.shape, patch, self.stride_px)
-        total /= np.maximum(count, 1)[:, :, None]
-        video = np.ascontiguousarray(np.moveaxis(total, -1, 0))
-        nowhere = np.zeros_like(moving)
-        opacity = (count / full).astype(np.float32)
-        return Layer(index, video, opacity, sample.valid & moving, nowhere, moving, slots)

@@ -10,7 +10,7 @@ from optsim.errors import ValueCheckError
 from optsim.progress import Progress, silent
 from optsim.quantities import Doubles, Floats, Ints
 from optsim.reconstruct.dictionary import Dictionary, unit
-from optsim.reconstruct.matching_pursuit import pursue_products
+from optsim.reconstruct.gram_pursuit import pursue_products
 
 _BLOCK = 2048
 # Patches darker than this, relative to the mean of their clip, hold only noise.
@@ -57,7 +57,7 @@ def train_dictionary(
     ValueCheckError
         When a clip is too small, or there is too little to learn from.
     """
-    signals = _training_patches(clips, rng, patch, slots, n_patches)
+    signals = training_patches(clips, rng, patch, slots, n_patches)
     if len(signals) < 2 * n_atoms:
         raise ValueCheckError(
             f"training: got {len(signals)} usable patches, expected at least {2 * n_atoms} "
@@ -83,7 +83,7 @@ def train_dictionary(
     return Dictionary(atoms.reshape(n_atoms, patch, patch, slots), record)
 
 
-def _training_patches(
+def training_patches(
     clips: Sequence[Floats], rng: np.random.Generator, patch: int, slots: int, n_patches: int
 ) -> Floats:
     """Brightness-normalised patches of shape (patch, v * u * slot), each clip giving the same number."""
@@ -123,18 +123,14 @@ def _turned(block: Floats, rng: np.random.Generator) -> Floats:
 def _code(signals: Floats, atoms: Floats, cap: int) -> tuple[Ints, Floats, Floats]:
     """Sparse codes and squared residuals of all signals."""
     gram = np.ascontiguousarray(atoms @ atoms.T)
-    known = np.ones(len(atoms), np.bool_)
     support = np.empty((len(signals), cap), np.int64)
     amounts = np.empty((len(signals), cap), np.float32)
     left = np.empty(len(signals), np.float32)
-    unused = np.empty((0, len(atoms)), np.float32)
     for first in range(0, len(signals), _BLOCK):
         part = slice(first, first + _BLOCK)
         block = signals[part]
         products = np.ascontiguousarray(block @ atoms.T)
-        energy = (block.astype(np.float64) ** 2).sum(axis=1)
-        stop = np.zeros(len(block), np.float32)
-        pursue_products(products, energy, stop, unused, gram, known, support[part], amounts[part])
+        pursue_products(products, gram, support[part], amounts[part])
         codes = _dense(support[part], amounts[part], len(atoms))
         left[part] = ((block - codes @ atoms) ** 2).sum(axis=1)
     return support, amounts, left

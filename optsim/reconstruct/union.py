@@ -1,23 +1,27 @@
-"""Moving pixels from sparse coding, the others from the HDR merge (equation 1 of the paper)."""
+"""Moving pixels from one decoder, the others from the HDR merge (equation 1 of the paper)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import tee
-from typing import Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from optsim.calibrate.calibration import Calibration
 from optsim.config import Part
 from optsim.quantities import CodedFrame, Reconstruction
-from optsim.reconstruct.branches import HdrMerge, SparseCoding
+from optsim.reconstruct.average import Average
+from optsim.reconstruct.branches import GaussianMixture, HdrMerge, Interpolation, SparseCoding
+
+_Moving = Annotated[SparseCoding | GaussianMixture | Average | Interpolation, Field(discriminator="kind")]
 
 
 class Union(Part):
     """Join the two branches along the mask that the code was made with.
 
-    Equation (1) cuts hard. Patches reach past the mask, so there is more to go on: outside it, the sparse
+    Equation (1) cuts hard. Patches reach past the mask, so there is more to go on: outside it, the
     video fades out with the number of patches that cover a pixel. ``moving`` is the mask itself.
 
     Parameters
@@ -28,7 +32,15 @@ class Union(Part):
 
     kind: Literal["union"] = "union"
     static: HdrMerge = HdrMerge()
-    moving: SparseCoding = SparseCoding()
+    moving: _Moving = SparseCoding()
+
+    @field_validator("moving", mode="before")
+    @classmethod
+    def _sparse_coding_unless_said(cls, value: object) -> object:
+        """Read a table without a kind as the paper's decoder."""
+        if not isinstance(value, dict):
+            return value
+        return {"kind": "sparse_coding", **cast("dict[str, Any]", value)}
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
         """Decode frame by frame, each from itself and those before."""

@@ -39,6 +39,8 @@ class Key:
 
     Parameters
     ----------
+    corner, size : tuple of int
+        First row and column, and rows and columns, of the grid.
     first : ndarray of shape (2 * samples of the grid + 1,), int64
         Where the paths of each half and fine sample begin.
     shape : ndarray of shape (n,), int64
@@ -49,6 +51,8 @@ class Key:
         Reflectance there, and radiance in W m^-2 sr^-1.
     """
 
+    corner: tuple[int, int]
+    size: tuple[int, int]
     first: Ints
     shape: Ints
     depth_m: Floats
@@ -62,6 +66,31 @@ class Key:
         with np.errstate(invalid="ignore"):
             mean = np.bincount(sample, self.light[past], n) / np.bincount(sample, minlength=n)
         return mean.astype(np.float32).reshape(2, -1)
+
+    def by_place(self, row: Doubles, col: Doubles) -> Key:
+        """Sort the paths by where what they met is seen in the ideal image, not by the sample they belong to.
+
+        Defocus and distortion make a difference. A grid of its own holds what was met a picture's size around
+        the picture; other paths are left out.
+
+        Parameters
+        ----------
+        row, col : ndarray of shape (n,)
+            Where each is seen; NaN for those that carry no light.
+        """
+        with np.errstate(invalid="ignore"):
+            kept = np.flatnonzero((abs(row) < 2 * self.size[0]) & (abs(col) < 2 * self.size[1]))
+        corner, size, first, at = (0, 0), (0, 0), np.zeros(1, np.int64), kept
+        if len(kept):
+            half = np.searchsorted(self.first, kept, "right") > self.size[0] * self.size[1]
+            y, x = (np.floor(place[kept]).astype(np.int64) for place in (row, col))
+            corner = int(y.min()), int(x.min())
+            size = int(y.max()) + 1 - corner[0], int(x.max()) + 1 - corner[1]
+            sample = (half * size[0] + y - corner[0]) * size[1] + x - corner[1]
+            order = np.argsort(sample, kind="stable")
+            first = np.searchsorted(sample[order], np.arange(2 * size[0] * size[1] + 1))
+            at = kept[order]
+        return Key(corner, size, first, self.shape[at], self.depth_m[at], self.albedo[at], self.light[at])
 
     def irradiance(
         self, looks: Looks, chosen: Ints, half: Ints, faces: Faces, here: Doubles, then: Doubles, view: View
@@ -90,13 +119,13 @@ class Key:
         if not len(chosen):
             return np.zeros(0, np.float32)
         tolerance = _DEPTH_PX * 2 * view.tan_half_width / view.cols
-        met = int(looks.shape[chosen[0]]), tolerance, view.rows, view.cols
+        met = int(looks.shape[chosen[0]]), tolerance, *self.corner, *self.size
         key = self.first, self.shape, self.depth_m, self.albedo, self.light
         return _looked_up(looks.face, looks.weights, chosen, half, faces, here, then, *met, *key)
 
 
-def depths(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Floats:
-    """Find the depth of what was seen, m.
+def seen_at(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Doubles:
+    """Find where in the ideal image it is what was seen, and its depth in m: (n, 3).
 
     Parameters
     ----------
@@ -106,8 +135,12 @@ def depths(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Floats:
         Where the vertices are.
     """
     second, third = looks.weights[chosen].T
-    a, b, c = places[faces[looks.face[chosen]], 2].T
-    return np.asarray((1 - second - third) * a + second * b + third * c, np.float32)
+    corners = places[faces[looks.face[chosen]]]
+    a, b, c = corners[:, :, 2].T
+    # Straight in space, hence straight in place times depth.
+    weighted = np.stack([(1 - second - third) * a, second * b, third * c], axis=-1)
+    depth = weighted.sum(axis=-1)
+    return np.column_stack([np.einsum("nk,nkx->nx", weighted, corners[:, :, :2]) / depth[:, None], depth])
 
 
 @njit(nogil=True, cache=True)
@@ -126,6 +159,8 @@ def _looked_up(  # type: ignore[no-untyped-def]
     then,
     which,
     tolerance,
+    top,
+    left,
     rows,
     cols,
     first,
@@ -146,6 +181,7 @@ def _looked_up(  # type: ignore[no-untyped-def]
         wa, wb, wc = (1 - second - third) * a[2], second * b[2], third * c[2]
         z = wa + wb + wc
         y, x = (wa * a[0] + wb * b[0] + wc * c[0]) / z, (wa * a[1] + wb * b[1] + wc * c[1]) / z
+        y, x = y - top, x - left
         if not (0 <= y < rows and 0 <= x < cols):  # nor if NaN
             continue
         row, col = int(y), int(x)

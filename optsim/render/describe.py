@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from optsim.errors import ConfigError
 from optsim.quantities import Floats, View
+from optsim.render.lens import focus_depth_m, ideal
 from optsim.scene.bands import mono
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
@@ -163,8 +164,14 @@ def camera_to_world(mi: Any, pose: CameraPose, unit: float) -> Any:
 
 
 def _sensor(mi: Any, camera: CameraPose, view: View, unit: float) -> dict[str, Any]:
+    """Describe a pinhole or a thin lens before the ideal grid: Mitsuba's sensors don't distort."""
+    lens: dict[str, Any] = {"type": "perspective"}
+    if view.aperture_m:
+        radius, distance = view.aperture_m / 2 / unit, focus_depth_m(camera, view) / unit
+        lens = {"type": "thinlens", "aperture_radius": radius, "focus_distance": distance}
+    view = ideal(view)
     return {
-        "type": "perspective",
+        **lens,
         "to_world": camera_to_world(mi, camera.at(0.0), unit),
         "fov": float(np.degrees(2 * np.arctan(view.tan_half_width))),
         "fov_axis": "x",

@@ -49,11 +49,12 @@ class Difference:
 
     def __init__(self, plan: Plan, static: Floats) -> None:
         times_s = np.asarray([plan.time_s(slot) for slot in range(plan.timing.n_slots + 1)])
-        boxes = boxes_around(plan.scene, times_s)
-        self.moving = Stage(plan.scene, plan.view, boxes=boxes)
+        boxes = boxes_around(plan.scene, times_s, plan.view.aperture_m / 2)
+        seen, azimuth_rad = (plan.scene, plan.view), plan.azimuth_rad
+        self.moving = Stage(*seen, boxes=boxes, azimuth_rad=azimuth_rad)
         self._plan, self._boxes, self._static = plan, boxes, static.mean(axis=0).ravel()
-        self._still = Stage(plan.scene, plan.view, movers=False, boxes=boxes)
-        self._around = Stage(plan.scene, plan.view, movers=False, boxes=boxes, glow=True)
+        self._still = Stage(*seen, movers=False, boxes=boxes, azimuth_rad=azimuth_rad)
+        self._around = Stage(*seen, movers=False, boxes=boxes, glow=True, azimuth_rad=azimuth_rad)
         # (turn, half, level) -> row of each pixel, and its paths. Only a memo: paths are keyed by pixel, so
         # it doesn't matter when they are traced.
         self._known: dict[tuple[object, int, int], tuple[Ints, _Known]] = {}

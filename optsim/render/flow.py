@@ -14,6 +14,7 @@ import numpy as np
 from optsim.quantities import Bools, Doubles, ObjectPose, Passes, View
 from optsim.render.backend import activate
 from optsim.render.gbuffer import Hits, ObjectIds, camera_to_world, cast, intrinsics, sample_rays
+from optsim.render.lens import distorted, radial_k1
 from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
@@ -106,6 +107,7 @@ class PassRenderer:
             occluded_backward=mask(lost_back),
             id_table=ids.table,
             intrinsics_px=intrinsics(view),
+            radial_k1=radial_k1(view),
             camera_to_world=np.stack([moment.matrix for moment in moments]),
             object_poses={
                 f"mover/{name}": _object_pose(
@@ -137,6 +139,7 @@ class PassRenderer:
         there = (points - moment.matrix[:3, 3]) @ moment.matrix[:3, :3]
         with np.errstate(divide="ignore", invalid="ignore"):
             col, row, _ = intrinsics(self._view) @ (there / there[:, 2:]).T
+            row, col = distorted(row, col, self._view)
         return np.stack([row, col, there[:, 2]], axis=-1)
 
     def _flow(self, hits: Hits, before: Doubles, carried: Doubles, end: _Moment) -> tuple[Doubles, Bools]:

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 
 from optsim.quantities import Bools, Doubles, View
+from optsim.render.lens import blur_px
+from optsim.render.lens import margin_px as margin_of
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Single
 from optsim.scene.geometry import Faces
@@ -45,7 +47,7 @@ def _faces_of(mover: Any) -> Faces:
 
 
 def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
-    """Project points through the pinhole.
+    """Project points through the middle of the lens, without distortion.
 
     Parameters
     ----------
@@ -55,7 +57,8 @@ def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
     Returns
     -------
     ndarray of shape (n, 3), float64
-        Row and column in fine samples (pixel centres at +0.5) and depth in m; NaN behind the camera.
+        Row and column in fine samples of the view (pixel centres at +0.5), but in the ideal image, and depth
+        in m; NaN behind the camera.
     """
     origin = np.asarray(camera.position_m)
     forward = np.asarray(camera.target_m) - origin
@@ -85,13 +88,15 @@ def path_px(
     times_s : sequence of float
         Ends of the pieces, in order.
     margin_px : float
-        How far outside the picture a point still counts.
+        How far outside the picture a point still counts, on top of what defocus brings in.
     """
     total = 0.0
+    margin_px += margin_of(view)
     before = project(vertices(times_s[0]), camera.at(times_s[0]), view)
     for time_s in times_s[1:]:
         after = project(vertices(time_s), camera.at(time_s), view)
-        seen = _in_view(before, view, margin_px) | _in_view(after, view, margin_px)
+        reach = margin_px + np.fmax(*(blur_px(each[:, 2], camera, view) / 2 for each in (before, after)))
+        seen = _in_view(before, view, reach) | _in_view(after, view, reach)
         moved = np.hypot(*(after - before)[:, :2].T)[seen]
         # What is seen now and behind the camera next, or the other way round, crosses the whole picture.
         moved = np.where(np.isfinite(moved), moved, np.hypot(view.rows, view.cols))
@@ -100,7 +105,7 @@ def path_px(
     return total
 
 
-def _in_view(places: Doubles, view: View, margin_px: float) -> Bools:
+def _in_view(places: Doubles, view: View, margin_px: Doubles) -> Bools:
     row, col = places[:, 0], places[:, 1]
     with np.errstate(invalid="ignore"):
         rows = (row > -margin_px) & (row < view.rows + margin_px)
@@ -108,22 +113,27 @@ def _in_view(places: Doubles, view: View, margin_px: float) -> Bools:
 
 
 def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, view: View) -> None:
-    """Mark, in place, every fine sample whose box any triangle may touch (a little generously).
+    """Mark, in place, every fine sample whose box any triangle, spread by defocus, may touch.
+
+    A little generously. Each lens point sees a triangle displaced; how far is linear in 1/depth, hence linear
+    over the picture and nowhere more than at its worst vertex.
 
     Parameters
     ----------
     mask : ndarray of shape (y, x), bool
-        Marks are added.
+        Marks are added; on the ideal grid, which without distortion is the view's (``render.lens``).
     vertices_m : ndarray of shape (n, 3)
         Positions.
     faces : ndarray of shape (m, 3)
         Triangles.
     """
-    _cover(mask, project(vertices_m, camera, view), faces, _MARGIN_PX)
+    places = project(vertices_m, camera, view)
+    places[:, :2] += margin_of(view)
+    _cover(mask, places, faces, _MARGIN_PX + blur_px(places[:, 2], camera, view) / 2)
 
 
 @njit(nogil=True, cache=True)
-def _cover(mask, places, faces, margin):  # type: ignore[no-untyped-def]
+def _cover(mask, places, faces, margins):  # type: ignore[no-untyped-def]
     rows, cols = mask.shape
     edges = np.empty((3, 3))
     for f in range(faces.shape[0]):
@@ -134,6 +144,7 @@ def _cover(mask, places, faces, margin):  # type: ignore[no-untyped-def]
         if behind > 0:  # reaches behind the camera: it may be anywhere
             mask[:, :] = True
             return
+        margin = max(margins[faces[f, 0]], margins[faces[f, 1]], margins[faces[f, 2]])
         top = max(0, int(np.floor(min(a[0], b[0], c[0]) - margin)))
         bottom = min(rows - 1, int(np.ceil(max(a[0], b[0], c[0]) + margin)))
         left = max(0, int(np.floor(min(a[1], b[1], c[1]) - margin)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from optsim.progress import Progress, silent
@@ -79,7 +81,7 @@ def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Tiles
 
 def load_slots(plan: Plan) -> list[str]:
     """Render whatever slots the cache lacks; return their places in it."""
-    stage = Stage(plan.scene, plan.view)
+    stage = Stage(plan.scene, plan.view, azimuth_rad=plan.azimuth_rad)
 
     def pilot() -> dict[str, Floats]:
         stage.pose(0.0)
@@ -172,7 +174,7 @@ def render_footage(
     """
     activate(backend)
     n = view.samples_per_pitch
-    stage = Stage(scene, View(view.rows // n, view.cols // n, 1, view.tan_half_width))
+    stage = Stage(scene, replace(view, rows=view.rows // n, cols=view.cols // n, samples_per_pitch=1))
     frames = np.empty((timing.n_slots, stage.view.rows, stage.view.cols), np.float32)
     share = max(1, samples // poses_per_slot)
     for slot in range(timing.n_slots):

@@ -16,6 +16,7 @@ import numpy as np
 from optsim.quantities import Doubles, Ids, Ints, View
 from optsim.render.describe import unit_m
 from optsim.render.first_hit import FirstHit, first_hit
+from optsim.render.lens import undistorted
 from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
@@ -51,7 +52,10 @@ class Hits:
 
 
 def intrinsics(view: View) -> Doubles:
-    """Matrix from the camera frame (x right, y down, z forward) to (column, row, 1) times depth."""
+    """Matrix from the camera frame (x right, y down, z forward) to (column, row, 1) times depth.
+
+    Of the ideal image: a view with distortion displaces points by ``lens.radial_k1`` before it.
+    """
     focal_px = view.cols / 2 / view.tan_half_width
     return np.array([[focal_px, 0, view.cols / 2], [0, focal_px, view.rows / 2], [0, 0, 1]], np.float64)
 
@@ -69,8 +73,9 @@ def camera_to_world(pose: CameraPose) -> Doubles:
 
 
 def sample_rays(view: View) -> Doubles:
-    """Make the unit directions through all sample centres, in the camera frame: (n, 3), row-major."""
+    """Make the unit directions of all samples' chief rays, in the camera frame: (n, 3), row-major."""
     row, col = np.indices((view.rows, view.cols)).reshape(2, -1) + 0.5
+    row, col = undistorted(row, col, view)
     scale = 2 * view.tan_half_width / view.cols
     across, down = (col - view.cols / 2) * scale, (row - view.rows / 2) * scale
     length = np.sqrt(across**2 + down**2 + 1)

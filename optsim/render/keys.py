@@ -10,7 +10,7 @@ import numpy as np
 
 from optsim.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Tiles
-from optsim.render.carried import Key, depths, filled
+from optsim.render.carried import Key, filled, seen_at
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of, project, vertices_at
 from optsim.render.plan import Plan
@@ -136,8 +136,10 @@ def render_keys(span: Span, own: Tiles, change: Sequence[Tiles]) -> tuple[dict[i
     for number, pose in enumerate(poses):
         turn = number % len(change)
         places[pose] = {track.name: span.places(track, pose) for track in span.due_keys(pose)}
-        light[pose], own = _own_light(span, pose, places[pose], own)
-        beside[pose] = _beside(span, pose, turn, counts[turn], light[pose])
+        found, seen, own = _own_light(span, pose, places[pose], own)
+        beside[pose] = _beside(span, pose, turn, counts[turn], found)
+        bent = span.plan.view.aperture_m or span.plan.view.distortion
+        light[pose] = found.by_place(*seen) if bent else found
     for track in span.tracks:
         mine = [pose for pose in poses if track.name in beside[pose]]
         without = span.static.reshape(2, -1)[:, track.pixels]
@@ -166,8 +168,11 @@ def _counts_beside(span: Span, change: Sequence[Tiles]) -> list[dict[str, Floats
     return counts
 
 
-def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) -> tuple[Key, Tiles]:
-    """Follow whole paths where movers are that have a key at a pose, and pool their statistics."""
+def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) -> tuple[Key, Doubles, Tiles]:
+    """Follow whole paths where movers are that have a key at a pose, and pool their statistics.
+
+    Also say where in the ideal image it is what each path met, row and column; NaN if it is no such mover.
+    """
     plan, time_s, moving = span.plan, span.times_s[pose], span.difference.moving
     wanted = np.zeros(plan.view.rows * plan.view.cols, np.int64)
     for track in filter(span.matt, span.due_keys(pose)):
@@ -178,16 +183,18 @@ def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) ->
     moving.pose(time_s)
     seeds = np.asarray(plan.seeds("mover", span.first_slot, pose), np.int64)
     looks = moving.looks(np.tile(pixels, 2), samples, np.repeat(seeds, len(pixels)), light=True)
-    depth = np.full(len(looks.shape), np.nan, np.float32)
+    met = np.full((len(looks.shape), 3), np.nan)
     for name, here in places.items():
         hit = np.flatnonzero(looks.shape == moving.shape_of(name))
-        depth[hit] = depths(looks, hit, faces_of(plan.scene.singles()[name]), here)
+        met[hit] = seen_at(looks, hit, faces_of(plan.scene.singles()[name]), here)
     if len(pixels):
         sums = np.add.reduceat(looks.light, np.cumsum(samples) - samples, dtype=np.float64)
         light = (sums / samples).reshape(2, -1)
         own = own.and_then(halves_tally(plan, pixels, light, wanted[pixels].astype(np.float64)))
     first = np.concatenate([[0], np.cumsum(np.tile(wanted, 2))])
-    return Key(first, looks.shape, depth, looks.albedo, looks.light), own
+    depth = met[:, 2].astype(np.float32)
+    key = Key((0, 0), plan.shape, first, looks.shape, depth, looks.albedo, looks.light)
+    return key, met[:, :2].T, own
 
 
 def _beside(span: Span, pose: int, turn: int, counts: dict[str, Floats], light: Key) -> dict[str, Floats]:

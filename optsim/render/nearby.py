@@ -61,13 +61,18 @@ class Boxes:
         return geometry.merge([geometry.box((low + high) / 2, high - low) for low, high in corners])
 
 
-def boxes_around(scene: Scene, times_s: Doubles) -> Boxes | None:
+def boxes_around(scene: Scene, times_s: Doubles, lens_m: float = 0.0) -> Boxes | None:
     """Box the movers' pieces over some times, with room for what they do between.
+
+    Parameters
+    ----------
+    lens_m : float
+        Radius of the camera's lens, m: paths begin that far round its middle.
 
     Returns
     -------
     Boxes or None
-        None without movers, or when the camera is inside a box: then every path starts near.
+        None without movers, or when the camera may be inside a box: then every path starts near.
     """
     pieces: dict[str, list[np.ndarray]] = {}
     low_m: dict[str, Doubles] = {}
@@ -89,7 +94,7 @@ def boxes_around(scene: Scene, times_s: Doubles) -> Boxes | None:
         slack = step + _SLACK * float(np.max(high - low))
         low_m[name], high_m[name] = low - slack, high + slack
         # Nearer than the sensor's near plane a box would not be seen from outside either.
-        reach = scene.camera.near_m * 2
+        reach = scene.camera.near_m * 2 + lens_m
         if ((low_m[name] - reach < eye) & (eye < high_m[name] + reach)).all(axis=1).any():
             return None
     return Boxes(pieces, low_m, high_m) if pieces else None

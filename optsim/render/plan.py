@@ -13,6 +13,7 @@ from optsim.progress import Progress
 from optsim.quantities import Bools, Doubles, Floats, Ints, Timing, View
 from optsim.render.allocation import MOST, Tiles, allocate, relative_deviation
 from optsim.render.footprint import cover, faces_of, vertices_at
+from optsim.render.lens import ideal, touched
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.scene.scene import Scene
 
@@ -40,6 +41,8 @@ class Plan:
         Hash of everything that decides a path's radiance.
     segment_slots : int
         Slots between key instants.
+    azimuth_rad : float, optional
+        Of the polariser that the light is seen through; None for unpolarised light.
     """
 
     scene: Scene
@@ -51,6 +54,7 @@ class Plan:
     progress: Progress
     identity: str
     segment_slots: int = 1
+    azimuth_rad: float | None = None
 
     def lit_by(self, lamps: tuple[str, ...]) -> Plan:
         """Plan of the same truth with these lamps only."""
@@ -106,13 +110,14 @@ class Plan:
 
     def own(self, *times_s: float, movers: Iterable[str] | None = None) -> Bools:
         """Fine samples in which movers, all or some, may be seen at any of some instants: (y, x)."""
-        singles, mask = self.scene.singles(), np.zeros(self.shape, np.bool_)
+        grid = ideal(self.view)
+        singles, mask = self.scene.singles(), np.zeros((grid.rows, grid.cols), np.bool_)
         chosen = [singles[name] for name in (singles if movers is None else movers)]
         for time_s in times_s:
             camera = self.scene.camera.at(time_s)
             for mover in chosen:
                 cover(mask, vertices_at(mover, time_s), faces_of(mover), camera, self.view)
-        return mask
+        return touched(mask, self.view)
 
     def counts(
         self,

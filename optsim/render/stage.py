@@ -10,22 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
+from optsim.render.analyser import twice_analysed
 from optsim.render.describe import camera_to_world, describe, unit_m
 from optsim.render.first_hit import first_hit
 from optsim.render.footprint import vertices_at
+from optsim.render.lens import picked
 from optsim.render.nearby import Boxes, glowing
-from optsim.render.sampler import pixel_sampler
+from optsim.render.rays import camera_rays, pieces, starts
 from optsim.scene.scene import Scene
-
-# Bounds the memory of one launch (about 100 bytes a lane).
-_MAX_LANES = 4 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +64,9 @@ class Stage:
         Boxes around the movers, for comparing paths with those of another stage.
     glow : bool
         Whether they stand there, glowing, for every path to see.
+    azimuth_rad : float, optional
+        Only in a polarised variant: radiance is twice what a polariser before the camera at this azimuth
+        passes, see ``render.analyser``.
     """
 
     def __init__(
@@ -76,10 +77,11 @@ class Stage:
         movers: bool = True,
         boxes: Boxes | None = None,
         glow: bool = False,
+        azimuth_rad: float | None = None,
     ) -> None:
         import mitsuba as mi
 
-        self.scene, self.view = scene, view
+        self.scene, self.view, self._azimuth_rad = scene, view, azimuth_rad
         self._vectorised = not str(mi.variant()).startswith("scalar")
         self._movers = scene.singles() if movers else {}
         with _one_thread():
@@ -164,10 +166,10 @@ class Stage:
             return np.zeros(0)
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
         result = np.empty(len(pixels))
-        for part in _pieces(samples):
+        for part in pieces(samples):
             values = self._trace(pixels[part], samples[part], seeds[part], first[part])
             # In float64, as float32 sums of many paths lose digits.
-            result[part] = np.add.reduceat(values, _starts(samples[part]), dtype=np.float64)
+            result[part] = np.add.reduceat(values, starts(samples[part]), dtype=np.float64)
         return result / samples
 
     def looks(
@@ -185,73 +187,54 @@ class Stage:
         if not len(pixels):
             return Looks(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
-        parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in _pieces(samples)]
+        parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
         found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
         shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
         shape[~np.isfinite(found[2])] = -1
         return Looks(shape, face, found[3].T, found[4], found[5])
 
-    def _rays(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> tuple[Any, Any, Any]:
-        """Sampler, camera ray and its weight: one lane a path."""
-        import drjit as dr
-        import mitsuba as mi
-
-        place = mi.UInt32(np.repeat(np.arange(len(pixels), dtype=np.uint32), samples))
-
-        def each(values: Ints) -> Any:
-            return dr.gather(mi.UInt32, mi.UInt32(values.astype(np.uint32)), place)
-
-        pixel, lane = each(pixels), dr.arange(mi.UInt32, int(samples.sum()))
-        sampler: Any = pixel_sampler(mi, dr)()
-        sampler.start(each(seeds), pixel, lane - each(_starts(samples) - first))
-        row = pixel // dr.opaque(mi.UInt32, self.view.cols)
-        corner = mi.Point2f(mi.Float(pixel - row * self.view.cols), mi.Float(row))
-        position = (corner + sampler.next_2d()) / mi.Point2f(self.view.cols, self.view.rows)
-        sensor = self._loaded.sensors()[0]
-        return sampler, *sensor.sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
-
     def _trace(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> Floats:
         """Radiance along random paths, in one launch."""
         import drjit as dr
 
-        sampler, ray, weight = self._rays(pixels, samples, seeds, first)
-        light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
-        values = (light * weight)[0]
+        values = self._followed(*camera_rays(self._loaded, self.view, pixels, samples, seeds, first))
         dr.eval(values)
         return np.asarray(values.numpy(), np.float32)
+
+    def _followed(self, sampler: Any, ray: Any, weight: Any) -> Any:
+        """Radiance along the paths that go on from camera rays."""
+        import mitsuba as mi
+
+        light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
+        if self._azimuth_rad is None:
+            return (light * weight)[0]
+        seen = twice_analysed(mi, self._loaded, ray, light, self._azimuth_rad)
+        return seen * mi.unpolarized_spectrum(weight)[0]
 
     def _look(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
         """Shape, face, distance, weights, albedo and perhaps radiance of random paths, in one launch."""
         import drjit as dr
         import mitsuba as mi
 
-        sampler, ray, weight = self._rays(pixels, samples, seeds, first)
+        sampler, ray, weight = camera_rays(self._loaded, self.view, pixels, samples, seeds, first)
         met = first_hit(mi, self._loaded, mi.Ray3f(ray), matt_only=True)
         seen = mi.Float(0)
         if light:
-            radiance, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
-            seen = (radiance * weight)[0]
+            seen = self._followed(sampler, ray, weight)
         found = [met.shape, met.face, met.distance, met.weights, met.albedo, seen]
         dr.eval(found)
         shape, face, distance, weights, albedo, values = (np.asarray(each.numpy()) for each in found)
         return [shape, face, distance, weights.reshape(2, -1), albedo, values if light else values[:0]]
 
     def picture(self, samples: int, seed: int) -> Floats:
-        """Render the whole fine grid by Mitsuba's own loop and sampler, in any variant: (y, x), float32."""
+        """Render the whole fine grid by Mitsuba's own loop and sampler, in any variant: (y, x), float32.
+
+        Distortion moves whole samples: each shows the one of the ideal grid in which its centre is.
+        """
         import mitsuba as mi
 
         image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
-        return np.ascontiguousarray(image.mean(axis=2), np.float32)
-
-
-def _starts(samples: Ints) -> Ints:
-    return np.cumsum(samples) - samples
-
-
-def _pieces(samples: Ints) -> list[slice]:
-    """Cut into pieces of about equal work, so that one launch never needs more than its share of memory."""
-    cuts = np.unique(_starts(samples) // _MAX_LANES, return_index=True)[1]
-    return [slice(*ends) for ends in pairwise([*cuts.tolist(), len(samples)])]
+        return np.ascontiguousarray(picked(image.mean(axis=2), self.view), np.float32)
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:
@@ -260,14 +243,14 @@ def outside_mask(scene: Scene, view: View) -> Bools:
     Returns
     -------
     ndarray of shape (y, x), bool
-        By one ray at a random place in each fine sample.
+        By one ray at a random place in each fine sample, through the middle of the lens.
     """
     pictures = {name: lamp for name, lamp in scene.lamps.items() if lamp.picture is not None}
     if not pictures:
         return np.zeros((view.rows, view.cols), np.bool_)
     # Without other lamps and without bounces, only what emits a picture is not black.
     alone = scene.only_lamps(tuple(pictures)).model_copy(update={"max_depth": 1})
-    return Stage(alone, view, movers=False).picture(1, 0) > 0
+    return Stage(alone, replace(view, aperture_m=0.0), movers=False).picture(1, 0) > 0
 
 
 @contextmanager

@@ -22,14 +22,12 @@ from typing import Any
 import numpy as np
 
 from optsim.errors import BackendError
-from optsim.quantities import Floats, View
+from optsim.quantities import Floats, Ints, View
+from optsim.render.analyser import stokes_vector
 from optsim.render.backend import activate
-from optsim.render.sampler import pixel_sampler
+from optsim.render.rays import camera_rays, pieces, starts
 from optsim.render.stage import Stage
 from optsim.scene.scene import Scene
-
-# Bounds the memory of one launch (about 100 bytes a lane).
-_MAX_LANES = 4 << 20
 
 
 @contextmanager
@@ -48,7 +46,7 @@ def polarised(backend: str | None = None) -> Generator[Any]:
     report = activate(backend)
     if report.preview:
         raise BackendError(
-            f"the Stokes pass needs llvm_ad_mono or cuda_ad_mono, but only {report.variant} works here: "
+            f"polarised light needs llvm_ad_mono or cuda_ad_mono, but only {report.variant} works here: "
             f"{report.reason}"
         )
     import mitsuba as mi
@@ -98,48 +96,35 @@ def render_stokes(
     with polarised(backend) as mi:
         stage = Stage(scene, view)
         stage.pose(time_s)
-        return stokes_image(mi, stage.loaded, samples, seed, max_depth=scene.max_depth)
+        return stokes_image(mi, stage.loaded, view, samples, seed, max_depth=scene.max_depth)
 
 
-def stokes_image(mi: Any, loaded: Any, samples: int, seed: int, *, max_depth: int) -> Floats:
+def stokes_image(mi: Any, loaded: Any, view: View, samples: int, seed: int, *, max_depth: int) -> Floats:
     """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32.
 
     Not by Mitsuba's own film: two threads add to it in either order, so its last digit may change.
     """
-    path = {"type": "path", "max_depth": max_depth, "rr_depth": max_depth}
-    integrator = mi.load_dict(path)
-    cols, rows = loaded.sensors()[0].film().size()
-    size = max(1, min(samples, _MAX_LANES // (rows * cols)))
-    total = np.zeros((4, rows * cols))
-    for first in range(0, samples, size):
-        count = min(size, samples - first)
-        seen = _stokes_paths(mi, loaded, integrator, count, seed, first)
-        total += seen.reshape(4, -1, count).sum(axis=2, dtype=np.float64)
-    return (total / samples).reshape(4, rows, cols).astype(np.float32)
+    integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth})
+    pixels = np.arange(view.rows * view.cols)
+    counts, seeds, total = (
+        np.full_like(pixels, samples),
+        np.full_like(pixels, seed),
+        np.empty((4, pixels.size)),
+    )
+    for part in pieces(counts):
+        seen = _stokes_paths(mi, loaded, integrator, view, pixels[part], counts[part], seeds[part])
+        total[:, part] = np.add.reduceat(seen, starts(counts[part]), axis=1, dtype=np.float64)
+    return (total / samples).reshape(4, view.rows, view.cols).astype(np.float32)
 
 
-def _stokes_paths(mi: Any, loaded: Any, integrator: Any, count: int, seed: int, first: int) -> Floats:
-    """Stokes vectors (4, n) of random paths, in one launch: ``count`` paths of each pixel, pixel by pixel."""
+def _stokes_paths(
+    mi: Any, loaded: Any, integrator: Any, view: View, pixels: Ints, counts: Ints, seeds: Ints
+) -> Floats:
+    """Stokes vectors (4, n) of random paths, in one launch: so many paths of each pixel, pixel by pixel."""
     import drjit as dr
 
-    def opaque(number: int) -> Any:
-        """Let no number be part of the program, which would be compiled anew for each."""
-        return dr.opaque(mi.UInt32, number)
-
-    sensor = loaded.sensors()[0]
-    cols, rows = sensor.film().size()
-    lane = dr.arange(mi.UInt32, rows * cols * count)
-    pixel = lane // opaque(count)
-    sampler: Any = pixel_sampler(mi, dr)()
-    sampler.start(opaque(seed), pixel, lane - pixel * opaque(count) + opaque(first))
-    row = pixel // opaque(cols)
-    corner = mi.Point2f(mi.Float(pixel - row * cols), mi.Float(row))
-    position = (corner + sampler.next_2d()) / mi.Point2f(cols, rows)
-    ray, _ = sensor.sample_ray_differential(0.0, 0.0, position, mi.Point2f(0.5))
+    sampler, ray, _ = camera_rays(loaded, view, pixels, counts, seeds, np.zeros_like(pixels))
     light, _, _ = integrator.sample(loaded, sampler, ray, None, True)
-    level = dr.cross(ray.d, sensor.world_transform() @ mi.Vector3f(0, 1, 0))
-    turned = mi.mueller.rotate_stokes_basis(-ray.d, mi.mueller.stokes_basis(-ray.d), level) @ light
-    # Lamps are unpolarised, so the first column is the light; its one band comes as three equal colours.
-    seen = [turned[component, 0][0] for component in range(4)]
+    seen = stokes_vector(mi, loaded, ray, light)
     dr.eval(seen)
     return np.stack([np.asarray(each.numpy(), np.float32) for each in seen])

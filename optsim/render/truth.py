@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import asdict, replace
 from importlib.resources import files
 from itertools import pairwise
 from typing import Any
@@ -40,6 +41,7 @@ from optsim.render.plan import Plan
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.render.stage import Stage, outside_mask
 from optsim.render.still import static_light
+from optsim.render.stokes import polarised
 from optsim.render.tracks import slots_per_segment
 from optsim.scene.scene import Scene
 
@@ -60,6 +62,7 @@ def render_truth(
     cache: Cache,
     noise: CameraNoise | None = None,
     backend: str | None = None,
+    azimuth_rad: float | None = None,
     progress: Progress = silent,
 ) -> RadianceVideo:
     """Render the truth of a scene, or find it in the cache.
@@ -80,6 +83,9 @@ def render_truth(
         The camera's noise; needed where ``settings.noise_share`` is set.
     backend : str, optional
         Mitsuba variant instead of the probed one.
+    azimuth_rad : float, optional
+        Follow polarised light, and return twice what a polariser before the camera at this azimuth passes
+        (``render.analyser``): unpolarised light keeps its radiance. None: gloss doesn't polarise.
     progress : Progress
         Stages "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar fallback:
         "preview").
@@ -94,7 +100,7 @@ def render_truth(
     ConfigError
         When the segments don't divide the coded frame, or ``noise_share`` lacks the camera's noise.
     BackendError
-        When no backend works.
+        When no backend works, or only the scalar one and polarised light is wanted.
     """
     if settings.slots_per_segment and timing.slots_per_frame % settings.slots_per_segment:
         raise ConfigError(
@@ -106,20 +112,25 @@ def render_truth(
             "render.noise_share: the camera's noise is needed to compare with; cure: leave it unset"
         )
     report = activate(backend)
-    look: list[Any] = [view.rows, view.cols, view.tan_half_width, timing.slot_s]
+    # Samples a panel pixel are the camera's business.
+    look = {**asdict(view), "samples_per_pitch": None, "slot_s": timing.slot_s}
     identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), _code_hash())
-    plan = Plan(scene, view, timing, settings, noise, cache, progress, identity)
+    if azimuth_rad is not None:
+        identity = hash_of(identity, "twice the analysed component", azimuth_rad)
+    plan = Plan(scene, view, timing, settings, noise, cache, progress, identity, azimuth_rad=azimuth_rad)
     outside = cache.get(plan.key("outside"), lambda: {"outside": outside_mask(scene, view)})["outside"]
     n_instants, n_slots = settings.instants_per_slot, 1
-    if report.preview:
-        load, n_instants = _load_preview(plan), 1
-    elif scene.kind_of_change() == "camera":
-        load = _load_camera(plan)
-    elif any(lamp.flicker for lamp in scene.lamps.values()):
-        load = _load_lamps(plan)
-    else:
-        plan = replace(plan, segment_slots=slots_per_segment(plan))
-        load, n_slots = _load_movers(plan), plan.segment_slots
+    # All is rendered in here; what is loaded later comes out of the cache.
+    with polarised(backend) if azimuth_rad is not None else nullcontext():
+        if report.preview:
+            load, n_instants = _load_preview(plan), 1
+        elif scene.kind_of_change() == "camera":
+            load = _load_camera(plan)
+        elif any(lamp.flicker for lamp in scene.lamps.values()):
+            load = _load_lamps(plan)
+        else:
+            plan = replace(plan, segment_slots=slots_per_segment(plan))
+            load, n_slots = _load_movers(plan), plan.segment_slots
     common: dict[str, Any] = {
         "rows": view.rows,
         "cols": view.cols,
@@ -145,7 +156,7 @@ def _half_difference(halves: Floats) -> Floats:
 
 def _load_movers(plan: Plan) -> _Load:
     """Render whatever the cache lacks of a scene under steady lamps; return how to put a segment together."""
-    still = Stage(plan.scene, plan.view, movers=False)
+    still = Stage(plan.scene, plan.view, movers=False, azimuth_rad=plan.azimuth_rad)
     static = static_light(plan, still)
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     if not plan.scene.singles():
@@ -302,7 +313,6 @@ def _load_preview(plan: Plan) -> _Load:
 def _code_hash() -> str:
     """Hash of the code that decides a render, so that an old cache never answers for new code."""
     rooms = [files("optsim") / room for room in ("scene", "render")]
-    sources = sorted(
-        (item for room in rooms for item in room.iterdir() if item.name.endswith(".py")), key=lambda i: i.name
-    )
+    whole = [item for room in rooms for item in room.iterdir() if item.name.endswith(".py")]
+    sources = sorted([*whole, files("optsim") / "forward" / "lens.py"], key=lambda item: item.name)
     return hash_of(*(source.read_text(encoding="utf-8") for source in sources))

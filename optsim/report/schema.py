@@ -85,6 +85,8 @@ class SceneFacts(TypedDict):
     name: str
     variation: str
     description: str
+    light: str
+    wavelength_nm: float
     white_w_m2_sr: float
     white_cd_m2: float
     window_interior_ratio_before_glare: float | None

@@ -1,6 +1,6 @@
 """What is in front of the camera: scenes, movers as pure functions of time, and footage as truth."""
 
-from optsim.scene.bands import MONO_NM, Band
+from optsim.scene.bands import Band
 from optsim.scene.bright import BrightLight, brightest_light
 from optsim.scene.footage import footage, still
 from optsim.scene.footage_source import FootageSource
@@ -8,7 +8,6 @@ from optsim.scene.footage_truth import FootageTruth, open_footage
 from optsim.scene.scene import Scene, list_scenes, load_scene
 
 __all__ = [
-    "MONO_NM",
     "Band",
     "BrightLight",
     "FootageSource",

@@ -23,11 +23,17 @@ class Band(Part):
     name : str
         Letters, digits and underscores, at most 16, since it becomes a channel's name.
     wavelength_nm : float
-        Centre, nm; only stated, never used for light: materials and lamps say what they do in the band.
+        Centre, nm. Rendering has no use for it: materials and lamps say what they do in the band; the camera
+        that sees it works at this wavelength.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,15}$")
     wavelength_nm: float = Field(ge=100, le=20_000)
+
+    @property
+    def wavelength_m(self) -> float:
+        """Centre, m."""
+        return self.wavelength_nm / 1e9
 
 
 def _number_or_table(

@@ -125,3 +125,11 @@ Material = Annotated[
     | Annotated[Glass, Tag("glass")],
     Discriminator(_kind_of),
 ]
+
+
+def polarises(material: Material) -> bool:
+    """Whether light that a surface sends back is polarised in the renderer: gloss, metal and solid glass.
+
+    A matt surface depolarises all light; the renderer's thin panes do too, though real ones polarise.
+    """
+    return isinstance(material, Plastic | Metal) or (isinstance(material, Glass) and not material.thin)

@@ -16,7 +16,7 @@ from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Carried, Keyframed, carried
 from optsim.scene.lamps import Lamp, flicker_key
-from optsim.scene.materials import Diffuse, Material, Plastic
+from optsim.scene.materials import Diffuse, Material, Plastic, polarises
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
 from optsim.scene.static_shapes import StaticShapes, read_static
@@ -166,6 +166,14 @@ class Scene(Part):
             return "movers"
         return "lamps" if any(lamp.lit and lamp.flicker for lamp in self.lamps.values()) else "static"
 
+    def polarising(self) -> tuple[str, ...]:
+        """Name what may polarise light: materials that something is made of, and the file of shapes."""
+        used = {item.material for item in (*self.still_objects().values(), *self.singles().values())}
+        found = [name for name in sorted(used) if polarises(self.materials[name])]
+        if self.static is not None and self.static.polarises():
+            found.append(self.static.name)
+        return tuple(found)
+
     def light_groups(self) -> dict[str, tuple[str, ...]]:
         """Group the lit lamps by their flicker: all lamps of a group have the same ``gain``.
 
@@ -255,10 +263,11 @@ def scenes_folder() -> Path:
 
 def list_scenes() -> dict[str, tuple[str, ...]]:
     """Shipped scenes and their variations, ``main`` first."""
-    found: dict[str, tuple[str, ...]] = {}
-    for path in sorted(scenes_folder().glob("*/scene.toml")):
-        found[path.parent.name] = ("main", *named_variations(read_toml(path)))
-    return found
+    return {name: ("main", *named_variations(read_toml(path))) for name, path in _shipped().items()}
+
+
+def _shipped() -> dict[str, Path]:
+    return {path.parent.name: path for path in sorted(scenes_folder().glob("*/scene.toml"))}
 
 
 def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
@@ -283,10 +292,10 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     if "/" in text or text.endswith(".toml"):
         path = Path(text)
         path = path / "scene.toml" if path.is_dir() else path
-    elif text in list_scenes():
-        path = scenes_folder() / text / "scene.toml"
+    elif (found := _shipped().get(text)) is not None:
+        path = found
     else:
-        raise unknown_name("scene", text, list_scenes())
+        raise unknown_name("scene", text, _shipped())
     table = read_toml(path)
     static = table.get("static")
     if isinstance(static, str):

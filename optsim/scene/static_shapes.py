@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 from optsim.config import Part
 from optsim.errors import ConfigError, unknown_name
 
+_MATT = ("diffuse", "twosided", "mask", "bumpmap", "normalmap", "blendbsdf")
 _TOP_LEVEL = ("shape", "bsdf", "texture", "default")
 # Element -> where what it wants to say belongs; all other elements inside a shape are Mitsuba's affair.
 _BANNED = {
@@ -54,6 +55,10 @@ class StaticShapes(Part):
     def _only_shapes(cls, text: str) -> str:
         _check(_parsed(text))
         return text
+
+    def polarises(self) -> bool:
+        """Whether a surface in it may polarise light: any that is not matt, or a wrapper of matt ones."""
+        return any(surface.get("type") not in _MATT for surface in _parsed(self.text).iter("bsdf"))
 
     def ready(self, unit_m: float = 1.0) -> str:
         """XML with whole paths, in lengths of ``unit_m``.

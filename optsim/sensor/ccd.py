@@ -18,13 +18,16 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from optsim.config import Part
+from optsim.errors import ConfigError
 from optsim.forward.bands import CORES
+from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.quantities import Doubles, Floats, Words
 
 # Up to this, and this share of the brightest pixel, what is under zero is rounding of the optics' transforms,
@@ -46,7 +49,10 @@ class Ccd(Part):
     pitch_m : float
         Pixel pitch, m.
     quantum_efficiency : float
-        Electrons per photon in the band.
+        Electrons per photon at 550 nm.
+    spectral_response : tuple of (float, float)
+        Wavelength, m, and quantum efficiency over that at 550 nm, wavelengths rising; straight between them,
+        unknown beyond. Empty: known at 550 nm only.
     full_well_e : float
         Electrons at which a pixel clips (not the EMVA saturation capacity, which lies a little below).
     read_noise_e : float
@@ -76,6 +82,7 @@ class Ccd(Part):
     cols: int = Field(ge=1)
     pitch_m: float = Field(gt=0)
     quantum_efficiency: float = Field(gt=0, le=1)
+    spectral_response: tuple[tuple[float, float], ...] = ()
     full_well_e: float = Field(gt=0)
     read_noise_e: float = Field(ge=0)
     dark_current_e_s: float = Field(ge=0)
@@ -87,6 +94,43 @@ class Ccd(Part):
     bend_at_full_well: float = Field(ge=0, le=0.1)
     readout_s: float = Field(gt=0)
     smear_share: float = Field(default=0.0, ge=0, le=1)
+
+    @field_validator("spectral_response")
+    @classmethod
+    def _rises(cls, pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        wavelengths = [wavelength_m for wavelength_m, _ in pairs]
+        if any(b <= a for a, b in pairwise(wavelengths)) or any(relative <= 0 for _, relative in pairs):
+            raise ValueError("expected pairs of a wavelength in m and a response > 0, wavelengths rising")
+        if pairs and wavelengths[0] <= MONO_WAVELENGTH_M <= wavelengths[-1]:
+            here = _interpolated(MONO_WAVELENGTH_M, pairs)
+            if abs(here - 1) > 1e-6:
+                raise ValueError(f"got {here:g} at 550 nm, expected 1 there: it is relative to that")
+        return pairs
+
+    def efficiency_at(self, wavelength_m: float) -> float:
+        """Electrons per photon in light of a wavelength.
+
+        Raises
+        ------
+        ConfigError
+            Where it is not known, or more than 1.
+        """
+        if wavelength_m == MONO_WAVELENGTH_M:
+            return self.quantum_efficiency
+        known_m = [pair[0] for pair in self.spectral_response] or [MONO_WAVELENGTH_M]
+        if not known_m[0] <= wavelength_m <= known_m[-1]:
+            raise ConfigError(
+                f"camera.sensor.spectral_response: got light of {wavelength_m * 1e9:g} nm, expected "
+                f"{known_m[0] * 1e9:g} to {known_m[-1] * 1e9:g} nm, where the quantum efficiency is known; "
+                "choose another band, or add its response"
+            )
+        efficiency = self.quantum_efficiency * _interpolated(wavelength_m, self.spectral_response)
+        if efficiency > 1:
+            raise ConfigError(
+                f"camera.sensor.quantum_efficiency x spectral_response: got {efficiency:.4g} at "
+                f"{wavelength_m * 1e9:g} nm, expected at most 1; lower one of them"
+            )
+        return efficiency
 
     @property
     def max_dn(self) -> int:
@@ -173,6 +217,10 @@ class Ccd(Part):
         with ThreadPoolExecutor(CORES) as pool:
             list(pool.map(strip, range(_STREAMS), rng.spawn(_STREAMS)))
         return dn, int(negative.sum())
+
+
+def _interpolated(x: float, pairs: tuple[tuple[float, float], ...]) -> float:
+    return float(np.interp(x, [pair[0] for pair in pairs], [pair[1] for pair in pairs]))
 
 
 @lru_cache(maxsize=4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from optsim.quantities import View
 from optsim.render.stokes import polarised, stokes_image
 
 CLAIM = (
@@ -16,7 +17,7 @@ ORACLE = (
 SOURCE = "E. Hecht, Optics, 5th ed., sections 8.2.1 and 8.13"
 # Single precision, and a view 0.002 degrees wide whose rays meet the polarisers at a slant.
 TOLERANCE = 1e-5
-FILES = ("optsim/render/stokes.py",)
+FILES = ("optsim/render/stokes.py", "optsim/render/rays.py")
 
 _LAMP = 2.0
 _FIRST_DEG = 20.0
@@ -86,4 +87,6 @@ def _stokes(axes_deg: tuple[float, ...]) -> np.ndarray:
             **filters,
         }
         loaded = mi.load_dict(content, optimize=False)
-        return stokes_image(mi, loaded, 4, 1, max_depth=6).mean(axis=(1, 2), dtype=np.float64)
+        return stokes_image(mi, loaded, View(2, 2, 1, 1e-5), 4, 1, max_depth=6).mean(
+            axis=(1, 2), dtype=np.float64
+        )

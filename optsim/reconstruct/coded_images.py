@@ -1,0 +1,89 @@
+"""What decoders that work patch by patch start from, and how they hand over what they painted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.calibrate.calibration import Calibration
+from optsim.calibrate.sample import Crosstalk, separate, take
+from optsim.quantities import Bools, CodedFrame, Floats, PanelState
+from optsim.reconstruct.layer import Layer
+
+
+@dataclass(frozen=True, eq=False)
+class CodedImage:
+    """A coded frame on the panel grid, each pixel by itself; all zero where not usable.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (v, u), float32
+        Sum over the slots of weight times irradiance.
+    exposure : ndarray of shape (v, u), float32
+        Sum of the weights.
+    variance : ndarray of shape (v, u), float32
+        Noise variance of the signal.
+    weights : ndarray of shape (v, u, slot), float32
+        Weights.
+    usable : ndarray of shape (v, u), bool
+        Where there is a signal.
+    """
+
+    signal: Floats
+    exposure: Floats
+    variance: Floats
+    weights: Floats
+    usable: Bools
+
+
+def coded_images(
+    frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
+) -> Iterator[tuple[CodedFrame, CodedImage]]:
+    """Frames with their pixels separated; earlier ones say how bright saturated pixels are."""
+    panel: PanelState | None = None
+    estimate = np.full(calibration.shape, np.nan, np.float32)
+    for frame in frames:
+        sample, panel = take(calibration, frame, panel, crosstalk)
+        if crosstalk == "undone":
+            sample = separate(calibration, sample, estimate)
+        measured = sample.valid & ~sample.saturated & (sample.exposure > 0)
+        mean = sample.signal / np.maximum(sample.exposure, 1e-6)
+        estimate = np.where(measured, mean, estimate).astype(np.float32)
+        usable = sample.valid
+        yield (
+            frame,
+            CodedImage(
+                np.where(usable, sample.signal, 0).astype(np.float32),
+                np.where(usable, sample.exposure, 0).astype(np.float32),
+                np.where(usable, sample.variance, 0).astype(np.float32),
+                np.ascontiguousarray(np.moveaxis(np.where(usable, sample.weights, 0), 0, -1)),
+                usable,
+            ),
+        )
+
+
+def covered(frame: CodedFrame, image: CodedImage, total: Floats, count: Floats, full: Floats) -> Layer:
+    """Mean of the patches over each pixel; the fewer of all patches there are, the less opaque.
+
+    Parameters
+    ----------
+    frame, image
+        From :func:`coded_images`.
+    total : ndarray of shape (v, u, slot), float32
+        Sum of all patches over each pixel; used up.
+    count, full : ndarray of shape (v, u), float32
+        How many patches that were, and how many there are on the whole grid.
+    """
+    total /= np.maximum(count, 1)[:, :, None]
+    moving = frame.code.moving
+    return Layer(
+        frame.index,
+        np.ascontiguousarray(np.moveaxis(total, -1, 0)),
+        (count / full).astype(np.float32),
+        image.usable & moving & (count > 0),
+        np.zeros_like(moving),
+        moving,
+        total.shape[2],
+    )

@@ -1,0 +1,132 @@
+"""The learned mixture of Gaussians of space-time patches: its value and its file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.quantities import Doubles, Floats, checked
+from optsim.reconstruct.prior_file import read_prior, write_prior
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Prior of space-time patches whose brightness has been divided out: ``base + basis' z + rest``.
+
+    z is drawn from a mixture of Gaussians, the rest from independent ones of the same small variance.
+
+    Parameters
+    ----------
+    base : ndarray of shape (v, u, slot), float32
+        Mean patch.
+    basis : ndarray of shape (r, v, u, slot), float32
+        Orthonormal.
+    shares : ndarray of shape (k,), float64
+        How often each component occurs; they sum to 1.
+    means : ndarray of shape (k, r), float64
+        Of z.
+    covariances : ndarray of shape (k, r, r), float64
+        Of z.
+    rest : float
+        Variance of each element that the basis leaves out.
+    provenance : Mapping
+        How it was made: settings, seed, what it was trained on.
+    """
+
+    base: Floats
+    basis: Floats
+    shares: Doubles
+    means: Doubles
+    covariances: Doubles
+    rest: float
+    provenance: Mapping[str, object] = field(default_factory=dict[str, object])
+
+    def __post_init__(self) -> None:
+        axes = ("r", "v", "u", "slot")
+        checked("mixture basis", self.basis, axes=axes, dtype=np.float32, unit="1", nonnegative=False)
+        k, r = len(self.shares), len(self.basis)
+        shapes = (self.base.shape, self.means.shape, self.covariances.shape)
+        expected = (self.basis.shape[1:], (k, r), (k, r, r))
+        if shapes != expected:
+            raise ValueCheckError(f"mixture: got base, means, covariances of {shapes}, expected {expected}")
+        if abs(float(self.shares.sum()) - 1) > 1e-6 or float(self.shares.min()) <= 0 or not self.rest >= 0:
+            raise ValueCheckError(
+                "mixture: expected positive shares that sum to 1 and a variance of the rest >= 0"
+            )
+
+    @property
+    def patch(self) -> int:
+        """Side of a patch, panel pixels."""
+        return self.basis.shape[1]
+
+    @property
+    def slots(self) -> int:
+        """Slots of a patch."""
+        return self.basis.shape[3]
+
+    def single(self) -> Mixture:
+        """One Gaussian with the mixture's mean and covariance: the best linear estimator's prior."""
+        mean = self.shares @ self.means
+        off = self.means - mean
+        covariance = np.einsum("k,kij->ij", self.shares, self.covariances)
+        covariance += np.einsum("k,ki,kj->ij", self.shares, off, off)
+        return Mixture(
+            self.base, self.basis, np.ones(1), mean[None], covariance[None], self.rest, self.provenance
+        )
+
+
+def save_mixture(path: Path, mixture: Mixture) -> None:
+    """Write a mixture as a compressed .npz: 16 bits a number, covariances by their factors."""
+    factors = np.linalg.cholesky(mixture.covariances)
+    low = np.tril_indices(factors.shape[1])
+    # Rows of the factors differ by decades: each is written relative to its largest element.
+    scales = np.abs(factors).max(axis=2)
+    arrays = {
+        "base": mixture.base.astype(np.float16),
+        "basis": mixture.basis.astype(np.float16),
+        "shares": mixture.shares,
+        "means": mixture.means.astype(np.float32),
+        "scales": scales.astype(np.float32),
+        "factors": (factors / scales[:, :, None])[:, low[0], low[1]].astype(np.float16),
+        "rest": np.float64(mixture.rest),
+    }
+    write_prior(path, arrays, mixture.provenance)
+
+
+def load_mixture(path: Path) -> Mixture:
+    """Read what :func:`save_mixture` wrote.
+
+    Raises
+    ------
+    StorageError
+        When the file is missing or is no mixture.
+    """
+    names = ("base", "basis", "shares", "means", "scales", "factors", "rest")
+    stored, provenance = read_prior(path, "mixture", names)
+    scales = stored["scales"].astype(np.float64)
+    factors = np.zeros((*scales.shape, scales.shape[1]))
+    low = np.tril_indices(scales.shape[1])
+    factors[:, low[0], low[1]] = stored["factors"]
+    factors *= scales[:, :, None]
+    return Mixture(
+        stored["base"].astype(np.float32),
+        stored["basis"].astype(np.float32),
+        stored["shares"],
+        stored["means"].astype(np.float64),
+        factors @ factors.transpose(0, 2, 1),
+        float(stored["rest"]),
+        provenance,
+    )
+
+
+@lru_cache(maxsize=2)
+def shipped_mixture() -> Mixture:
+    """Load the mixture that comes with the package."""
+    with resources.as_file(resources.files("optsim.reconstruct") / "mixture.npz") as path:
+        return load_mixture(path)

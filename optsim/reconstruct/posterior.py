@@ -1,0 +1,104 @@
+"""What a mixture of Gaussians says of a patch that a code has measured.
+
+With ``signal = A (base + basis' z + rest) + noise`` the posterior of z is again a mixture: shares by how
+likely each component makes the signal, means by the linear estimator of least mean square error (S. M. Kay,
+*Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, theorem 11.1). The eigenvectors of
+each component's signal covariance are found once for all patches that share A: then every patch may have
+a noise of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.quantities import Doubles, Floats
+from optsim.reconstruct.mixture import Mixture
+
+# Components that are less likely than this beside the best one are left out of a patch.
+_NEGLIGIBLE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A mixture as a matrix of weights shows it; k components, m measurements, rank r.
+
+    Parameters
+    ----------
+    log_shares : ndarray of shape (k,), float64
+        Logarithms of the shares.
+    signals : ndarray of shape (k, m), float32
+        Mean signal of each component.
+    turns : ndarray of shape (k, m, m), float32
+        Eigenvectors of each component's signal covariance, in columns.
+    powers : ndarray of shape (k, m), float32
+        Eigenvalues.
+    means : ndarray of shape (k, r), float32
+        Mean of z.
+    backs : ndarray of shape (k, m, r), float32
+        Covariance of the turned signal with z.
+    rest : float
+        Mean variance of a measurement by what the basis leaves out.
+    """
+
+    log_shares: Doubles
+    signals: Floats
+    turns: Floats
+    powers: Floats
+    means: Floats
+    backs: Floats
+    rest: float
+
+
+def seen_through(mixture: Mixture, weights: Floats) -> Seen:
+    """Prepare a mixture for weights of shape (pixel, slot)."""
+    pixels, slots = weights.shape
+    matrix = np.einsum("rpt,pt->pr", mixture.basis.reshape(-1, pixels, slots), weights, optimize=True)
+    base = (mixture.base.reshape(pixels, slots) * weights).sum(axis=1)
+    exact = matrix.astype(np.float64)
+    back = exact @ mixture.covariances
+    powers, turns = np.linalg.eigh(back @ exact.T)
+    return Seen(
+        np.log(mixture.shares),
+        (mixture.means @ exact.T + base).astype(np.float32),
+        turns.astype(np.float32),
+        powers.clip(0).astype(np.float32),
+        mixture.means.astype(np.float32),
+        (turns.transpose(0, 2, 1) @ back).astype(np.float32),
+        mixture.rest * float((weights.astype(np.float64) ** 2).sum(axis=1).mean()),
+    )
+
+
+def expected(seen: Seen, signals: Floats, variance: Floats) -> Floats:
+    """Posterior mean of z.
+
+    Parameters
+    ----------
+    seen : Seen
+        The prior behind the weights.
+    signals : ndarray of shape (p, m), float32
+        Signals whose brightness has been divided out.
+    variance : ndarray of shape (p,), float32
+        Noise variance of each patch's measurements.
+
+    Returns
+    -------
+    ndarray of shape (p, r), float32
+    """
+    noise = (variance + np.float32(seen.rest))[:, None]
+    turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]
+    logs = np.empty((len(signals), len(turned)))
+    for k, part in enumerate(turned):
+        spread = seen.powers[k] + noise
+        logs[:, k] = seen.log_shares[k] - 0.5 * (np.log(spread) + part**2 / spread).sum(axis=1)
+    chance = np.exp(logs - logs.max(axis=1, keepdims=True))
+    chance[chance < _NEGLIGIBLE] = 0
+    chance /= chance.sum(axis=1, keepdims=True)
+    z = (chance.astype(np.float32)) @ seen.means
+    for k, part in enumerate(turned):
+        some = np.flatnonzero(chance[:, k])
+        if some.size:
+            pull = part[some] / (seen.powers[k] + noise[some])
+            z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
+    return z

@@ -1,0 +1,71 @@
+"""Files of learned priors: arrays and how they were made, in a compressed .npz; and whether they fit."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from optsim.calibrate.calibration import Calibration
+from optsim.errors import ConfigError, StorageError
+from optsim.files import atomic
+
+
+class Prior(Protocol):
+    """What is learned of space-time patches."""
+
+    @property
+    def patch(self) -> int:
+        """Side of a patch, panel pixels."""
+        ...
+
+    @property
+    def slots(self) -> int:
+        """Slots of a patch."""
+        ...
+
+
+def write_prior(path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, object]) -> None:
+    """Write arrays by name, and provenance as JSON."""
+    buffer = io.BytesIO()
+    text = json.dumps(dict(provenance), allow_nan=False)
+    np.savez_compressed(buffer, provenance=np.array(text), **arrays)
+    with atomic(path) as temporary:
+        temporary.write_bytes(buffer.getvalue())
+
+
+def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read the named arrays of what :func:`write_prior` wrote, and the provenance.
+
+    Raises
+    ------
+    StorageError
+        When the file is missing or is no such prior.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in names}, json.loads(str(stored["provenance"]))
+    except FileNotFoundError:
+        raise StorageError(f"no such {kind}: {path}; make one with 'optsim train'") from None
+    except (OSError, ValueError, KeyError) as error:
+        raise StorageError(f"{path} is not a {kind}: {error}") from None
+
+
+def check_fit(prior: Prior, kind: str, calibration: Calibration) -> None:
+    """Refuse a prior of patches that a camera's frames cannot be cut to.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    if prior.slots != calibration.slots_per_frame or prior.patch > min(calibration.shape):
+        raise ConfigError(
+            f"{kind}: got patches of {prior.patch} pixels and {prior.slots} slots, expected "
+            f"{calibration.slots_per_frame} slots and at most {min(calibration.shape)} pixels; "
+            "cure: train one for this camera"
+        )
