@@ -22,9 +22,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from optsim.config import Part
 from optsim.forward.field_blur import FieldPsf, uniform
@@ -220,15 +222,22 @@ def _cells(pupil: _Pupil, optics: _Optics, half: int) -> Doubles:
     size = (2 * half + 1) * parts
     place_m = (np.arange(size) - (size - 1) / 2) * step_m
     # A pupil's sample at p sends exp(2 pi i p x / (2 lambda N)) to x.
-    kernel = np.exp(2j * np.pi * np.outer(place_m, pupil.axis) / (2 * spread_m))
-    fields = pupil.open * np.exp(-2j * np.pi * pupil.waves)
-    # Two large products: many small ones would wait for each other's threads.
-    for _ in range(2):
-        fields = (fields.reshape(-1, len(pupil.axis)) @ kernel.T).reshape(*fields.shape[:2], size)
-        fields = np.ascontiguousarray(fields.transpose(0, 2, 1))
+    kernel = np.exp(2j * np.pi * np.outer(place_m, pupil.axis) / (2 * spread_m)).astype(np.complex64)
+    fields = (pupil.open * np.exp(-2j * np.pi * pupil.waves)).astype(np.complex64)
+    fields = _along_both_axes(kernel, fields)
     pupil_step = pupil.axis[1] - pupil.axis[0]
-    found = np.abs(fields) ** 2 * (step_m * pupil_step / (2 * spread_m)) ** 2 / (pupil.open**2).sum()
+    share = (step_m * pupil_step / (2 * spread_m)) ** 2 / (pupil.open**2).sum()
     # As in the kernel: the cell's own variance is taken out of the Gaussian.
     sigma = np.sqrt(max((optics.sigma_m / optics.cell_m) ** 2 - 1 / 12, 0.0)) * parts
-    found = gaussian_filter(found, (0, sigma, sigma), mode="constant") if sigma else found
-    return found.reshape(len(found), 2 * half + 1, parts, 2 * half + 1, parts).sum(axis=(2, 4))
+    blurred = gaussian_filter1d(np.eye(size), sigma, axis=0, mode="constant") if sigma else np.eye(size)
+    to_cells = blurred.reshape(2 * half + 1, parts, size).sum(axis=1)
+    return _along_both_axes(to_cells, np.abs(fields) ** 2 * share)
+
+
+def _along_both_axes(matrix: NDArray[Any], images: NDArray[Any]) -> NDArray[Any]:
+    """Apply a matrix to the rows and the columns of images, (k, y, x)."""
+    # Two large products: many small ones would wait for each other's threads.
+    for _ in range(2):
+        found = (images.reshape(-1, images.shape[2]) @ matrix.T).reshape(*images.shape[:2], len(matrix))
+        images = np.ascontiguousarray(found.transpose(0, 2, 1))
+    return images

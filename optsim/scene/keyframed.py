@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
-from scipy.interpolate import PchipInterpolator
 
 from optsim.config import Part
 from optsim.quantities import Doubles
@@ -130,6 +129,9 @@ class Keyframed(Part):
             return (1 - share) * keys[after - 1] + share * keys[after]
         if self.repeat:
             times, keys = _unrolled(times, keys)
+        # It takes a while to import, and few scenes need it.
+        from scipy.interpolate import PchipInterpolator
+
         return PchipInterpolator(times, keys, axis=0)(time_s)
 
 

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import KDTree
 
 from optsim.quantities import Doubles
 
@@ -34,6 +33,9 @@ def _cells(size: int, count: int, seed: int) -> tuple[NDArray[np.int64], Doubles
     seeds = np.random.default_rng(seed).random((count, 2)) * size
     rows, cols = np.indices((size, size))
     places = np.stack([rows.ravel(), cols.ravel()], -1) + 0.5
+    # It takes a while to import, and few scenes need it.
+    from scipy.spatial import KDTree
+
     distance, index = (np.asarray(found) for found in KDTree(seeds, boxsize=size).query(places, k=2))
     edge = (distance[:, 1] - distance[:, 0]) / 2
     return index[:, 0].astype(np.int64).reshape(size, size), edge.reshape(size, size)
