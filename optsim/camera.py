@@ -41,7 +41,6 @@ NOT_MODELLED: tuple[str, ...] = (
     "twist of the liquid crystal; ripple of the panel within a slot",
     "the error of the panel's grey curve beyond its exponent",
     "blooming, lag and hot pixels of the CCD; smear is that of the frame's own light",
-    "jitter between panel and shutter",
     "drift of anything after calibration",
 )
 
@@ -346,7 +345,10 @@ class CodedCamera(Part):
         levels = code.levels.copy()
         levels[self.coded_slots :] = 0
         levels[:, stuck] = stuck_levels[stuck]
-        return slot_weights(levels, panel, self.panel_response, self.slot_s, n_sub, self.column_leaks)
+        late_s = self.modulator.lateness_s(panel.slots_shown if panel else 0, self.serial_number)
+        response = self.panel_response
+        response = response.model_copy(update={"delay_s": response.delay_s + late_s})
+        return slot_weights(levels, panel, response, self.slot_s, n_sub, self.column_leaks)
 
     @property
     def panel_gain(self) -> Floats:

@@ -13,6 +13,7 @@ vibration between the frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
@@ -121,6 +122,7 @@ class _Laboratory:
 
     def __init__(self, camera: CodedCamera, rng: Generator) -> None:
         self.camera, self.rng = camera, rng
+        self.shown = 0  # slots before the next image: whole rounds of the panel's fields
         self.panel = (camera.panel_rows, camera.panel_cols)
         sensor = camera.sensor
         well_e = min(sensor.full_well_e, (sensor.max_dn - sensor.black_dn) * sensor.gain_e)
@@ -204,7 +206,9 @@ class _Laboratory:
         levels = np.repeat(then[None], camera.slots_per_frame, axis=0)
         levels[0] = first
         code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
-        held = settled_panel(first, camera.panel_response)
+        # Each image comes at a time of its own, as late as the panel's jitter makes it.
+        held = replace(settled_panel(first, camera.panel_response), slots_shown=self.shown)
+        self.shown += _FIELDS
         expected_e, _ = camera.expected_electrons(light, 0, code, held)
         frames = [
             camera.sensor.digitise(expected_e, camera.exposure_s, camera.serial_number, self.rng)[0]

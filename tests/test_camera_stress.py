@@ -276,7 +276,11 @@ def small(rows, cols, ratio=3.0, margin=4, **parts):
             {"splitter": {"placement": "converging", "acceptance_rad": 1e-3, "ts": 0.0, "rp": 0.99}},
             r"splitter: a bright panel passes 0 .*acceptance_rad",
         ),
-        ({"modulator": {"delay_s": 0.01}}, r"delay_s \+ scan_s: got 0\.01 s"),
+        ({"modulator": {"delay_s": 0.01}}, r"delay_s \+ scan_s \+ 4 jitter_s: got 0\.01 s"),
+        (
+            {"modulator": {"delay_s": 1e-3, "jitter_s": 1e-3}},
+            r"jitter_s: got 0\.001 s, expected at most a quarter",
+        ),
         ({"relay": {"keystone_y": 0.21}}, r"relay\.keystone_y: got 0\.21"),
         ({"relay": {"rotation_rad": -0.06}}, r"relay\.rotation_rad: got -0\.06"),
         ({"objective": {"f_number": float("inf")}}, r"objective\.f_number: got inf"),

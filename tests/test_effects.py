@@ -111,6 +111,8 @@ def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured
     assert not {each.effect for each in effect_sizes(near_probe(IDEAL, ROOM))} & in_scene
     late = with_effects(IDEAL, {"row_scan": "pessimistic"})
     assert late.panel_response.row_delays_s(10)[0] > 0.5e-3
+    assert late.modulator.lateness_s(36, 1) != late.modulator.lateness_s(72, 1) != 0
+    assert IDEAL.modulator.lateness_s(36, 1) == 0
 
 
 @pytest.mark.parametrize("name", sorted(name for name, effect in ALL.items() if not effect.in_scene))

@@ -16,6 +16,7 @@ from optsim.quantities import Bools, Bytes, Doubles, Floats
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
 _TAU_PER_DEGREE = 0.03
+_FARTHEST = 4.0  # standard deviations of jitter at most: it lies beyond once in 16 000 frames
 _Drive = Annotated[float, Field(ge=0.5, le=1.5)]
 
 
@@ -56,6 +57,9 @@ class Modulator(Part):
         When the first row of the used panel turns to a slot's level, after the shutter's clock.
     scan_s : float
         How much later the row after the panel's last one would.
+    jitter_s : float
+        Standard deviation of the delay from frame to frame, at most a quarter of it: a panel that waits for
+        the shutter's clock is never early.
     fringing_px : float
         Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
     depolarised_share : float
@@ -82,6 +86,7 @@ class Modulator(Part):
     polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
     delay_s: float = Field(default=0.0, ge=0)
     scan_s: float = Field(default=0.0, ge=0)
+    jitter_s: float = Field(default=0.0, ge=0)
     fringing_px: float = Field(default=0.0, ge=0, le=0.25)
     depolarised_share: float = Field(ge=0, le=1)
     nonuniformity_rms: float = Field(ge=0, le=0.2)
@@ -89,10 +94,16 @@ class Modulator(Part):
 
     @model_validator(mode="after")
     def _rows_turn_within_a_slot(self) -> Modulator:
-        if self.delay_s + self.scan_s >= 1 / self.field_rate_hz:
+        latest_s = self.delay_s + self.scan_s + _FARTHEST * self.jitter_s
+        if latest_s >= 1 / self.field_rate_hz:
             raise ValueError(
-                f"delay_s + scan_s: got {self.delay_s + self.scan_s:g} s, expected less than a slot of "
-                f"{1 / self.field_rate_hz:g} s; lower one of them"
+                f"delay_s + scan_s + {_FARTHEST:g} jitter_s: got {latest_s:g} s, "
+                f"expected less than a slot of {1 / self.field_rate_hz:g} s; lower one of them"
+            )
+        if _FARTHEST * self.jitter_s > self.delay_s:
+            raise ValueError(
+                f"jitter_s: got {self.jitter_s:g} s, expected at most a quarter of "
+                f"delay_s = {self.delay_s:g} s, since a panel is never early; lower it, or raise delay_s"
             )
         return self
 
@@ -141,6 +152,13 @@ class Modulator(Part):
             delay_s=self.delay_s + self.scan_s * first,
             scan_s=self.scan_s * rows / there,
         )
+
+    def lateness_s(self, slots_shown: int, serial_number: int) -> float:
+        """How much more than ``delay_s`` a frame is late that begins after so many slots, s."""
+        if not self.jitter_s:
+            return 0.0
+        rng = np.random.default_rng([serial_number, _PATTERN, 2, slots_shown])
+        return self.jitter_s * float(np.clip(rng.standard_normal(), -_FARTHEST, _FARTHEST))
 
     def mueller(self, retardance_rad: float) -> Doubles:
         """Mueller matrix of the panel in reflection, the mirror's flip included once.
