@@ -64,7 +64,7 @@ def test_moving_light_gets_the_psf_of_each_point_up_to_the_stated_error(place, f
     else:
         exact = np.einsum("tyxkl,kl->tyx", windows, middle.kernel, optimize=True) * factor
     for error, least in ((ModesError(1e-7, 10.0), 0.0), (ModesError(0.02, 10.0), 2e-4)):
-        block = blur_moving(Block(*place, excess), middle, factor, error)
+        block = blur_moving((Block(*place, excess),), middle, factor, error)[0]
         _, height, width = block.excess.shape
         ours = np.zeros((3, *field))
         ours[:, block.row : block.row + height, block.col : block.col + width] = block.excess

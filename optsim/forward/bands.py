@@ -6,6 +6,9 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TypeVar
+
+T = TypeVar("T")
 
 CORES = os.cpu_count() or 1
 # For fewer rows starting threads takes longer than the work.
@@ -30,8 +33,7 @@ def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
     side_by_side(lambda a=a, b=b: work(a, b) for a, b in pairwise(edges) if b > a)
 
 
-def side_by_side(pieces: Iterable[Callable[[], None]]) -> None:
+def side_by_side(pieces: Iterable[Callable[[], T]]) -> list[T]:
     """Do pieces of work that don't wait for each other, as many at a time as there are cores."""
     with ThreadPoolExecutor(CORES) as pool:
-        for done in [pool.submit(piece) for piece in pieces]:
-            done.result()
+        return [done.result() for done in [pool.submit(piece) for piece in pieces]]

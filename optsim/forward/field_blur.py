@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.forward.bands import CORES
+from optsim.forward.bands import CORES, side_by_side
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles, Ints
 
-_BATCH_CELLS = 500_000  # cells that are transformed together
+_BATCH_CELLS = 120_000  # cells that are transformed together
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,16 +124,20 @@ class FieldBlur:
         exact = image.astype(np.float64, copy=False)
         wide = np.zeros((rows + 2 * reach, cols + 2 * reach))
         height, width = self.rows.side, self.cols.side
-        for i, j in self._batches():
-            corners = list(zip(self.rows.starts[i], self.cols.starts[j], strict=True))
-            windows = np.stack([exact[y : y + height, x : x + width] for y, x in corners])
+
+        def spread(i: Ints, j: Ints) -> Doubles:
+            windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
             for transfers, hats in self._nodes(i, j):
-                part = fft.rfft2(windows * hats, s=self.padded, workers=CORES)
+                part = fft.rfft2(windows * hats, s=self.padded)
                 part *= transfers
                 spectrum += part
-            found = fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True)
-            for (y, x), light in zip(corners, found, strict=True):
+            return fft.irfft2(spectrum, s=self.padded, overwrite_x=True)
+
+        # Added up one after the other: the sum must not depend on which is ready first.
+        found = side_by_side(partial(spread, i, j) for i, j in self._batches())
+        for (i, j), batch in zip(self._batches(), found, strict=True):
+            for (y, x), light in zip(self._corners(i, j), batch, strict=True):
                 part = light[: height + 2 * reach, : width + 2 * reach]
                 wide[y : y + height + 2 * reach, x : x + width + 2 * reach] += part
         direct = wide[reach : reach + rows, reach : reach + cols]
@@ -152,17 +156,28 @@ class FieldBlur:
         reach = self.half
         total = np.zeros(self.shape)
         height, width = self.rows.side, self.cols.side
-        for i, j in self._batches():
-            corners = list(zip(self.rows.starts[i], self.cols.starts[j], strict=True))
+
+        def gather(i: Ints, j: Ints) -> Doubles:
+            corners = self._corners(i, j)
             windows = np.stack(
                 [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in corners]
             )
-            spectrum = fft.rfft2(windows, s=self.padded, workers=CORES)
+            spectrum = fft.rfft2(windows, s=self.padded)
+            found = np.zeros((len(i), height, width))
             for transfers, hats in self._nodes(i, j):
-                part = fft.irfft2(spectrum * transfers.conj(), s=self.padded, workers=CORES, overwrite_x=True)
-                for (y, x), light, hat in zip(corners, part, hats, strict=True):
-                    total[y : y + height, x : x + width] += light[:height, :width] * hat
+                part = fft.irfft2(spectrum * transfers.conj(), s=self.padded, overwrite_x=True)
+                found += part[:, :height, :width] * hats
+            return found
+
+        found = side_by_side(partial(gather, i, j) for i, j in self._batches())
+        for (i, j), batch in zip(self._batches(), found, strict=True):
+            for (y, x), light in zip(self._corners(i, j), batch, strict=True):
+                total[y : y + height, x : x + width] += light
         return total
+
+    def _corners(self, i: Ints, j: Ints) -> list[tuple[int, int]]:
+        """First row and column of some cells' windows."""
+        return list(zip(self.rows.starts[i].tolist(), self.cols.starts[j].tolist(), strict=True))
 
     def _batches(self) -> list[tuple[Ints, Ints]]:
         """Rows and columns of cells that are transformed together: many small ones or few large ones."""

@@ -9,8 +9,9 @@ is any. What comes out is what each point of the tile collects (optics/image_for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -47,13 +48,15 @@ class ModesError:
         return self.share * 2.0 ** -np.ceil(np.log2(max(1.0, brightest / self.level)))
 
 
-def blur_moving(block: Block, psf: FieldPsf, factor: Floats, error: ModesError) -> Block:
-    """Let each point collect a moving block's light; the block grows by the PSF's half width, in the field.
+def blur_moving(
+    blocks: tuple[Block, ...], psf: FieldPsf, factor: Floats, error: ModesError
+) -> tuple[Block, ...]:
+    """Let each point collect moving blocks' light; blocks grow by the PSF's half width, within the field.
 
     Parameters
     ----------
-    block : Block
-        Excess in a rectangle; where it touches the border of the field it continues beyond, as
+    blocks : tuple of Block
+        Excess in rectangles; where one touches the border of the field it continues beyond, as
         :func:`optsim.forward.psf.extend` continues the base.
     psf : FieldPsf
         PSF over the field, the light that each point collects lying turned by half a turn.
@@ -62,6 +65,15 @@ def blur_moving(block: Block, psf: FieldPsf, factor: Floats, error: ModesError) 
     error : ModesError
         What leaving modes out may misplace.
     """
+    blurred = [_blurred(block, psf, factor, error) for block in blocks]
+    side_by_side(piece for _, pieces in blurred for piece in pieces)
+    return tuple(block for block, _ in blurred)
+
+
+def _blurred(
+    block: Block, psf: FieldPsf, factor: Floats, error: ModesError
+) -> tuple[Block, list[Callable[[], None]]]:
+    """Block still dark, and the pieces of work, one a tile, that bring its light."""
     shape, half = (factor.shape[0], factor.shape[1]), psf.half
     n, height, width = block.excess.shape
     top, bottom = max(block.row - half, 0), min(block.row + height + half, shape[0])
@@ -84,8 +96,7 @@ def blur_moving(block: Block, psf: FieldPsf, factor: Floats, error: ModesError) 
         found *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]]
         image[lit, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left] = found
 
-    side_by_side(lambda y=y, x=x: tile(y, x) for y in tiles_y for x in tiles_x)
-    return Block(top, left, image)
+    return Block(top, left, image), [partial(tile, y, x) for y in tiles_y for x in tiles_x]
 
 
 def _borders(size: int, cells: int, half: int) -> Ints:

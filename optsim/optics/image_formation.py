@@ -99,7 +99,7 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blocks = tuple(blur_moving(block, blurs.core, near, modes_error) for block in segment.blocks)
+        blocks = blur_moving(segment.blocks, blurs.core, near, modes_error)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(
