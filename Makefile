@@ -22,7 +22,7 @@ demo: setup ## run the demo experiment; opens nothing, prints where the report i
 	$(BIN)/optsim run demo
 
 test: setup ## is the code right? (minutes)
-	$(BIN)/python -m pytest tests
+	$(BIN)/python -m pytest tests -n auto --dist loadscope
 
 bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
