@@ -25,6 +25,7 @@ from optsim.cli_options import (
     print_json,
     with_tolerance,
 )
+from optsim.cli_reconstruct import reconstruct_files
 from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
 
 app = typer.Typer(
@@ -38,6 +39,7 @@ app = typer.Typer(
 _INTERRUPTED = 130
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
+app.command("reconstruct")(reconstruct_files)
 
 
 def _version(wanted: bool) -> None:

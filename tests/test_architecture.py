@@ -55,6 +55,8 @@ TOP = {
     "cli",
     "cli_groups",
     "cli_options",
+    "cli_reconstruct",
+    "measurement",
     "trace",
     "benchmark",
     "stopwatch",

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from optsim import job
-from optsim.errors import StorageError
+from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_exr, read_json, read_png16
+from optsim.measurement import decode_measurement
+from optsim.measurement.runs import read_run
 from optsim.report.schema import check_results
 
 SMALL = [
@@ -117,3 +119,19 @@ def test_not_enough_disk_is_said_before_anything_starts(
 
 def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
     assert "too short" in job.summary({"title": "demo", "methods": {"adaptive": {}}, "scores": []})
+
+
+def test_a_run_s_frames_decode_again_to_the_same_light(folder: Path, tmp_path: Path) -> None:
+    found, decoder = read_run(folder, "random")
+    decode_measurement(found, decoder, tmp_path / "again")
+    for index in (0, 5):
+        again, _ = read_exr(tmp_path / "again" / "reconstruction" / f"{index:06d}.exr")
+        stored, said = read_exr(folder / "reconstructions" / "random" / f"{index:06d}.exr")
+        for name, radiance in stored.items():
+            # Stored as half floats: 11 bits, and steps of 6e-8 in the dark.
+            scale = said["irradiance_per_radiance"]
+            np.testing.assert_allclose(again[name], radiance * scale, rtol=6e-4, atol=4e-8 * scale)
+    with pytest.raises(ConfigError, match=r"--method: missing; .* adaptive, normal"):
+        read_run(folder, None)
+    with pytest.raises(ConfigError, match=r"--method.*'randon'.*random"):
+        read_run(folder, "randon")

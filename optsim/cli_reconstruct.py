@@ -1,0 +1,59 @@
+"""The command that decodes measurements of any camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+
+from optsim.cli_options import Json, Set, print_json
+
+
+def reconstruct_files(
+    measurement: Annotated[
+        Path,
+        typer.Argument(help="A TOML file, an .npz or .mat file with image and code, or the folder of a run."),
+    ],
+    assignments: Set = None,
+    decoder: Annotated[
+        str | None, typer.Option(help="Kind of decoder; default interpolation, or the run's own.")
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="Of a run: whose frames.")] = None,
+    peak: Annotated[
+        float | None, typer.Option(help="Peak of the PSNR; default the brightest of the truth.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder, new or empty; default a new one among the runs."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Decode coded images of any camera: light slot by slot as OpenEXR, a picture, a film and scores."""
+    from optsim.config import build, override
+    from optsim.console import page, people, progress_bars, table
+    from optsim.job import new_folder
+    from optsim.measurement import decode_measurement, read_measurement
+    from optsim.measurement.files import DecoderChoice, measurement_files
+    from optsim.measurement.runs import RECORD, read_run
+
+    wanted = [*([f"decoder.kind={decoder}"] if decoder else []), *(assignments or [])]
+    if (measurement / RECORD).is_file():
+        found, own = read_run(measurement, method)
+        start = {} if decoder else {"decoder": own.model_dump(mode="json")}
+        chosen = build(DecoderChoice, override(start, wanted), where="--set").decoder
+    else:
+        files = measurement_files(measurement, wanted)
+        found, chosen = read_measurement(files), files.decoder
+    folder = out or new_folder(f"reconstruct-{measurement.stem}")
+    with progress_bars(quiet=as_json) as progress:
+        record = decode_measurement(found, chosen, folder, peak=peak, progress=progress)
+    if as_json:
+        print_json(record)
+    else:
+        shown = [(key, value) for key, value in record.items() if key not in ("decoder", "psnr_db")]
+        page.print(table(f"decoded by {chosen.kind}", ("what", "value"), shown))
+        if scores := cast("list[float | None] | None", record["psnr_db"]):
+            rows = [(index, each) for index, each in enumerate(scores)]
+            page.print(table("PSNR", ("coded image", "dB"), rows))
+        people.print(f"Wrote {folder}")

@@ -1,0 +1,229 @@
+"""Coded images of any camera and the code of each, as the frames and the calibration that decoders take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from optsim.calibrate import Calibration
+from optsim.config import Part
+from optsim.errors import ValueCheckError
+from optsim.forward.panel import PanelResponse
+from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode, Floats, Words
+
+# An instantaneous panel without leak, whose weight is the sine squared of a quarter turn times its level.
+_OPEN_OR_SHUT = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=1.0)
+_WORDS = 65535
+
+
+class Sensor(Part):
+    """What is known of the sensor that took coded images, in the counts of their files.
+
+    Parameters
+    ----------
+    black : float
+        Counts without light.
+    saturation : float or None
+        Least count that means saturated; None for the largest number that whole numbers of 8 or 16 bits
+        hold, and no saturation for others.
+    read_noise : float
+        Temporal noise in the dark, quantisation included, counts; 1 has no source.
+    counts_per_electron : float
+        System gain; 0 leaves shot noise out.
+    slot_s : float
+        Duration of a slot, s; decoders don't depend on it.
+    """
+
+    black: float = 0.0
+    saturation: float | None = None
+    read_noise: float = Field(default=1.0, gt=0)
+    counts_per_electron: float = Field(default=0.0, ge=0)
+    slot_s: float = Field(default=1.0, gt=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Coded frames with what is known of their camera.
+
+    Parameters
+    ----------
+    frames : tuple of CodedFrame
+        Images with their codes, in order of time.
+    calibration : Calibration
+        Of the camera.
+    truth : tuple of ndarray of shape (slot, v, u), float32
+        The same light slot by slot, a frame each, in the unit of ``unit``; empty when it isn't known.
+    unit : str
+        Of the light: counts a slot where the camera isn't calibrated.
+    rounded : float
+        How far weights of the code had to be rounded, at most: 0 for pixels that are open or shut.
+    """
+
+    frames: tuple[CodedFrame, ...]
+    calibration: Calibration
+    truth: tuple[Floats, ...]
+    unit: str
+    rounded: float
+
+    def __post_init__(self) -> None:
+        if self.truth and len(self.truth) != len(self.frames):
+            raise ValueCheckError(
+                f"truth: got {len(self.truth)} frames, expected {len(self.frames)}, one a coded image"
+            )
+        want = (self.calibration.slots_per_frame, *self.calibration.shape)
+        for each in self.truth:
+            if each.shape != want:
+                raise ValueCheckError(f"truth: got {each.shape} a coded image, expected {want}: (slot, v, u)")
+
+
+def coded_measurement(
+    images: NDArray[Any],
+    codes: NDArray[Any],
+    *,
+    sensor: Sensor | None = None,
+    moving: NDArray[Any] | None = None,
+    truth: NDArray[Any] | None = None,
+) -> Measurement:
+    """Make a measurement of arrays: each pixel of an image is the sum over slots of weight times light.
+
+    Parameters
+    ----------
+    images : ndarray of shape (v, u) or (frame, v, u)
+        Counts, whole or not; what is not finite counts as a dead pixel.
+    codes : ndarray of shape (slot, v, u) or (frame, slot, v, u)
+        Weights from 0 to 1, or whole numbers of 8 bits from 0 to 255; one for all frames, or one each.
+    sensor : Sensor, optional
+        What is known of it.
+    moving : ndarray of shape (v, u), bool, optional
+        Pixels for the video decoder, where a decoder makes a difference; default all.
+    truth : ndarray of shape (slot, v, u) or (frame, slot, v, u) or (frame * slot, v, u), optional
+        Light in each slot, counts.
+
+    Returns
+    -------
+    Measurement
+        Whose light is in counts a slot.
+
+    Raises
+    ------
+    ValueCheckError
+        For shapes that don't agree, weights outside of 0..1, or light that isn't finite.
+    """
+    known = sensor or Sensor()
+    images, codes = (np.asarray(images), np.asarray(codes))
+    images = images[None] if images.ndim == 2 else images
+    codes = codes[None] if codes.ndim == 3 else codes
+    if images.ndim != 3 or codes.ndim != 4:
+        raise ValueCheckError(
+            f"image {images.shape}, code {codes.shape}: expected (v, u) or (frame, v, u), and "
+            "(slot, v, u) or (frame, slot, v, u)"
+        )
+    if images.shape[1:] != codes.shape[2:] or len(codes) not in (1, len(images)):
+        raise ValueCheckError(
+            f"{len(images)} images of {images.shape[1:]} and {len(codes)} codes of {codes.shape[2:]} pixels: "
+            "expected one code for all images or one each, of the images' pixels; images of a sensor with "
+            "other pixels need a calibration (key 'bench')"
+        )
+    levels, rounded = code_levels(codes)
+    words, scale = _words(images, known.black)
+    alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
+    mask = np.ones(images.shape[1:], np.bool_) if moving is None else np.asarray(moving, np.bool_)
+    return Measurement(
+        tuple(
+            CodedFrame(k, word, ExposureCode(levels[k % len(levels)], mask)) for k, word in enumerate(words)
+        ),
+        _calibration(levels.shape[1], alive, known, scale, _full(images, known)),
+        truth_frames(truth, len(images), levels.shape[1]),
+        "counts a slot",
+        rounded,
+    )
+
+
+def code_levels(codes: NDArray[Any]) -> tuple[Bytes, float]:
+    """Drive levels of an instantaneous panel that have a code's weights, and how far these were rounded.
+
+    Parameters
+    ----------
+    codes : ndarray
+        Weights from 0 to 1, or whole numbers of 8 bits, 255 being 1.
+
+    Raises
+    ------
+    ValueCheckError
+        For weights outside of 0..1.
+    """
+    least, most = float(codes.min(initial=0)), float(codes.max(initial=0))
+    whole = codes.dtype == np.uint8 and most > 1
+    if not (least >= 0 and (most <= 1 or whole)):
+        raise ValueCheckError(
+            f"code: got values from {least:g} to {most:g} of {codes.dtype}, expected weights from 0 to 1, or "
+            "whole numbers of 8 bits up to 255; cure: divide by what fully open is"
+        )
+    weights = codes.astype(np.float64) / (255 if whole else 1)
+    levels = np.rint(255 * np.arcsin(np.sqrt(weights)) / (np.pi / 2)).astype(np.uint8)
+    return levels, float(np.abs(np.sin(levels / 255 * np.pi / 2) ** 2 - weights).max(initial=0))
+
+
+def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple[Floats, ...]:
+    """Light a coded image, (slot, v, u) each; whole frames only."""
+    if truth is None:
+        return ()
+    stack = truth.reshape(-1, *truth.shape[-2:]).astype(np.float32)
+    if truth.ndim < 3 or len(stack) < n_frames * slots:
+        raise ValueCheckError(
+            f"truth: got {truth.shape}, expected {n_frames} x {slots} pictures: all slots of each coded image"
+        )
+    return tuple(np.split(stack[: n_frames * slots], n_frames))
+
+
+def _full(images: NDArray[Any], sensor: Sensor) -> float:
+    """Least count that is saturated; infinite where nothing says so."""
+    if sensor.saturation is not None:
+        return sensor.saturation
+    return float(np.iinfo(images.dtype).max) if images.dtype.name in ("uint8", "uint16") else float("inf")
+
+
+def _words(images: NDArray[Any], black: float) -> tuple[list[Words], tuple[float, float]]:
+    """Images as 16-bit numbers, and what a number is: first + step x count; whole numbers that fit stay."""
+    finite = np.where(np.isfinite(images), images, black)
+    least, most = float(finite.min(initial=black)), float(finite.max(initial=black))
+    first, step = (0.0, 1.0)
+    if least < 0 or most > _WORDS or not np.array_equal(finite, np.rint(finite)):
+        # Noise below black stays noise, and rounding stays far below what any sensor tells apart.
+        first, step = least, max(most - least, 1e-30) / _WORDS
+    return [np.rint((image - first) / step).astype(np.uint16) for image in finite], (first, step)
+
+
+def _calibration(
+    slots: int, valid: Bools, sensor: Sensor, scale: tuple[float, float], full: float
+) -> Calibration:
+    """Camera whose pixels are those of the code: what the paper's equations take for granted."""
+    first, step = scale
+    own = np.indices(valid.shape, dtype=np.int64)
+
+    def even(count: float) -> Floats:
+        return np.full(valid.shape, (count - first) / step, np.float32)
+
+    return Calibration(
+        source="ideal",
+        slot_s=sensor.slot_s,
+        slots_per_frame=slots,
+        coded_slots=slots,
+        response=_OPEN_OR_SHUT,
+        pick_row=own[0],
+        pick_col=own[1],
+        valid=valid,
+        responsivity_dn=np.full(valid.shape, 1 / step, np.float32),
+        black_dn=even(sensor.black),
+        saturation_dn=even(full) if np.isfinite(full) else np.full(valid.shape, 2.0 * _WORDS, np.float32),
+        read_noise_dn=float(np.hypot(sensor.read_noise / step, 0.0 if step == 1 else 12**-0.5)),
+        dn_per_e=sensor.counts_per_electron / step,
+        crosstalk=np.ones((*valid.shape, 1, 1), np.float32),
+        gain_uncertainty=0.0,
+        leak_uncertainty=0.0,
+        map_residual_px=0.0,
+    )

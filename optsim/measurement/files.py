@@ -1,0 +1,213 @@
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportMissingTypeStubs=false
+"""Coded measurements as they lie on disk: one array file, or images that a small TOML file names.
+
+An ``.npz`` or ``.mat`` file by itself is a measurement when it holds the arrays ``image``, ``code`` and, if
+known, ``truth``; the names ``meas``, ``mask`` and ``orig`` of published snapshot-video sets will do. Arrays
+of numpy have time first, those of MATLAB last. Everything else is said in a TOML file, whose keys are the
+fields of :class:`MeasurementFiles`; paths in it begin at its folder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from optsim.calibrate import Bench, calibrate_from
+from optsim.config import Part, build, override, read_toml
+from optsim.errors import ConfigError, OptsimError, StorageError, ValueCheckError
+from optsim.files import read_exr
+from optsim.measurement.coded import Measurement, Sensor, coded_measurement, truth_frames
+from optsim.quantities import CodedFrame, ExposureCode
+from optsim.reconstruct import Decoder, Interpolation
+from optsim.scene.recording import open_recording
+
+_Role = Literal["image", "code", "truth"]
+_NAMES: dict[_Role, tuple[str, ...]] = {
+    "image": ("image", "meas"),
+    "code": ("code", "mask"),
+    "truth": ("truth", "orig"),
+}
+_ARRAYS = (".npz", ".mat")
+
+
+class DecoderChoice(Part):
+    """With what a measurement is decoded.
+
+    Parameters
+    ----------
+    decoder : decoder
+        By default interpolation, which needs nothing learned and takes any number of slots.
+    """
+
+    decoder: Decoder = Interpolation()
+
+    @field_validator("decoder", mode="before")
+    @classmethod
+    def _interpolation_unless_said(cls, value: object) -> object:
+        return (
+            {"kind": "interpolation", **cast("dict[str, Any]", value)} if isinstance(value, dict) else value
+        )
+
+
+class MeasurementFiles(DecoderChoice):
+    """What a measurement's TOML file says, beside the decoder.
+
+    Parameters
+    ----------
+    image, code : str
+        Coded images, and their codes: an ``.npz`` or ``.mat`` file, or a folder, pattern or file of PNG,
+        TIFF or EXR images. A code's images are one a slot, the same for all coded images, or an EXR a coded
+        image whose channels, in the order of their names, are its slots.
+    truth : str or None
+        Light slot by slot, if it is known: as the code's, but all slots of the first coded image, then all
+        of the second.
+    slots : int or None
+        Slots of a coded image, where the code's files hold those of all coded images one after the other.
+    bench : str or None
+        Folder of a calibration bench, of a camera whose image of the code is not pixel by pixel.
+    sensor : Sensor
+        What is known of the sensor; not with a bench, which says it.
+    """
+
+    image: str
+    code: str
+    truth: str | None = None
+    slots: int | None = Field(default=None, ge=1)
+    bench: str | None = None
+    sensor: Sensor = Sensor()
+
+
+def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
+    """Read what is stated of a measurement: a TOML file, or one array file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    assignments : list of str
+        ``key=value``, over the file's.
+
+    Raises
+    ------
+    ConfigError
+        For unknown keys and wrong values.
+    """
+    if path.suffix.lower() in _ARRAYS:
+        there = _arrays(path)
+        table: dict[str, Any] = {
+            role: str(path) for role, names in _NAMES.items() if any(name in there for name in names)
+        }
+        folder = Path()
+    else:
+        table, folder = read_toml(path), path.parent
+    table = override(table, assignments)
+    for key in (*_NAMES, "bench"):
+        if isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
+    return build(MeasurementFiles, table, where=str(path))
+
+
+def read_measurement(files: MeasurementFiles) -> Measurement:
+    """Read a measurement's arrays.
+
+    Raises
+    ------
+    ConfigError, StorageError, ValueCheckError
+        When a file is missing, cannot be read, or does not fit the others.
+    """
+    images = _read(files.image, "image")
+    codes = _read(files.code, "code")
+    if files.slots is not None and codes.ndim == 3:
+        if len(codes) % files.slots:
+            raise ConfigError(
+                f"slots: got {files.slots}, but {files.code} holds {len(codes)} pictures, which is no whole "
+                "number of codes; correct one of them"
+            )
+        codes = codes.reshape(-1, files.slots, *codes.shape[1:])
+    truth = None if files.truth is None else _read(files.truth, "truth")
+    if files.bench is None:
+        return coded_measurement(images, codes, sensor=files.sensor, truth=truth)
+    if files.sensor != Sensor():
+        raise ConfigError("sensor: got one and a bench, which says all of it; remove one of them")
+    return _on_a_bench(Path(files.bench), images, codes, truth)
+
+
+def _on_a_bench(
+    folder: Path, images: NDArray[Any], codes: NDArray[Any], truth: NDArray[Any] | None
+) -> Measurement:
+    """Measurement of a camera that a bench calibrated: its codes are drive levels."""
+    calibration = calibrate_from(Bench.read(folder))
+    images = images[None] if images.ndim == 2 else images
+    codes = codes[None] if codes.ndim == 3 else codes
+    if images.dtype != np.uint16:
+        raise ValueCheckError(f"image: got {images.dtype}, expected the sensor's own numbers of 16 bits")
+    if len(codes) not in (1, len(images)):
+        raise ValueCheckError(
+            f"code: got {len(codes)}, expected one for all, or one for each of {len(images)} images"
+        )
+    as_shown = codes if codes.max(initial=0) > 1 else codes * 255
+    levels = np.rint(as_shown).astype(np.uint8)
+    return Measurement(
+        tuple(
+            CodedFrame(k, image, ExposureCode(levels[k % len(levels)], np.ones(calibration.shape, np.bool_)))
+            for k, image in enumerate(images)
+        ),
+        calibration,
+        truth_frames(truth, len(images), calibration.slots_per_frame),
+        "W m^-2 on the modulator",
+        float(np.abs(levels - as_shown).max(initial=0)) / 255,
+    )
+
+
+def _read(text: str, role: _Role) -> NDArray[Any]:
+    """Pictures in order of time: (y, x), (t, y, x) or (frame, slot, y, x)."""
+    path = Path(text)
+    if path.suffix.lower() in _ARRAYS:
+        stored = _arrays(path)
+        name = next((name for name in _NAMES[role] if name in stored), None)
+        if name is None:
+            raise ConfigError(
+                f"{role}: {path} holds {', '.join(sorted(stored)) or 'no arrays'}, expected "
+                f"{' or '.join(_NAMES[role])}; rename the array"
+            )
+        # MATLAB's last axes are time; of a code (y, x, slot, frame), the frames are the last one.
+        return stored[name].T.swapaxes(-1, -2) if path.suffix.lower() == ".mat" else stored[name]
+    exr = sorted(path.glob("*.exr")) if path.is_dir() else [path] * (path.suffix.lower() == ".exr")
+    if exr and role != "image":
+        found = [read_exr(each)[0] for each in exr]
+        stacks = [np.stack([channels[name] for name in sorted(channels)]) for channels in found]
+        return np.concatenate(stacks) if len(stacks[0]) == 1 else np.stack(stacks)
+    try:
+        pictures = np.stack(list(open_recording(path).read(0)))
+    except OptsimError as error:
+        # Footage says where its own keys are.
+        raise type(error)(str(error).replace("source.footage.path", role)) from None
+    if pictures.shape[3] != 1:
+        raise ValueCheckError(f"{role}: {path} has {pictures.shape[3]} channels, expected grey pictures")
+    return pictures[..., 0]
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of a file by name."""
+    from scipy.io import loadmat
+
+    try:
+        if path.suffix.lower() == ".mat":
+            stored = loadmat(path)
+            return {k: np.asarray(v) for k, v in stored.items() if not k.startswith("__")}
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        raise StorageError(f"no such file: {path}") from None
+    except NotImplementedError:
+        raise StorageError(
+            f"{path} is of MATLAB's version 7.3 (HDF5), which is not read here; cure: in MATLAB, "
+            f"save('{path.name}', '-v7')"
+        ) from None
+    except (OSError, ValueError, TypeError) as error:
+        raise StorageError(f"{path} cannot be read as arrays of numbers: {error}") from None

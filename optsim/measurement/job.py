@@ -1,0 +1,149 @@
+# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
+"""A measurement decoded into a folder: OpenEXR of the light, a picture and a film to look at, scores."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optsim.errors import StorageError
+from optsim.files import atomic, write_exr, write_json, write_png8
+from optsim.measurement.coded import Measurement
+from optsim.progress import Progress, silent
+from optsim.quantities import Bytes, Floats, Reconstruction
+from optsim.reconstruct import Decoder
+from optsim.report.pictures import enlarge
+
+_SHOWN = 8  # slots in the picture
+_FILM_MS = 80
+_GAP_PX = 4
+_WIDTH_PX = 160  # of a picture, at least
+
+
+def decode_measurement(
+    measurement: Measurement,
+    decoder: Decoder,
+    folder: Path,
+    *,
+    peak: float | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Decode every coded image into a folder.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    decoder : decoder
+        Any of :mod:`optsim.reconstruct`.
+    folder : Path
+        New or empty: gets ``reconstruction/*.exr`` (channels ``slot00`` and on, float32, and ``valid``),
+        ``slots.png``, ``film.gif`` and ``results.json``.
+    peak : float, optional
+        Of the PSNR, in the light's unit; default the brightest of the truth.
+    progress : Progress
+        Told of each coded image.
+
+    Returns
+    -------
+    dict
+        The content of results.json; PSNR and its peak are None where the truth isn't known.
+
+    Raises
+    ------
+    StorageError
+        When the folder holds something.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
+    brightest = max((float(each.max()) for each in measurement.truth), default=0.0)
+    top = (peak or brightest) if measurement.truth else None
+    decoded: list[Reconstruction] = []
+    seconds = 0.0
+    errors: list[float | None] = []
+    start = time.perf_counter()
+    for video in decoder.decode(measurement.frames, measurement.calibration):
+        seconds += time.perf_counter() - start
+        decoded.append(video)
+        _write(folder, video, measurement.unit)
+        if measurement.truth:
+            off = (video.irradiance_w_m2 - measurement.truth[video.index])[:, video.valid]
+            errors.append(float(np.mean(off.astype(np.float64) ** 2)) if off.size else None)
+        progress("decode", len(decoded), len(measurement.frames))
+        start = time.perf_counter()
+    _pictures(folder, measurement, decoded)
+    record: dict[str, Any] = {
+        "decoder": decoder.model_dump(mode="json"),
+        "frames": len(decoded),
+        "slots": measurement.calibration.slots_per_frame,
+        "pixels": list(measurement.calibration.shape),
+        "unit": measurement.unit,
+        "weights_rounded_by": measurement.rounded,
+        "saturated_share": _saturated(measurement),
+        "valid_share": float(np.mean([video.valid.mean() for video in decoded])),
+        "decode_s": round(seconds, 3),
+        "psnr_peak": top,
+        "psnr_db": [None if not (e and top) else round(10 * np.log10(top**2 / e), 3) for e in errors] or None,
+    }
+    write_json(folder / "results.json", record)
+    return record
+
+
+def _saturated(measurement: Measurement) -> float:
+    seen = [measurement.calibration.observe(frame) for frame in measurement.frames]
+    return float(np.mean([(each.saturated & each.valid).mean() for each in seen]))
+
+
+def _write(folder: Path, video: Reconstruction, unit: str) -> None:
+    light = {f"slot{slot:02d}": each for slot, each in enumerate(video.irradiance_w_m2)}
+    write_exr(
+        folder / "reconstruction" / f"{video.index:06d}.exr",
+        {**light, "valid": video.valid.astype(np.float32)},
+        attributes={"unit": unit, "axes": "slot, v, u", "frame": video.index},
+    )
+
+
+def _pictures(folder: Path, measurement: Measurement, decoded: list[Reconstruction]) -> None:
+    """Draw the first coded image with some of its slots, and all slots as a film; the truth below."""
+    from PIL import Image
+
+    truth = measurement.truth
+    factor = -(-_WIDTH_PX // measurement.calibration.shape[1])
+    shown = truth[0] if truth else decoded[0].irradiance_w_m2
+    white = max(float(np.percentile(shown, 99.9)), 1e-30)
+
+    def grey(light: Floats) -> Bytes:
+        return enlarge(np.rint(255 * np.clip(light / white, 0, 1)).astype(np.uint8), factor)
+
+    coded = [enlarge(_coded(measurement, k), factor) for k in range(len(decoded))]
+    slots = np.unique(np.linspace(0, len(shown) - 1, _SHOWN).astype(int))
+    rows = [[coded[0], *(grey(decoded[0].irradiance_w_m2[slot]) for slot in slots)]]
+    if truth:
+        rows.append([np.full_like(coded[0], 255), *(grey(truth[0][slot]) for slot in slots)])
+    write_png8(folder / "slots.png", np.vstack([_side_by_side(row) for row in rows]))
+    film = [
+        _side_by_side(
+            [coded[k], grey(light), *([grey(truth[k][slot])] if truth else [])],
+        )
+        for k, video in enumerate(decoded)
+        for slot, light in enumerate(video.irradiance_w_m2)
+    ]
+    first, *others = [Image.fromarray(each) for each in film]
+    with atomic(folder / "film.gif") as temporary:
+        first.save(temporary, format="GIF", save_all=True, append_images=others, duration=_FILM_MS, loop=0)
+
+
+def _coded(measurement: Measurement, index: int) -> Bytes:
+    """Coded image on the code's pixels, its brightest white."""
+    signal = measurement.calibration.observe(measurement.frames[index]).signal
+    top = max(float(np.percentile(signal, 99.9)), 1e-30)
+    return np.rint(255 * np.clip(signal / top, 0, 1)).astype(np.uint8)
+
+
+def _side_by_side(pictures: list[Bytes]) -> Bytes:
+    gap = np.full((len(pictures[0]), _GAP_PX), 255, np.uint8)
+    row = np.hstack([part for picture in pictures for part in (picture, gap)])
+    return np.pad(row, ((0, _GAP_PX), (0, 0)), constant_values=255)
