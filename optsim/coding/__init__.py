@@ -4,12 +4,33 @@ from typing import Annotated
 
 from pydantic import Field
 
-from optsim.coding.leaves import LEAVES, HdrMosaic, NormalPhotography, RandomExposure
+from optsim.coding.leaves import (
+    LEAVES,
+    AnyLeaf,
+    CodedRollingShutter,
+    FlutterShutter,
+    HdrMosaic,
+    NormalPhotography,
+    RandomBinary,
+    RandomExposure,
+    RandomLengths,
+    ShutterGrid,
+)
 from optsim.coding.motion_adaptive import MotionAdaptive
 
 ALL = (*LEAVES, MotionAdaptive)
-Scheme = Annotated[
-    NormalPhotography | HdrMosaic | RandomExposure | MotionAdaptive, Field(discriminator="kind")
-]
+Scheme = Annotated[AnyLeaf | MotionAdaptive, Field(discriminator="kind")]
 
-__all__ = ["ALL", "HdrMosaic", "MotionAdaptive", "NormalPhotography", "RandomExposure", "Scheme"]
+__all__ = [
+    "ALL",
+    "CodedRollingShutter",
+    "FlutterShutter",
+    "HdrMosaic",
+    "MotionAdaptive",
+    "NormalPhotography",
+    "RandomBinary",
+    "RandomExposure",
+    "RandomLengths",
+    "Scheme",
+    "ShutterGrid",
+]

@@ -1,4 +1,4 @@
-"""The mosaic of four exposures that changes places from frame to frame (equation 5 of the paper)."""
+"""The mosaic of four exposures, changing places from frame to frame (equation 5 of the paper) or fixed."""
 
 from __future__ import annotations
 
@@ -24,11 +24,16 @@ class HdrMosaic(TiledScheme):
     open_slots : tuple of int
         Open slots of e_0 < e_1 < e_2 < e_3. The paper gives no densities; (1, 3, 11, 36) is the geometric
         series of ratio 3.3 that 36 slots allow (a sensible default, no source).
+    shifts : bool
+        Whether exposures change places. False is the mask on the sensor of Nayar and Mitsunaga, "High dynamic
+        range imaging: spatially varying pixel exposures", CVPR 2000 (doi:10.1109/CVPR.2000.855857): e_0 e_1
+        over e_2 e_3, the same in all frames, so that a pixel's other exposures are its neighbours'.
     """
 
     TEMPORAL: ClassVar[bool] = False
     kind: Literal["hdr_mosaic"] = "hdr_mosaic"
     open_slots: tuple[int, int, int, int] = (1, 3, 11, 36)
+    shifts: bool = True
 
     @field_validator("open_slots")
     @classmethod
@@ -38,9 +43,9 @@ class HdrMosaic(TiledScheme):
         return counts
 
     def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
-        """Four frames of a tile of 2 rows and 4 columns."""
+        """Four frames of a tile of 2 rows and 4 columns; one of 2 x 2 where nothing shifts."""
         del rng
         lengths = [min(n, coded_slots) for n in self.open_slots]
         runs = np.stack([bump(slots, (coded_slots - n) // 2, n) for n in lengths])
-        frame, y, x = np.ogrid[:4, :2, :4]
+        frame, y, x = np.ogrid[:4, :2, :4] if self.shifts else np.ogrid[:1, :2, :2]
         return np.moveaxis(runs[(2 * y + x + frame) % 4], -1, 1)

@@ -7,8 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, bump
-from optsim.errors import ConfigError
+from optsim.coding.tiles import TiledScheme, bump, check_fits
 from optsim.quantities import Bytes
 
 
@@ -36,6 +35,5 @@ class NormalPhotography(TiledScheme):
         """
         del rng
         length = self.open_slots or coded_slots
-        if length > coded_slots:
-            raise ConfigError(f"open_slots: got {length}, expected at most the {coded_slots} coded slots")
+        check_fits("open_slots", length, coded_slots)
         return bump(slots, 0, length).reshape(1, slots, 1, 1)

@@ -7,8 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, bump
-from optsim.errors import ConfigError
+from optsim.coding.tiles import TiledScheme, bumps, check_fits, even_starts, square
 from optsim.quantities import Bytes
 
 
@@ -40,11 +39,7 @@ class RandomExposure(TiledScheme):
         ConfigError
             When the bump does not fit into the coded slots.
         """
-        if self.bump_slots > coded_slots:
-            raise ConfigError(
-                f"bump_slots: got {self.bump_slots}, expected at most the {coded_slots} coded slots"
-            )
+        check_fits("bump_slots", self.bump_slots, coded_slots)
         n = self.tile_px**2
-        starts = np.rint(np.linspace(0, coded_slots - self.bump_slots, n)).astype(int)
-        bumps = np.stack([bump(slots, int(first), self.bump_slots) for first in rng.permutation(starts)])
-        return bumps.T.reshape(1, slots, self.tile_px, self.tile_px)
+        starts = rng.permutation(even_starts(n, self.bump_slots, coded_slots))
+        return square(bumps(slots, starts, np.full(n, self.bump_slots)))

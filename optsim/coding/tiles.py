@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ import numpy as np
 
 from optsim.calibrate.calibration import Calibration
 from optsim.config import Part
-from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode
+from optsim.errors import ConfigError
+from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode, Ints
 
 OPEN = 255
 
@@ -78,3 +80,47 @@ def bump(slots: int, first: int, length: int) -> Bytes:
     levels = np.zeros(slots, np.uint8)
     levels[first : first + length] = OPEN
     return levels
+
+
+def bumps(slots: int, firsts: Ints, lengths: Ints) -> Bytes:
+    """Levels of pixels with one :func:`bump` each: array of shape (pixel, slot)."""
+    return np.stack([bump(slots, int(a), int(n)) for a, n in zip(firsts, lengths, strict=True)])
+
+
+def even_starts(n: int, length: int, coded_slots: int) -> Ints:
+    """First slots of n bumps, evenly spread so that the first bump begins the frame and the last ends it."""
+    return np.rint(np.linspace(0, coded_slots - length, n)).astype(np.int64)
+
+
+def turns(n: int, slots: int, coded_slots: int, length: int | None = None) -> Bytes:
+    """Levels of n pixels that open one after the other: array of shape (pixel, slot).
+
+    Parameters
+    ----------
+    n : int
+        Number of pixels.
+    slots, coded_slots : int
+        Slots of a frame, and how many of them are coded.
+    length : int, optional
+        Slots for which each is open; by default the least that leave no coded slot without a pixel.
+    """
+    length = length or -(-coded_slots // n)
+    return bumps(slots, even_starts(n, length, coded_slots), np.full(n, length))
+
+
+def square(levels: Bytes) -> Bytes:
+    """Tiles (1, slot, y, x) of one frame, from levels (pixel, slot) of a square's pixels row by row."""
+    side = math.isqrt(len(levels))
+    return levels.T.reshape(1, -1, side, side)
+
+
+def check_fits(key: str, length: int, coded_slots: int) -> None:
+    """Refuse an exposure longer than the coded slots.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key that says how long it is.
+    """
+    if length > coded_slots:
+        raise ConfigError(f"{key}: got {length}, expected at most the {coded_slots} coded slots; lower it")

@@ -1,0 +1,56 @@
+"""One exposure a pixel, of random length and at a random time (Portz et al.)."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from optsim.coding.tiles import TiledScheme, bumps, check_fits, square
+from optsim.quantities import Bytes
+
+
+class RandomLengths(TiledScheme):
+    """A single bump a pixel; lengths evenly spread over a tile at random places, starts at random.
+
+    After Portz, Zhang and Jiang, "Random coded sampling for high-speed HDR video", ICCP 2013, whose sensor
+    reads each pixel at times of its own, so that the next exposure begins where the last ended and no light
+    is lost. A CCD behind a panel is read once a frame: here a pixel has one exposure in it and then waits.
+
+    Parameters
+    ----------
+    shortest_slots, longest_slots : int
+        Range of the lengths in slots. Their exposures take four high-speed frames on average; 1 to 7 has that
+        mean (the range itself is a sensible default, no source).
+    tile_px : int
+        Side of the tile, panel pixels.
+    """
+
+    TEMPORAL: ClassVar[bool] = True
+    kind: Literal["random_lengths"] = "random_lengths"
+    shortest_slots: int = Field(default=1, ge=1)
+    longest_slots: int = Field(default=7, ge=1)
+    tile_px: int = Field(default=8, ge=1, le=64)
+
+    @model_validator(mode="after")
+    def _ascending(self) -> RandomLengths:
+        if self.shortest_slots > self.longest_slots:
+            raise ValueError(
+                f"shortest_slots: got {self.shortest_slots}, expected at most longest_slots, which is "
+                f"{self.longest_slots}; lower it, or raise the other"
+            )
+        return self
+
+    def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
+        """One frame of a square tile.
+
+        Raises
+        ------
+        ConfigError
+            When the longest bump does not fit into the coded slots.
+        """
+        check_fits("longest_slots", self.longest_slots, coded_slots)
+        lengths = np.linspace(self.shortest_slots, self.longest_slots + 1, self.tile_px**2, endpoint=False)
+        lengths = rng.permutation(lengths.astype(int))
+        return square(bumps(slots, rng.integers(0, coded_slots - lengths + 1), lengths))

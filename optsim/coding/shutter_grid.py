@@ -1,0 +1,49 @@
+"""Pixels that open one after the other in small grids (Bub et al.; Gupta et al.)."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from optsim.coding.tiles import TiledScheme, square, turns
+from optsim.errors import ConfigError
+from optsim.quantities import Bytes
+
+
+class ShutterGrid(TiledScheme):
+    """The pixels of a k x k grid open one after the other, row by row, each for its share of the frame.
+
+    Bub, Tecza, Helmes, Lee and Kohl, "Temporal pixel multiplexing for simultaneous high-speed,
+    high-resolution imaging", Nature Methods 7, 209 (2010, doi:10.1038/nmeth.1429), and Gupta, Agrawal,
+    Veeraraghavan and Narasimhan, "Flexible voxels for motion-aware videography", ECCV 2010
+    (doi:10.1007/978-3-642-15549-9_8). The order within the grid is this project's choice.
+
+    Parameters
+    ----------
+    grid_px : int
+        Side of the grid, panel pixels; 4 is Bub's. All exposures have the same length, the share of the coded
+        slots rounded up: where that is no whole number, neighbours in time overlap by a slot at most.
+    """
+
+    TEMPORAL: ClassVar[bool] = True
+    kind: Literal["shutter_grid"] = "shutter_grid"
+    grid_px: int = Field(default=4, ge=2, le=64)
+
+    def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
+        """One frame of a square tile.
+
+        Raises
+        ------
+        ConfigError
+            When the grid has more pixels than there are coded slots.
+        """
+        del rng
+        if self.grid_px**2 > coded_slots:
+            raise ConfigError(
+                f"grid_px: got {self.grid_px}, expected at most {math.isqrt(coded_slots)}: its pixels take "
+                f"turns in {coded_slots} coded slots; lower it"
+            )
+        return square(turns(self.grid_px**2, slots, coded_slots))
