@@ -120,7 +120,7 @@ class GaussianMixture(Branch):
 def _patches(image: Floats, corners: Ints, size: int) -> Floats:
     """Cut patches of an image, (v, u), to rows of an array (p, pixel)."""
     windows = np.lib.stride_tricks.sliding_window_view(image, (size, size))
-    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), -1)
+    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), size**2)
 
 
 def _paint(

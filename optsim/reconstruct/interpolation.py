@@ -50,7 +50,8 @@ class Interpolation(Branch):
             known = self._smoothed(certainty)
             video = self._smoothed(certainty * mean[:, :, None])
             video /= np.maximum(known, np.float32(1e-12))
-            found = (known > 0).all(axis=2)
+            # Slots with the shutter closed are nobody's: what is far from all samples there is no flaw.
+            found = (known[:, :, : calibration.coded_slots] > 0).all(axis=2)
             moving = (frame.code.moving & found).astype(np.float32)
             layer = covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))
             yield layer
