@@ -5,12 +5,19 @@ from typing import Annotated
 from pydantic import Field
 
 from optsim.reconstruct.average import Average
-from optsim.reconstruct.branches import GaussianMixture, HdrMerge, Interpolation, SparseCoding
+from optsim.reconstruct.branches import (
+    GaussianMixture,
+    HdrMerge,
+    Interpolation,
+    SparseCoding,
+    TotalVariation,
+)
 from optsim.reconstruct.union import Union
 
-ALL = (HdrMerge, SparseCoding, GaussianMixture, Average, Interpolation, Union)
+ALL = (HdrMerge, SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, Union)
 Decoder = Annotated[
-    HdrMerge | SparseCoding | GaussianMixture | Average | Interpolation | Union, Field(discriminator="kind")
+    HdrMerge | SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation | Union,
+    Field(discriminator="kind"),
 ]
 
 __all__ = [
@@ -21,5 +28,6 @@ __all__ = [
     "HdrMerge",
     "Interpolation",
     "SparseCoding",
+    "TotalVariation",
     "Union",
 ]

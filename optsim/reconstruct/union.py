@@ -13,9 +13,17 @@ from optsim.calibrate.calibration import Calibration
 from optsim.config import Part
 from optsim.quantities import CodedFrame, Reconstruction
 from optsim.reconstruct.average import Average
-from optsim.reconstruct.branches import GaussianMixture, HdrMerge, Interpolation, SparseCoding
+from optsim.reconstruct.branches import (
+    GaussianMixture,
+    HdrMerge,
+    Interpolation,
+    SparseCoding,
+    TotalVariation,
+)
 
-_Moving = Annotated[SparseCoding | GaussianMixture | Average | Interpolation, Field(discriminator="kind")]
+_Moving = Annotated[
+    SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation, Field(discriminator="kind")
+]
 
 
 class Union(Part):
