@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
+from optsim.calibrate.sample import take
 from optsim.coding import RandomExposure
 from optsim.errors import ConfigError, StorageError, ValueCheckError
-from optsim.reconstruct import Average, GaussianMixture, SparseCoding
+from optsim.quantities import ExposureCode
+from optsim.reconstruct import Average, GaussianMixture, SparseCoding, gaussian_mixture
 from optsim.reconstruct.mixture import Mixture, load_mixture, save_mixture
 from optsim.reconstruct.mixture_training import log_densities, train_mixture
-from optsim.reconstruct.posterior import expected, seen_through
+from optsim.reconstruct.posterior import posterior, seen_through
+from optsim.reconstruct.posterior_spread import Spread
 
 
 def some_mixture(rng, k=3, r=6, patch=3, slots=5, rest=0.01):
@@ -32,13 +35,30 @@ def some_mixture(rng, k=3, r=6, patch=3, slots=5, rest=0.01):
 
 def dense_posterior(mixture, weights, signal, variance):
     """Posterior mean of z, by densities and inverses of whole matrices in float64."""
+    chance, means, _, _ = dense_components(mixture, weights, signal, variance)
+    return chance @ means
+
+
+def dense_variance(mixture, weights, signal, variance):
+    """Posterior variance of each element of a patch: law of total variance, the basis's rest added."""
+    chance, means, covariances, basis = dense_components(mixture, weights, signal, variance)
+    # Components this unlikely are left out of the estimate, so of its variance too.
+    chance[chance < 1e-3 * chance.max()] = 0
+    chance /= chance.sum()
+    off = means - chance @ means
+    whole = np.einsum("k,kij->ij", chance, covariances) + np.einsum("k,ki,kj->ij", chance, off, off)
+    return np.diag(basis @ whole @ basis.T) + mixture.rest * (1 - np.square(basis).sum(axis=1))
+
+
+def dense_components(mixture, weights, signal, variance):
+    """Each component's chance, mean and covariance, and the basis (element, r)."""
     pixels, slots = weights.shape
     matrix = np.zeros((pixels, pixels * slots))
     for p in range(pixels):
         matrix[p, p * slots : (p + 1) * slots] = weights[p]
     basis = mixture.basis.reshape(len(mixture.basis), -1).astype(np.float64).T
     base = mixture.base.ravel().astype(np.float64)
-    logs, means = [], []
+    logs, means, covariances = [], [], []
     for share, mean, covariance in zip(mixture.shares, mixture.means, mixture.covariances, strict=True):
         a = matrix @ basis
         total = a @ covariance @ a.T + mixture.rest * matrix @ matrix.T + variance * np.eye(pixels)
@@ -46,8 +66,9 @@ def dense_posterior(mixture, weights, signal, variance):
         solved = np.linalg.inv(total) @ off
         logs.append(np.log(share) - 0.5 * (np.linalg.slogdet(total)[1] + off @ solved))
         means.append(mean + covariance @ a.T @ solved)
+        covariances.append(covariance - covariance @ a.T @ np.linalg.inv(total) @ a @ covariance)
     chance = np.exp(np.array(logs) - max(logs))
-    return chance / chance.sum() @ np.array(means)
+    return chance / chance.sum(), np.array(means), np.array(covariances), basis
 
 
 @pytest.mark.parametrize("variance", [1e-4, 0.1, 10.0])
@@ -58,7 +79,7 @@ def test_posterior_is_that_of_dense_algebra(variance):
     weights = rng.random((9, 5))
     weights = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
     signals = rng.standard_normal((4, 9)).astype(np.float32) + 1
-    found = expected(seen_through(mixture, weights), signals, np.full(4, variance, np.float32))
+    found = posterior(seen_through(mixture, weights), signals, np.full(4, variance, np.float32)).mean()
     wanted = [dense_posterior(mixture, weights.astype(np.float64), s, variance) for s in signals]
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
 
@@ -66,8 +87,104 @@ def test_posterior_is_that_of_dense_algebra(variance):
 def test_nothing_measured_gives_the_prior_mean():
     mixture = some_mixture(np.random.default_rng(2))
     weights = np.zeros((9, 5), np.float32)
-    found = expected(seen_through(mixture, weights), np.zeros((1, 9), np.float32), np.ones(1, np.float32))
+    found = posterior(
+        seen_through(mixture, weights), np.zeros((1, 9), np.float32), np.ones(1, np.float32)
+    ).mean()
     np.testing.assert_allclose(found[0], mixture.shares @ mixture.means, rtol=1e-5)
+
+
+def unit_weights(rng, pixels=9, slots=5):
+    """Weights of the same norm at every pixel: then what the basis leaves out is the same in all, exactly."""
+    weights = rng.random((pixels, slots))
+    return (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
+
+
+def drawn(mixture, n, rng):
+    """Patches from the prior itself, what its basis leaves out included: array (n, pixel, slot)."""
+    member = rng.choice(len(mixture.shares), n, p=mixture.shares)
+    roots = np.linalg.cholesky(mixture.covariances)
+    z = mixture.means[member]
+    z = z + np.einsum("nij,nj->ni", roots[member], rng.standard_normal(z.shape))
+    basis = mixture.basis.reshape(len(mixture.basis), -1)
+    rest = np.sqrt(mixture.rest) * rng.standard_normal((n, basis.shape[1]))
+    rest -= rest @ basis.T @ basis
+    return (z @ basis + rest + mixture.base.ravel()).reshape(n, -1, mixture.slots)
+
+
+def asked(mixture, weights, signals, variance):
+    """Estimate and variance of each element, (n, pixel, slot)."""
+    noise = np.full(len(signals), variance, np.float32)
+    known = posterior(seen_through(mixture, weights), signals.astype(np.float32), noise)
+    mean = known.mean() @ mixture.basis.reshape(len(mixture.basis), -1) + mixture.base.ravel()
+    shape = (len(signals), *weights.shape)
+    return mean.reshape(shape), Spread.of(mixture).variance(known).reshape(shape)
+
+
+@pytest.mark.parametrize("variance", [1e-4, 0.1, 10.0])
+def test_spread_is_that_of_dense_algebra(variance):
+    rng = np.random.default_rng(5)
+    mixture = some_mixture(rng, r=12)
+    weights = unit_weights(rng)
+    signals = rng.standard_normal((40, 9)).astype(np.float32) + 1
+    _, found = asked(mixture, weights, signals, variance)
+    wanted = [dense_variance(mixture, weights.astype(np.float64), s, variance) for s in signals]
+    np.testing.assert_allclose(found.reshape(40, -1), wanted, rtol=1e-3, atol=1e-5)
+    assert np.ptp(wanted, axis=0).max() > 0.1 * np.mean(wanted), "shares differ from patch to patch"
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_draws_from_the_prior_err_by_what_is_said(k):
+    rng = np.random.default_rng(k)
+    mixture = some_mixture(rng, k=k, r=12, rest=0.0)
+    n, scores = 500, []
+    for _ in range(8):
+        weights = rng.random((9, 5)).astype(np.float32)
+        patches = drawn(mixture, n, rng)
+        signals = (patches * weights).sum(axis=2) + np.sqrt(0.3) * rng.standard_normal((n, 9))
+        estimate, variance = asked(mixture, weights, signals, 0.3)
+        scores.append((np.square(estimate - patches) / variance).mean(axis=(1, 2)))
+    # Patches are independent, their elements are not: four standard errors of the mean over patches, a false
+    # alarm in 16 000.
+    scores = np.concatenate(scores)
+    error = scores.std() / np.sqrt(scores.size)
+    assert error < 0.02
+    assert abs(scores.mean() - 1) < 4 * error
+
+
+def test_energy_outside_the_rank_is_in_it():
+    rng = np.random.default_rng(9)
+    mixture = some_mixture(rng, r=4, rest=0.5)
+    weights = unit_weights(rng)
+    patches = drawn(mixture, 4000, rng)
+    signals = (patches * weights).sum(axis=2) + np.sqrt(0.05) * rng.standard_normal((4000, 9))
+    estimate, variance = asked(mixture, weights, signals, 0.05)
+    score = (np.square(estimate - patches) / variance).mean()
+    # 4000 patches of 45 elements scatter by less than 1 %. The rest is taken for noise of the signal although
+    # a part of it is what was measured: a few per cent more error is owned than made.
+    assert 0.85 < score < 1.03
+
+
+def test_without_noise_nothing_is_uncertain_and_unmeasured_is_the_prior():
+    rng = np.random.default_rng(11)
+    mixture = some_mixture(rng, k=1, r=6, rest=0.0)
+    basis = mixture.basis.reshape(6, -1)
+    prior = np.einsum("ie,ij,je->e", basis, mixture.covariances[0], basis)
+    weights = rng.random((9, 5)).astype(np.float32)
+    patches = drawn(mixture, 50, rng)
+    for noise in (1e-6, 1e-9, 0.0):
+        estimate, variance = asked(mixture, weights, (patches * weights).sum(axis=2), noise)
+        assert (variance >= 0).all()
+        assert np.isfinite(estimate).all()
+        # Six unknowns, nine measurements; float32 leaves a thousandth of the prior's deviation.
+        assert np.sqrt(variance.max()) < 2e-3 * np.sqrt(prior.max()) + 20 * np.sqrt(noise)
+    blind = np.zeros_like(weights)
+    mixed = some_mixture(rng, rest=0.02)
+    basis = mixed.basis.reshape(6, -1)
+    wanted = np.einsum("ie,ij,je->e", basis, mixed.single().covariances[0], basis)
+    wanted += 0.02 * (1 - np.square(basis).sum(axis=0))
+    for noise in (0.0, 1.0, 1e12):
+        _, variance = asked(mixed, blind, np.zeros((2, 9)), noise)
+        np.testing.assert_allclose(variance.reshape(2, -1), np.stack([wanted] * 2), rtol=1e-4)
 
 
 def test_single_gaussian_has_the_moments_of_the_mixture():
@@ -181,9 +298,122 @@ def test_results_do_not_depend_on_the_number_of_workers(trained, monkeypatch):
     found = []
     for workers in (1, 3):
         monkeypatch.setattr(os, "cpu_count", lambda workers=workers: workers)
-        (result,) = GaussianMixture(mixture=trained).decode(frames, calibration)
-        found.append(result.irradiance_w_m2)
+        (result,) = GaussianMixture(mixture=trained, uncertainty=True).decode(frames, calibration)
+        found.append((result.irradiance_w_m2, result.uncertainty_w_m2))
     np.testing.assert_array_equal(*found)
+
+
+def decodable(tmp_path, rng, k, rank=40):
+    """A mixture whose patches are about 1 with a tenth of variation, as a decoder reads it."""
+    mixture = some_mixture(rng, k=k, r=rank, patch=8, slots=SLOTS, rest=0.0)
+    # An element has the variance of z times rank over elements; the roots have that of rank.
+    size = 0.1 * np.sqrt(2304 / rank)
+    mixture = replace(
+        mixture,
+        base=np.ones_like(mixture.base),
+        means=mixture.means * size * 0.7,
+        covariances=mixture.covariances * size**2 / rank,
+    )
+    save_mixture(tmp_path / "prior.npz", mixture)
+    return load_mixture(tmp_path / "prior.npz"), str(tmp_path / "prior.npz")
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_the_decoder_errs_by_what_it_says(tmp_path, k):
+    rng = np.random.default_rng(20 + k)
+    mixture, path = decodable(tmp_path, rng, k)
+    patches = drawn(mixture, 256, rng)
+    video = patches.reshape(16, 16, 8, 8, SLOTS).transpose(4, 0, 2, 1, 3).reshape(SLOTS, 128, 128)
+    calibration, frames = filmed(video.astype(np.float32))
+    (layer,) = GaussianMixture(mixture=path, stride_px=8, uncertainty=True).layers(frames, calibration)
+    error = (layer.irradiance_w_m2 - video) / layer.uncertainty_w_m2
+    scores = np.square(error).reshape(SLOTS, 16, 8, 16, 8).mean(axis=(0, 2, 4)).ravel()
+    bound = 4 * scores.std() / 16
+    # Four standard errors over 256 patches; 5 % for a brightness that is measured, not known.
+    assert bound < 0.1
+    assert abs(scores.mean() - 1) < bound + 0.05
+
+
+def test_one_patch_is_dense_algebra_at_its_brightness(tmp_path):
+    rng = np.random.default_rng(31)
+    mixture, path = decodable(tmp_path, rng, 3)
+    video = 0.5 * drawn(mixture, 1, rng).transpose(2, 0, 1).reshape(SLOTS, 8, 8)
+    calibration, frames = filmed(video.astype(np.float32))
+    decoder = GaussianMixture(mixture=path, uncertainty=True, noise_gain=2.0)
+    (layer,) = decoder.layers(frames, calibration)
+    sample, _ = take(calibration, frames[0], None, "undone")
+    scale = sample.signal.sum() / sample.exposure.sum()
+    weights = np.moveaxis(sample.weights, 0, -1).reshape(64, SLOTS).astype(np.float64)
+    noise = 4 * sample.variance.mean() / scale**2
+    wanted = scale**2 * dense_variance(mixture, weights, sample.signal.ravel() / scale, noise)
+    wanted += 4 * sample.variance.sum() / sample.exposure.sum() ** 2
+    found = np.square(layer.uncertainty_w_m2).transpose(1, 2, 0).ravel()
+    np.testing.assert_allclose(found, wanted, rtol=1e-3)
+
+
+def test_darkness_and_closed_pixels_are_as_uncertain_as_they_should_be(trained):
+    dark = still_light(np.zeros((64, 64), np.float32))
+    calibration, frames = filmed(dark)
+    decoder = GaussianMixture(mixture=trained, uncertainty=True)
+    (layer,) = decoder.layers(frames, calibration)
+    score = np.sqrt(np.square(layer.irradiance_w_m2 / layer.uncertainty_w_m2).mean())
+    # Errors are the noise of the brightness, a part of which the overlap averages out; said is that of one
+    # patch, and the prior's variation at the brightness that noise lent to it.
+    assert 0.5 < score < 1.1
+    video = drifting(np.random.default_rng(3), 64, 64)
+    calibration = ideal_calibration(64, 64)
+    levels = film(calibration, RandomExposure(), [video], None)[0].code.levels.copy()
+    levels[:, 8:40, 8:40] = 0
+    code = ExposureCode(levels, np.ones((64, 64), np.bool_))
+    (frame,) = film(calibration, Closed(code), [video], np.random.default_rng(4))
+    (layer,) = decoder.layers([frame], calibration)
+    spread = layer.uncertainty_w_m2
+    assert spread[:, 20:28, 20:28].min() > video.mean(), "never open: as bright as the brightest, perhaps"
+    assert spread[:, 20:28, 20:28].max() < 5 * video.max()
+    assert np.abs(layer.irradiance_w_m2[:, 20:28, 20:28]).max() < 1e-6, "their noise is not light"
+    assert spread[:, 48:, 48:].max() < video.mean()
+
+
+class Closed:
+    """A scheme that shows one code."""
+
+    def __init__(self, code):
+        self.code = code
+
+    def init(self, calibration, rng):
+        return None
+
+    def next(self, index, frames, state):
+        return self.code, state
+
+
+def test_without_being_asked_it_neither_says_nor_computes(trained, monkeypatch):
+    calibration, frames = filmed(drifting(np.random.default_rng(8)))
+    decoder = GaussianMixture(mixture=trained)
+    (asked_for,) = decoder.model_copy(update={"uncertainty": True}).decode(frames, calibration)
+    assert asked_for.uncertainty_w_m2.min() > 0
+    monkeypatch.setattr(Spread, "of", lambda mixture: pytest.fail("computed"))
+    monkeypatch.setattr(Spread, "variance", lambda self, known: pytest.fail("computed"))
+    (silent,) = decoder.decode(frames, calibration)
+    assert silent.uncertainty_w_m2 is None
+    np.testing.assert_array_equal(silent.irradiance_w_m2, asked_for.irradiance_w_m2)
+
+
+@pytest.mark.parametrize("stride", [1, 2, 3])
+def test_some_of_the_patches_speak_for_all(trained, monkeypatch, stride):
+    video = drifting(np.random.default_rng(8), 48, 49)
+    calibration, frames = filmed(video)
+    moving = np.zeros((48, 49), np.bool_)
+    moving[13:30, 11:32] = True
+    frames = [replace(f, code=replace(f.code, moving=moving)) for f in frames]
+    decoder = GaussianMixture(mixture=trained, stride_px=stride, uncertainty=True)
+    (some,) = decoder.layers(frames, calibration)
+    monkeypatch.setattr(gaussian_mixture, "_half_apart", lambda corners, *_: np.ones(len(corners), np.bool_))
+    (every,) = decoder.layers(frames, calibration)
+    assert (some.uncertainty_w_m2[:, some.opacity > 0] > 0).all()
+    inside = np.square(some.uncertainty_w_m2[:, moving]), np.square(every.uncertainty_w_m2[:, moving])
+    assert inside[0].mean() == pytest.approx(inside[1].mean(), rel=0.05)
+    assert np.sqrt(np.square(inside[0] / inside[1] - 1).mean()) < 0.15
 
 
 def test_file_keeps_what_counts_and_others_are_refused(tmp_path):

@@ -37,6 +37,17 @@ def test_wrong_rank_and_dtype() -> None:
     mask = np.ones((3, 4), np.bool_)
     with pytest.raises(ValueCheckError, match="negative"):
         Reconstruction(0, np.full((2, 3, 4), -1, np.float32), mask, mask, mask)
+    video = np.ones((2, 3, 4), np.float32)
+    assert Reconstruction(0, video, mask, mask, mask).uncertainty_w_m2 is None
+    assert Reconstruction(0, video, mask, mask, mask, video).uncertainty_w_m2 is video
+    for wrong, says in (
+        (-video, "uncertainty.*negative"),
+        (video * np.nan, "uncertainty.*finite"),
+        (video[:1], "uncertainty.*expected that of the irradiance"),
+        (video.astype(np.float64), "uncertainty.*dtype"),
+    ):
+        with pytest.raises(ValueCheckError, match=says):
+            Reconstruction(0, video, mask, mask, mask, wrong)
 
 
 def test_segment_interpolates_at_instant_centres_and_blocks_add() -> None:

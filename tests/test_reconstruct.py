@@ -166,6 +166,11 @@ def test_all_saturated_is_filled_and_said_so():
     np.testing.assert_array_equal(result.interpolated, image == 5.0)
     # No less than the sample says: 15 000 DN or more, all open.
     assert (result.irradiance_w_m2[0][image == 5] > (15_000 - BLACK_DN) / (270 * 36)).all()
+    # Nobody knows more than that: as uncertain as bright. What was measured is not.
+    np.testing.assert_array_equal(
+        result.uncertainty_w_m2[:, image == 5], result.irradiance_w_m2[:, image == 5]
+    )
+    assert result.uncertainty_w_m2[:, image == 1].max() < 0.02
     assert result.valid.all()
 
 
@@ -361,6 +366,41 @@ def test_union_takes_each_branch_in_its_place():
     np.testing.assert_array_equal(joined.irradiance_w_m2[:, far], still.irradiance_w_m2[:, far])
     steps = np.abs(np.diff(joined.irradiance_w_m2.mean(axis=0), axis=1))
     assert steps.max() < 1.0
+    assert joined.uncertainty_w_m2 is None, "the video doesn't know"
+
+
+def test_union_is_as_sure_as_who_makes_the_picture():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, MotionAdaptive(), crossing(6), np.random.default_rng(1))
+    sure = GaussianMixture(uncertainty=True)
+    *_, joined = Union(moving=sure).decode(frames, calibration)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, video = sure.layers(frames, calibration)
+    moving, spread = frames[-1].code.moving, joined.uncertainty_w_m2
+    np.testing.assert_allclose(spread[:, moving], video.uncertainty_w_m2[:, moving], rtol=1e-5)
+    np.testing.assert_array_equal(
+        spread[:, video.opacity == 0], still.uncertainty_w_m2[:, video.opacity == 0]
+    )
+    mixed = (video.opacity > 0) & (video.opacity < 1)
+    assert mixed.any()
+    both = np.stack([still.uncertainty_w_m2, video.uncertainty_w_m2])[:, :, mixed]
+    assert (spread[:, mixed] <= both.max(axis=0) * (1 + 1e-5)).all()
+    assert (spread[:, mixed] >= both.min(axis=0) * (1 - 1e-5)).all()
+
+
+@pytest.mark.parametrize("literal", [False, True])
+@pytest.mark.parametrize("kernel", [np.ones((1, 1), np.float32), KERNEL])
+def test_merge_errs_by_what_it_says(kernel, literal):
+    calibration = ideal_calibration(96, 96, crosstalk=kernel)
+    light = still_light(np.random.default_rng(2).uniform(0.02, 0.35, (96, 96)))
+    if literal:
+        light = still_light(np.full((96, 96), 0.1))
+    frames = film(calibration, HdrMosaic(), [light] * 4, np.random.default_rng(3))
+    *_, layer = HdrMerge(threshold_sigma=6, paper_literal=literal).layers(frames, calibration)
+    error = (layer.irradiance_w_m2[0] - light[0]) / layer.uncertainty_w_m2[0]
+    # Four standard errors of a deviation are 3 %; half as much for rounding, and for variances that are
+    # predicted from noisy estimates or samples.
+    assert error[layer.valid].std() == pytest.approx(1, abs=0.03 + 0.015)
 
 
 @pytest.mark.parametrize("kind", VIDEO)

@@ -103,6 +103,9 @@ class Reconstruction:
         Filled from neighbours rather than measured.
     moving : ndarray of shape (v, u), bool
         Pixels taken from the sparse decoder.
+    uncertainty_w_m2 : ndarray of shape (slot, v, u), float32, or None
+        Standard deviation of the irradiance as the decoder itself predicts it, before negative light is
+        clipped; without meaning where not valid. None where the decoder doesn't know.
     """
 
     index: int
@@ -110,6 +113,7 @@ class Reconstruction:
     valid: Bools
     interpolated: Bools
     moving: Bools
+    uncertainty_w_m2: Floats | None = None
 
     def __post_init__(self) -> None:
         checked(
@@ -117,3 +121,11 @@ class Reconstruction:
         )
         for name in ("valid", "interpolated", "moving"):
             checked(name, getattr(self, name), axes=("v", "u"), dtype=np.bool_, unit="mask")
+        spread = self.uncertainty_w_m2
+        if spread is not None:
+            checked("uncertainty", spread, axes=("slot", "v", "u"), dtype=np.float32, unit="W m^-2")
+            if spread.shape != self.irradiance_w_m2.shape:
+                raise ValueCheckError(
+                    f"uncertainty: got an array of shape {spread.shape}, expected that of the irradiance, "
+                    f"{self.irradiance_w_m2.shape}; cure: one standard deviation a slot and pixel"
+                )

@@ -64,8 +64,19 @@ def coded_images(
         )
 
 
-def covered(frame: CodedFrame, image: CodedImage, total: Floats, count: Floats, full: Floats) -> Layer:
+def covered(
+    frame: CodedFrame,
+    image: CodedImage,
+    total: Floats,
+    count: Floats,
+    full: Floats,
+    variance: Floats | None = None,
+) -> Layer:
     """Mean of the patches over each pixel; the fewer of all patches there are, the less opaque.
+
+    Patches over a pixel have seen the same samples with the same prior, so their errors are nearly the same
+    error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation
+    can make the mean's error larger than that.
 
     Parameters
     ----------
@@ -75,8 +86,13 @@ def covered(frame: CodedFrame, image: CodedImage, total: Floats, count: Floats, 
         Sum of all patches over each pixel; used up.
     count, full : ndarray of shape (v, u), float32
         How many patches that were, and how many there are on the whole grid.
+    variance : ndarray of shape (v, u, slot), float32, optional
+        Mean of the variances of the patches over each pixel; used up.
     """
     total /= np.maximum(count, 1)[:, :, None]
+    spread = None
+    if variance is not None:
+        spread = np.ascontiguousarray(np.moveaxis(np.sqrt(variance, out=variance), -1, 0))
     moving = frame.code.moving
     return Layer(
         frame.index,
@@ -86,4 +102,5 @@ def covered(frame: CodedFrame, image: CodedImage, total: Floats, count: Floats, 
         np.zeros_like(moving),
         moving,
         total.shape[2],
+        spread,
     )

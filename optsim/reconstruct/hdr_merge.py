@@ -37,7 +37,8 @@ class HdrMerge(Branch):
     The estimate is the weighted least-squares one, ``sum(W I / var) / sum(W^2 / var)``, which is
     ``sum(I) / sum(W)`` where shot noise rules. The variances are predicted from the pooled estimate, not from
     each sample: weights that follow a sample's own noise would bias dark pixels. Any code counts, the
-    paper's mosaic or another.
+    paper's mosaic or another. The uncertainty is that of the noise, ``sum(W^2 / var) ** -0.5``: errors of the
+    calibration and motion that nobody noticed are not in it. What is filled is as uncertain as it is bright.
 
     Parameters
     ----------
@@ -76,11 +77,11 @@ class HdrMerge(Branch):
             recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
-                mean, found = _literal(samples)
+                mean, variance, found = _literal(samples)
                 valid = sample.valid
             else:
                 alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
-                mean, found, tainted = _merged(calibration, samples, alive, crosstalk)
+                mean, variance, found, tainted = _merged(calibration, samples, alive, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
             mean = _filled(mean, found, sample)
             yield Layer(
@@ -91,6 +92,7 @@ class HdrMerge(Branch):
                 ~found & sample.valid,
                 np.zeros(calibration.shape, np.bool_),
                 calibration.slots_per_frame,
+                np.where(found, np.sqrt(variance), np.abs(mean))[None],
             )
 
 
@@ -125,18 +127,19 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
 
 def _merged(
     calibration: Calibration, samples: Sequence[Sample], alive: Sequence[Bools], crosstalk: Crosstalk
-) -> tuple[Floats, Bools, Floats]:
-    """Pooled estimate, where there is one, and the share of the kernel that is unknown."""
+) -> tuple[Floats, Floats, Bools, Floats]:
+    """Pooled estimate, its variance, where there is one, and the share of the kernel that is unknown."""
     usable = [ok & s.valid & ~s.saturated & (s.exposure > 1e-6) for s, ok in zip(samples, alive, strict=True)]
     found = np.logical_or.reduce(usable)
     mean = _ratio([s.signal for s in samples], [s.exposure for s in samples], usable)
+    bottoms: list[Floats] = []
     for _ in range(_MOST_PASSES):
         if crosstalk == "undone":
             # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
             known = np.where(found, mean, np.float32(np.nan))
             samples = [separate(calibration, s, known) for s in samples]
         tops: list[Floats] = []
-        bottoms: list[Floats] = []
+        bottoms = []
         for sample in samples:
             expected = np.maximum(mean, 0) * sample.exposure
             if crosstalk == "undone":
@@ -153,7 +156,9 @@ def _merged(
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
         tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
-    return mean, found, tainted
+    certainty = sum(np.where(use, b, 0).astype(np.float64) for b, use in zip(bottoms, usable, strict=True))
+    variance = np.divide(1, certainty, out=np.zeros(mean.shape), where=certainty > 0).astype(np.float32)
+    return mean, variance, found, tainted
 
 
 def _ratio(tops: Sequence[Floats], bottoms: Sequence[Floats], usable: Sequence[Bools]) -> Floats:
@@ -165,10 +170,12 @@ def _ratio(tops: Sequence[Floats], bottoms: Sequence[Floats], usable: Sequence[B
     return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0).astype(np.float32)
 
 
-def _literal(samples: Sequence[Sample]) -> tuple[Floats, Bools]:
-    """Mean of I / S over the frames."""
+def _literal(samples: Sequence[Sample]) -> tuple[Floats, Floats, Bools]:
+    """Mean of I / S over the frames and its variance."""
     quotients = [s.signal / np.maximum(s.exposure, 1e-6) for s in samples]
-    return np.mean(quotients, axis=0).astype(np.float32), samples[0].valid
+    variances = [s.variance / np.maximum(s.exposure, 1e-6) ** 2 for s in samples]
+    variance = np.mean(variances, axis=0) / len(samples)
+    return np.mean(quotients, axis=0).astype(np.float32), variance.astype(np.float32), samples[0].valid
 
 
 def _filled(mean: Floats, found: Bools, newest: Sample) -> Floats:

@@ -29,6 +29,8 @@ class Layer:
         As in :class:`~optsim.quantities.Reconstruction`.
     slots : int
         Slots of the frame's period.
+    uncertainty_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32, or None
+        Standard deviation of the irradiance as the decoder predicts it; None where it doesn't know.
     """
 
     index: int
@@ -38,12 +40,21 @@ class Layer:
     interpolated: Bools
     moving: Bools
     slots: int
+    uncertainty_w_m2: Floats | None = None
 
     def finished(self) -> Reconstruction:
         """As a reconstruction by itself: all slots, and no negative light."""
         video = np.maximum(self.irradiance_w_m2, 0)
-        video = np.broadcast_to(video, (self.slots, *video.shape[1:]))
-        return Reconstruction(self.index, video, self.valid, self.interpolated, self.moving)
+        shape = (self.slots, *video.shape[1:])
+        spread = self.uncertainty_w_m2
+        return Reconstruction(
+            self.index,
+            np.broadcast_to(video, shape),
+            self.valid,
+            self.interpolated,
+            self.moving,
+            None if spread is None else np.broadcast_to(spread, shape),
+        )
 
 
 class Branch(Part, ABC):

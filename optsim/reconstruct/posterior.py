@@ -13,11 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.quantities import Doubles, Floats
+from optsim.quantities import Bools, Doubles, Floats
 from optsim.reconstruct.mixture import Mixture
 
 # Components that are less likely than this beside the best one are left out of a patch.
 _NEGLIGIBLE = 1e-3
+# Noise variance, relative to the strongest direction's power, that is the least believed: signals in float32
+# have some 1e-7 of rounding, so less would be noise taken for signal.
+_LEAST_NOISE = np.float32(1e-12)
+_TINY = np.float32(1e-30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +74,45 @@ def seen_through(mixture: Mixture, weights: Floats) -> Seen:
     )
 
 
-def expected(seen: Seen, signals: Floats, variance: Floats) -> Floats:
-    """Posterior mean of z.
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known of p patches seen through the same weights, component by component.
+
+    Parameters
+    ----------
+    seen : Seen
+        The prior behind the weights.
+    chance : ndarray of shape (p, k), float64
+        Shares of the components; 0 for those left out.
+    turned : list of k ndarray of shape (p, m), float32
+        Signals less the component's mean, along its eigenvectors.
+    noise : ndarray of shape (p, 1), float32
+        Variance of a measurement: noise, and what the basis leaves out.
+    """
+
+    seen: Seen
+    chance: Doubles
+    turned: list[Floats]
+    noise: Floats
+
+    def some(self, rows: Bools) -> Posterior:
+        """Of some of the patches."""
+        return Posterior(self.seen, self.chance[rows], [part[rows] for part in self.turned], self.noise[rows])
+
+    def mean(self) -> Floats:
+        """Mean of z: array of shape (p, r), float32."""
+        seen, chance = self.seen, self.chance
+        z = (chance.astype(np.float32)) @ seen.means
+        for k, part in enumerate(self.turned):
+            some = np.flatnonzero(chance[:, k])
+            if some.size:
+                pull = part[some] / (seen.powers[k] + self.noise[some])
+                z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
+        return z
+
+
+def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
+    """Ask a mixture about patches that were measured.
 
     Parameters
     ----------
@@ -81,12 +122,9 @@ def expected(seen: Seen, signals: Floats, variance: Floats) -> Floats:
         Signals whose brightness has been divided out.
     variance : ndarray of shape (p,), float32
         Noise variance of each patch's measurements.
-
-    Returns
-    -------
-    ndarray of shape (p, r), float32
     """
-    noise = (variance + np.float32(seen.rest))[:, None]
+    least = np.maximum(_LEAST_NOISE * seen.powers.max(), _TINY)
+    noise = np.maximum(variance + np.float32(seen.rest), least)[:, None]
     turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]
     logs = np.empty((len(signals), len(turned)))
     for k, part in enumerate(turned):
@@ -95,10 +133,4 @@ def expected(seen: Seen, signals: Floats, variance: Floats) -> Floats:
     chance = np.exp(logs - logs.max(axis=1, keepdims=True))
     chance[chance < _NEGLIGIBLE] = 0
     chance /= chance.sum(axis=1, keepdims=True)
-    z = (chance.astype(np.float32)) @ seen.means
-    for k, part in enumerate(turned):
-        some = np.flatnonzero(chance[:, k])
-        if some.size:
-            pull = part[some] / (seen.powers[k] + noise[some])
-            z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
-    return z
+    return Posterior(seen, chance, turned, noise)

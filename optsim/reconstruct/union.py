@@ -31,6 +31,8 @@ class Union(Part):
 
     Equation (1) cuts hard. Patches reach past the mask, so there is more to go on: outside it, the
     video fades out with the number of patches that cover a pixel. ``moving`` is the mask itself.
+    Where the two are mixed so are their standard deviations, as if both made the same error: an upper bound.
+    Without a word from the video's decoder there is none of the union's.
 
     Parameters
     ----------
@@ -60,10 +62,14 @@ class Union(Part):
             # Inside the mask all patches are there, so the opacity is 1.
             share = np.where(still.valid, video.opacity, np.sign(video.opacity))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
+            spread = None
+            if still.uncertainty_w_m2 is not None and video.uncertainty_w_m2 is not None:
+                spread = (1 - share) * still.uncertainty_w_m2 + share * video.uncertainty_w_m2
             yield Reconstruction(
                 still.index,
                 np.maximum(joined, 0),
                 np.where(share > 0, video.valid | still.valid, still.valid),
                 still.interpolated & (share == 0),
                 video.moving,
+                spread,
             )
