@@ -403,11 +403,11 @@ def test_merge_errs_by_what_it_says(kernel, literal):
     assert error[layer.valid].std() == pytest.approx(1, abs=0.03 + 0.015)
 
 
-@pytest.mark.parametrize("kind", VIDEO)
-def test_nothing_moving_costs_no_patches(kind):
+@pytest.mark.parametrize("decoder", [*(kind() for kind in VIDEO), GaussianMixture(uncertainty=True)])
+def test_nothing_moving_costs_no_patches(decoder):
     calibration = ideal_calibration(ROWS, COLS)
     frame = film(calibration, HdrMosaic(), [still_light(np.ones((ROWS, COLS)))], None)[0]
-    result = last(kind(), [frame], calibration)
+    result = last(decoder, [frame], calibration)
     assert not result.valid.any()
     assert not result.irradiance_w_m2.any()
 
