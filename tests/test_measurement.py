@@ -194,6 +194,19 @@ def test_a_measurement_decodes_into_a_folder(tmp_path: Path, arrays: Any) -> Non
         decode_measurement(found, Interpolation(), tmp_path / "out")
 
 
+def test_a_decoder_s_uncertainty_is_written_with_the_light(tmp_path: Path) -> None:
+    image, shown = np.full((ROWS, COLS), 500, np.uint16), np.zeros((36, ROWS, COLS))
+    shown[:18] = 1
+    found = coded_measurement(image, shown)
+    decode_measurement(found, GaussianMixture(uncertainty=True), tmp_path / "sure")
+    decode_measurement(found, GaussianMixture(), tmp_path / "silent")
+    sure, _ = read_exr(tmp_path / "sure" / "reconstruction" / "000000.exr")
+    silent, _ = read_exr(tmp_path / "silent" / "reconstruction" / "000000.exr")
+    # The half that nothing was seen of is less sure: found 10.7 against 9.0 counts.
+    assert sure["sigma30"].mean() > 1.1 * sure["sigma05"].mean() > 0
+    assert set(sure) - set(silent) == {f"sigma{slot:02d}" for slot in range(36)}
+
+
 def test_without_a_truth_there_is_no_score(tmp_path: Path, arrays: Any) -> None:
     found = coded_measurement(arrays["image"], arrays["code"])
     record = decode_measurement(found, Interpolation(), tmp_path / "out")

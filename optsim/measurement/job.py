@@ -40,8 +40,9 @@ def decode_measurement(
     decoder : decoder
         Any of :mod:`optsim.reconstruct`.
     folder : Path
-        New or empty: gets ``reconstruction/*.exr`` (channels ``slot00`` and on, float32, and ``valid``),
-        ``slots.png``, ``film.gif`` and ``results.json``.
+        New or empty: gets ``reconstruction/*.exr`` (float32 channels ``slot00`` and on, ``valid``, and
+        ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``, ``film.gif`` and
+        ``results.json``.
     peak : float, optional
         Of the PSNR, in the light's unit; default the brightest of the truth.
     progress : Progress
@@ -99,6 +100,8 @@ def _saturated(measurement: Measurement) -> float:
 
 def _write(folder: Path, video: Reconstruction, unit: str) -> None:
     light = {f"slot{slot:02d}": each for slot, each in enumerate(video.irradiance_w_m2)}
+    if video.uncertainty_w_m2 is not None:
+        light |= {f"sigma{slot:02d}": each for slot, each in enumerate(video.uncertainty_w_m2)}
     write_exr(
         folder / "reconstruction" / f"{video.index:06d}.exr",
         {**light, "valid": video.valid.astype(np.float32)},
