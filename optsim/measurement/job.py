@@ -21,6 +21,7 @@ _SHOWN = 8  # slots in the picture
 _FILM_MS = 80
 _GAP_PX = 4
 _WIDTH_PX = 160  # of a picture, at least
+_DEEP = 20.0  # brightest over median from which pictures are logarithmic
 
 
 def decode_measurement(
@@ -41,8 +42,8 @@ def decode_measurement(
         Any of :mod:`optsim.reconstruct`.
     folder : Path
         New or empty: gets ``reconstruction/*.exr`` (float32 channels ``slot00`` and on, ``valid``, and
-        ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``, ``film.gif`` and
-        ``results.json``.
+        ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``, ``film.gif`` (of scenes
+        with bright lights logarithmic) and ``results.json``.
     peak : float, optional
         Of the PSNR, in the light's unit; default the brightest of the truth.
     progress : Progress
@@ -116,12 +117,12 @@ def _pictures(folder: Path, measurement: Measurement, decoded: list[Reconstructi
     truth = measurement.truth
     factor = -(-_WIDTH_PX // measurement.calibration.shape[1])
     shown = truth[0] if truth else decoded[0].irradiance_w_m2
-    white = max(float(np.percentile(shown, 99.9)), 1e-30)
 
     def grey(light: Floats) -> Bytes:
-        return enlarge(np.rint(255 * np.clip(light / white, 0, 1)).astype(np.uint8), factor)
+        return enlarge(_toned(light, shown), factor)
 
-    coded = [enlarge(_coded(measurement, k), factor) for k in range(len(decoded))]
+    signals = [measurement.calibration.observe(frame).signal for frame in measurement.frames]
+    coded = [enlarge(_toned(signal, signals[0]), factor) for signal in signals]
     slots = np.unique(np.linspace(0, len(shown) - 1, _SHOWN).astype(int))
     rows = [[coded[0], *(grey(decoded[0].irradiance_w_m2[slot]) for slot in slots)]]
     if truth:
@@ -139,11 +140,13 @@ def _pictures(folder: Path, measurement: Measurement, decoded: list[Reconstructi
         first.save(temporary, format="GIF", save_all=True, append_images=others, duration=_FILM_MS, loop=0)
 
 
-def _coded(measurement: Measurement, index: int) -> Bytes:
-    """Coded image on the code's pixels, its brightest white."""
-    signal = measurement.calibration.observe(measurement.frames[index]).signal
-    top = max(float(np.percentile(signal, 99.9)), 1e-30)
-    return np.rint(255 * np.clip(signal / top, 0, 1)).astype(np.uint8)
+def _toned(light: Floats, like: Floats) -> Bytes:
+    """Grey of light: linear up to the brightest of ``like``; logarithmic where its middle would be black."""
+    middle, white = (max(float(q), 1e-30) for q in np.percentile(like, (50, 99.9)))
+    relative = np.clip(light / white, 0, 1)
+    if white > _DEEP * middle:
+        relative = np.log1p(relative * white / middle) / np.log1p(white / middle)
+    return np.rint(255 * relative).astype(np.uint8)
 
 
 def _side_by_side(pictures: list[Bytes]) -> Bytes:
