@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_experiment import SMALL
 
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment, load_experiment
@@ -68,19 +69,6 @@ material = "ball"
 FLOOR = "{ red = 0.7, green = 0.4, blue = 0.1 }"
 WALL = "{ red = 0.2, green = 0.3, blue = 0.6 }"
 TOP = "{ red = 8.0, green = 5.0, blue = 4.0 }"
-SMALL = [
-    "n_frames=1",
-    "camera.panel_rows=12",
-    "camera.panel_cols=16",
-    "camera.sensor.rows=44",
-    "camera.sensor.cols=56",
-    "camera.objective.focal_length_m='0.3333 mm'",
-    "render.static_error=0.3",
-    "render.change_error=0.5",
-    "render.moving_error=0.8",
-    "render.interpolation_error=0.3",
-    "render.slots_per_segment=36",
-]
 
 
 def scene(folder: Path, *, bands: str = BANDS, floor: str = FLOOR, wall: str = WALL, top: str = TOP) -> Scene:

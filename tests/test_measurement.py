@@ -9,13 +9,19 @@ import pytest
 from scipy.io import savemat
 from skimage.metrics import peak_signal_noise_ratio
 
+from optsim.calibrate import calibrate_from
 from optsim.cli import app
+from optsim.coding import RandomExposure
 from optsim.errors import ConfigError, OptsimError, StorageError, ValueCheckError
 from optsim.files import read_exr, write_exr, write_png8, write_png16
+from optsim.hardware import demo
+from optsim.known_calibration import true_calibration
+from optsim.laboratory import measure_bench
 from optsim.measurement import Sensor, coded_measurement, decode_measurement, read_measurement
 from optsim.measurement.coded import code_levels
 from optsim.measurement.files import measurement_files
-from optsim.quantities import Floats
+from optsim.probe import shrunk
+from optsim.quantities import ExposureCode, Floats, Segment, made_radiance
 from optsim.reconstruct import GaussianMixture, Interpolation
 
 SLOTS, ROWS, COLS = 12, 24, 20
@@ -264,3 +270,43 @@ def test_a_prior_of_other_slots_is_refused_with_the_cure(arrays: Any) -> None:
     found = coded_measurement(arrays["image"], arrays["code"])
     with pytest.raises(OptsimError, match=r"36 slots, expected 12 slots.*train"):
         decoded(found, GaussianMixture())
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.mat"])
+def test_damaged_files_are_named(tmp_path: Path, arrays: Any, name: str) -> None:
+    whole = tmp_path / name
+    (savemat if name.endswith("mat") else lambda path, values: np.savez(path, **values))(whole, arrays)
+    stored = whole.read_bytes()
+    for content in (b"", b"no arrays", stored[: len(stored) // 2]):
+        whole.write_bytes(content)
+        with pytest.raises(StorageError, match=rf"{name} cannot be read as a"):
+            read_measurement(measurement_files(whole, []))
+
+
+def test_frames_of_a_camera_that_a_bench_knows(tmp_path: Path) -> None:
+    camera = shrunk(demo(), 40)
+    bench = measure_bench(camera, np.random.default_rng(5))
+    bench.write(tmp_path / "bench")
+    levels = RandomExposure().init(true_calibration(camera), np.random.default_rng(1)).levels(0)
+    code = ExposureCode(levels, np.ones(levels.shape[1:], np.bool_))
+    view, slots = camera.view, camera.slots_per_frame
+    flat = np.full((view.rows, view.cols), 0.3, np.float32)
+    still = made_radiance(
+        view,
+        camera.slot_s,
+        lambda _: Segment(flat, flat, (), slots),
+        slots_per_segment=slots,
+        n_slots=slots,
+    )
+    frame, _ = camera.expose(camera.form_image(still), 0, code, None, np.random.default_rng(2))
+    write_png16(tmp_path / "frame.png", frame.dn)
+    np.savez(tmp_path / "code.npz", code=levels)
+    (tmp_path / "m.toml").write_text('image = "frame.png"\ncode = "code.npz"\nbench = "bench"\n')
+    found = read_measurement(measurement_files(tmp_path / "m.toml", []))
+    want = [*Interpolation().decode([frame], calibrate_from(bench))]
+    np.testing.assert_array_equal(decoded(found)[0], want[0].irradiance_w_m2)
+    assert found.unit == "W m^-2 on the modulator"
+    middle = decoded(found)[0][:, 5:-5, 5:-5].mean()
+    assert middle == pytest.approx(0.3 * camera.irradiance_per_radiance, rel=0.05)
+    with pytest.raises(ConfigError, match=r"sensor: got one and a bench"):
+        read_measurement(measurement_files(tmp_path / "m.toml", ["sensor.black=3"]))

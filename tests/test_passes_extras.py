@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_experiment import SMALL
 
 import optsim.passes.export as exporting
 from optsim.errors import BackendError, ConfigError, StorageError
@@ -67,19 +68,6 @@ bob_radius_m = 0.3
 swing_rad = 0.6
 material = "ball"
 """
-SMALL = [
-    "n_frames=1",
-    "camera.panel_rows=12",
-    "camera.panel_cols=16",
-    "camera.sensor.rows=44",
-    "camera.sensor.cols=56",
-    "camera.objective.focal_length_m='0.3333 mm'",
-    "render.static_error=0.3",
-    "render.change_error=0.5",
-    "render.moving_error=0.8",
-    "render.interpolation_error=0.3",
-    "render.slots_per_segment=36",
-]
 ALL = Extras(light_samples=16, stokes_samples=24, denoise=True)
 DARK_SLOT, BRIGHT_SLOT = 3, 1
 

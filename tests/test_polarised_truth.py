@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_experiment import SMALL
 
 from optsim.cache import Cache
 from optsim.effects import with_effects
@@ -205,29 +206,16 @@ def test_auto_follows_the_materials_and_says_so():
         scene_light(insisted, preview=True)
 
 
-SMALL = [
-    "scene.name=glossy_floor",
-    "n_frames=1",
-    "camera.panel_rows=12",
-    "camera.panel_cols=16",
-    "camera.sensor.rows=44",
-    "camera.sensor.cols=56",
-    "camera.objective.focal_length_m='0.3333 mm'",
-    "render.static_error=0.3",
-    "render.change_error=0.5",
-    "render.moving_error=0.8",
-    "render.interpolation_error=0.3",
-    "render.slots_per_segment=36",
-]
+GLOSSY = ["scene.name=glossy_floor", *SMALL]
 
 
 def test_an_experiment_renders_what_its_splitter_passes():
     """The floor of glossy_floor by the splitter's azimuth, nothing else set."""
     means = {}
     for name, more in (("rows", "0 deg"), ("columns", "90 deg")):
-        experiment = load_experiment("demo", [*SMALL, f"camera.splitter.azimuth_rad='{more}'"])
+        experiment = load_experiment("demo", [*GLOSSY, f"camera.splitter.azimuth_rad='{more}'"])
         means[name] = truth_of(experiment).load(0).instant(0)[24:].mean()
-    dull = load_experiment("demo", [*SMALL, "camera.splitter.scene_light=unpolarised"])
+    dull = load_experiment("demo", [*GLOSSY, "camera.splitter.scene_light=unpolarised"])
     means["unpolarised"] = truth_of(dull).load(0).instant(0)[24:].mean()
     assert means["rows"] > 1.2 * means["unpolarised"] > 1.44 * means["columns"]
     # What one azimuth gains the other one loses.
@@ -235,5 +223,5 @@ def test_an_experiment_renders_what_its_splitter_passes():
 
 
 def test_explain_says_it():
-    said = explanation("demo", [*SMALL, "tolerance=0"])
+    said = explanation("demo", [*GLOSSY, "tolerance=0"])
     assert said["light"].startswith("polarised by brass, floor")

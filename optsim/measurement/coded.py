@@ -114,7 +114,27 @@ def coded_measurement(
         For shapes that don't agree, weights outside of 0..1, or light that isn't finite.
     """
     known = sensor or Sensor()
-    images, codes = (np.asarray(images), np.asarray(codes))
+    images, codes = stacked(np.asarray(images), np.asarray(codes))
+    if images.shape[1:] != codes.shape[2:]:
+        raise ValueCheckError(
+            f"images of {images.shape[1:]} and codes of {codes.shape[2:]} pixels: expected codes of the "
+            "images' pixels; images of a sensor with other pixels need a calibration (key 'bench')"
+        )
+    levels, rounded = code_levels(codes)
+    words, scale = _words(images, known.black)
+    alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
+    mask = np.ones(images.shape[1:], np.bool_) if moving is None else np.asarray(moving, np.bool_)
+    return Measurement(
+        coded_frames(words, levels, mask),
+        _calibration(levels.shape[1], alive, known, scale, _full(images, known)),
+        truth_frames(truth, len(images), levels.shape[1]),
+        "counts a slot",
+        rounded,
+    )
+
+
+def stacked(images: NDArray[Any], codes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Images (frame, y, x), and codes (frame, slot, v, u) of which there is one for all or one each."""
     images = images[None] if images.ndim == 2 else images
     codes = codes[None] if codes.ndim == 3 else codes
     if images.ndim != 3 or codes.ndim != 4:
@@ -122,24 +142,18 @@ def coded_measurement(
             f"image {images.shape}, code {codes.shape}: expected (v, u) or (frame, v, u), and "
             "(slot, v, u) or (frame, slot, v, u)"
         )
-    if images.shape[1:] != codes.shape[2:] or len(codes) not in (1, len(images)):
+    if len(codes) not in (1, len(images)):
         raise ValueCheckError(
             f"{len(images)} images of {images.shape[1:]} and {len(codes)} codes of {codes.shape[2:]} pixels: "
-            "expected one code for all images or one each, of the images' pixels; images of a sensor with "
-            "other pixels need a calibration (key 'bench')"
+            "expected one code for all images or one each"
         )
-    levels, rounded = code_levels(codes)
-    words, scale = _words(images, known.black)
-    alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
-    mask = np.ones(images.shape[1:], np.bool_) if moving is None else np.asarray(moving, np.bool_)
-    return Measurement(
-        tuple(
-            CodedFrame(k, word, ExposureCode(levels[k % len(levels)], mask)) for k, word in enumerate(words)
-        ),
-        _calibration(levels.shape[1], alive, known, scale, _full(images, known)),
-        truth_frames(truth, len(images), levels.shape[1]),
-        "counts a slot",
-        rounded,
+    return images, codes
+
+
+def coded_frames(words: list[Words], levels: Bytes, moving: Bools) -> tuple[CodedFrame, ...]:
+    """Images with their codes, of which there is one for all or one each."""
+    return tuple(
+        CodedFrame(k, word, ExposureCode(levels[k % len(levels)], moving)) for k, word in enumerate(words)
     )
 
 

@@ -19,12 +19,18 @@ from pydantic import Field, field_validator
 
 from optsim.calibrate import Bench, calibrate_from
 from optsim.config import Part, build, override, read_toml
-from optsim.errors import ConfigError, OptsimError, StorageError, ValueCheckError
+from optsim.errors import ConfigError, OptsimError, ValueCheckError
 from optsim.files import read_exr
-from optsim.measurement.coded import Measurement, Sensor, coded_measurement, truth_frames
-from optsim.quantities import CodedFrame, ExposureCode
+from optsim.measurement.coded import (
+    Measurement,
+    Sensor,
+    coded_frames,
+    coded_measurement,
+    stacked,
+    truth_frames,
+)
 from optsim.reconstruct import Decoder, Interpolation
-from optsim.scene.recording import open_recording
+from optsim.scene.recording import array_names, load_array, open_recording
 
 _Role = Literal["image", "code", "truth"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
@@ -98,7 +104,7 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
         For unknown keys and wrong values.
     """
     if path.suffix.lower() in _ARRAYS:
-        there = _arrays(path)
+        there = array_names(path)
         table: dict[str, Any] = {
             role: str(path) for role, names in _NAMES.items() if any(name in there for name in names)
         }
@@ -142,21 +148,13 @@ def _on_a_bench(
 ) -> Measurement:
     """Measurement of a camera that a bench calibrated: its codes are drive levels."""
     calibration = calibrate_from(Bench.read(folder))
-    images = images[None] if images.ndim == 2 else images
-    codes = codes[None] if codes.ndim == 3 else codes
+    images, codes = stacked(images, codes)
     if images.dtype != np.uint16:
         raise ValueCheckError(f"image: got {images.dtype}, expected the sensor's own numbers of 16 bits")
-    if len(codes) not in (1, len(images)):
-        raise ValueCheckError(
-            f"code: got {len(codes)}, expected one for all, or one for each of {len(images)} images"
-        )
     as_shown = codes if codes.max(initial=0) > 1 else codes * 255
     levels = np.rint(as_shown).astype(np.uint8)
     return Measurement(
-        tuple(
-            CodedFrame(k, image, ExposureCode(levels[k % len(levels)], np.ones(calibration.shape, np.bool_)))
-            for k, image in enumerate(images)
-        ),
+        coded_frames(list(images), levels, np.ones(calibration.shape, np.bool_)),
         calibration,
         truth_frames(truth, len(images), calibration.slots_per_frame),
         "W m^-2 on the modulator",
@@ -168,15 +166,16 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
     """Pictures in order of time: (y, x), (t, y, x) or (frame, slot, y, x)."""
     path = Path(text)
     if path.suffix.lower() in _ARRAYS:
-        stored = _arrays(path)
-        name = next((name for name in _NAMES[role] if name in stored), None)
+        there = array_names(path)
+        name = next((name for name in _NAMES[role] if name in there), None)
         if name is None:
             raise ConfigError(
-                f"{role}: {path} holds {', '.join(sorted(stored)) or 'no arrays'}, expected "
+                f"{role}: {path} holds {', '.join(sorted(there)) or 'no arrays'}, expected "
                 f"{' or '.join(_NAMES[role])}; rename the array"
             )
         # MATLAB's last axes are time; of a code (y, x, slot, frame), the frames are the last one.
-        return stored[name].T.swapaxes(-1, -2) if path.suffix.lower() == ".mat" else stored[name]
+        stored = load_array(path, name)
+        return stored.T.swapaxes(-1, -2) if path.suffix.lower() == ".mat" else stored
     exr = sorted(path.glob("*.exr")) if path.is_dir() else [path] * (path.suffix.lower() == ".exr")
     if exr and role != "image":
         found = [read_exr(each)[0] for each in exr]
@@ -190,24 +189,3 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
     if pictures.shape[3] != 1:
         raise ValueCheckError(f"{role}: {path} has {pictures.shape[3]} channels, expected grey pictures")
     return pictures[..., 0]
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of a file by name."""
-    from scipy.io import loadmat
-
-    try:
-        if path.suffix.lower() == ".mat":
-            stored = loadmat(path)
-            return {k: np.asarray(v) for k, v in stored.items() if not k.startswith("__")}
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError:
-        raise StorageError(f"no such file: {path}") from None
-    except NotImplementedError:
-        raise StorageError(
-            f"{path} is of MATLAB's version 7.3 (HDF5), which is not read here; cure: in MATLAB, "
-            f"save('{path.name}', '-v7')"
-        ) from None
-    except (OSError, ValueError, TypeError) as error:
-        raise StorageError(f"{path} cannot be read as arrays of numbers: {error}") from None

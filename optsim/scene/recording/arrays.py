@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -15,7 +17,7 @@ from optsim.scene.recording.film import Pixels, Recording, as_recording, with_ch
 
 def film(path: Path, key: str | None, axes: str | None) -> Recording:
     """Open an array file; npy stays on disk, npz and mat are loaded once."""
-    stored = _load_mat(path, key) if path.suffix.lower() == ".mat" else _load_numpy(path, key)
+    stored = _load(path, key)
     if axes is None:
         raise ConfigError(
             f"source.footage.axes: missing; the array in {path.name} has shape {stored.shape}. State the "
@@ -32,34 +34,60 @@ def film(path: Path, key: str | None, axes: str | None) -> Recording:
     )
 
 
-def _load_numpy(path: Path, key: str | None) -> Pixels:
-    try:
-        if path.suffix.lower() == ".npy":
-            if key is not None:
-                raise ConfigError(
-                    f"source.footage.key: got {key!r}, but {path.name} is a single array; remove it"
-                )
-            return np.load(path, mmap_mode="r", allow_pickle=False)
+def array_names(path: Path) -> list[str]:
+    """Names of the arrays in an npz or mat file.
+
+    Raises
+    ------
+    StorageError
+        When it is missing or cannot be read.
+    """
+    from scipy.io import whosmat
+
+    with _reading(path):
+        if path.suffix.lower() == ".mat":
+            return [str(entry[0]) for entry in whosmat(path)]
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return archive[_one_of(path, key, archive.files)]
-    except (ValueError, OSError, EOFError, BadZipFile) as error:
-        raise StorageError(f"{path} cannot be read as a numpy array of numbers: {error}") from None
+            return list(archive.files)
 
 
-def _load_mat(path: Path, key: str | None) -> Pixels:
-    from scipy.io import loadmat, whosmat
+def load_array(path: Path, name: str) -> Pixels:
+    """Load one array of an npz or mat file; errors as of :func:`array_names`."""
+    from scipy.io import loadmat
+
+    with _reading(path):
+        if path.suffix.lower() == ".mat":
+            return np.asarray(loadmat(path, variable_names=[name])[name])
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            return archive[name]
+
+
+@contextmanager
+def _reading(path: Path) -> Generator[None, None, None]:
+    """Say which file it is that cannot be read."""
     from scipy.io.matlab import MatReadError
 
+    kind = "as a MATLAB file" if path.suffix.lower() == ".mat" else "as a numpy array of numbers"
     try:
-        name = _one_of(path, key, [str(entry[0]) for entry in whosmat(path)])
-        return np.asarray(loadmat(path, variable_names=[name])[name])
+        yield
+    except FileNotFoundError:
+        raise StorageError(f"no such file: {path}") from None
     except NotImplementedError:
         raise StorageError(
             f"{path} is of MATLAB's version 7.3 (HDF5), which is not read here; cure: in MATLAB, "
             f"save('{path.name}', '-v7'), or for arrays above 2 GB write one TIFF a frame"
         ) from None
-    except (MatReadError, ValueError, OSError, TypeError) as error:
-        raise StorageError(f"{path} cannot be read as a MATLAB file: {error}") from None
+    except (MatReadError, ValueError, OSError, EOFError, TypeError, BadZipFile) as error:
+        raise StorageError(f"{path} cannot be read {kind}: {error}") from None
+
+
+def _load(path: Path, key: str | None) -> Pixels:
+    if path.suffix.lower() != ".npy":
+        return load_array(path, _one_of(path, key, array_names(path)))
+    if key is not None:
+        raise ConfigError(f"source.footage.key: got {key!r}, but {path.name} is a single array; remove it")
+    with _reading(path):
+        return np.load(path, mmap_mode="r", allow_pickle=False)
 
 
 def _one_of(path: Path, key: str | None, names: list[str]) -> str:
