@@ -35,8 +35,11 @@ def reconstruct_files(
     from optsim.job import new_folder
     from optsim.measurement import decode_measurement, read_measurement
     from optsim.measurement.files import DecoderChoice, measurement_files
+    from optsim.measurement.job import check_empty
     from optsim.measurement.runs import RECORD, read_run
 
+    folder = out or new_folder(f"reconstruct-{measurement.stem}")
+    check_empty(folder)
     wanted = [*([f"decoder.kind={decoder}"] if decoder else []), *(assignments or [])]
     if (measurement / RECORD).is_file():
         found, own = read_run(measurement, method)
@@ -45,7 +48,6 @@ def reconstruct_files(
     else:
         files = measurement_files(measurement, wanted)
         found, chosen = read_measurement(files), files.decoder
-    folder = out or new_folder(f"reconstruct-{measurement.stem}")
     with progress_bars(quiet=as_json) as progress:
         record = decode_measurement(found, chosen, folder, peak=peak, progress=progress)
     if as_json:

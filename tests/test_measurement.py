@@ -231,6 +231,12 @@ def test_the_command(tmp_path: Path, arrays: Any) -> None:
     assert record["decoder"]["sigma_px"] == 0.5
     assert record["slots"] == SLOTS
     assert len(record["psnr_db"]) == 2
+    # Said before anything is read: no such measurement, but that comes second.
+    again = CliRunner().invoke(
+        app, ["reconstruct", str(tmp_path / "none.npz"), "--out", str(tmp_path / "out")]
+    )
+    assert isinstance(again.exception, StorageError)
+    assert "not an empty folder" in str(again.exception)
 
 
 @pytest.mark.parametrize(

@@ -59,8 +59,7 @@ def decode_measurement(
     StorageError
         When the folder holds something.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
+    check_empty(folder)
     brightest = max((float(each.max()) for each in measurement.truth), default=0.0)
     top = (peak or brightest) if measurement.truth else None
     decoded: list[Reconstruction] = []
@@ -92,6 +91,18 @@ def decode_measurement(
     }
     write_json(folder / "results.json", record)
     return record
+
+
+def check_empty(folder: Path) -> None:
+    """Refuse a folder that holds something.
+
+    Raises
+    ------
+    StorageError
+        With the cure.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
 
 
 def _saturated(measurement: Measurement) -> float:
