@@ -32,18 +32,6 @@ from optsim.quantities import (
 )
 from optsim.sensor import Ccd
 
-NOT_MODELLED: tuple[str, ...] = (
-    "aberrations beyond the third order; distortion of the objective beyond it; lateral colour",
-    "pupils cut off by the objective's edges; change of scale and f-number with focus",
-    "ghosts of the objective; glare is uniform",
-    "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",
-    "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
-    "twist of the liquid crystal; ripple of the panel within a slot",
-    "the error of the panel's grey curve beyond its exponent",
-    "blooming, lag and hot pixels of the CCD; smear is that of the frame's own light",
-    "drift of anything after calibration",
-)
-
 SAMPLES_PER_PITCH = 3
 
 
@@ -249,15 +237,25 @@ class CodedCamera(Part):
         self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
     ) -> tuple[Doubles, PanelState]:
         """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
+        energy, after = self.panel_energy(truth, index, code, panel)
+        return self.electrons_of(energy, truth.samples_per_pitch), after
+
+    def panel_energy(
+        self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
+    ) -> tuple[Floats, PanelState]:
+        """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2; as :meth:`expose`."""
         self._check(truth)
         n_sub = truth.instants_per_slot
         weights, after = self.panel_weights(code, panel, n_sub)
         weights[self.coded_slots * n_sub :] = 0
         weights *= self.panel_gain
         borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
-        energy = integrate_exposure(truth, index * self.slots_per_frame, weights, borders)
-        image = self.relay_operator(truth.samples_per_pitch).apply(energy)
-        return self.photon_electrons(image) + self.dark_e, after
+        return integrate_exposure(truth, index * self.slots_per_frame, weights, borders), after
+
+    def electrons_of(self, energy: Floats, samples_per_pitch: int) -> Doubles:
+        """Electrons that a radiant exposure behind the panel frees on average, dark ones included, (y, x)."""
+        image = self.relay_operator(samples_per_pitch).apply(energy)
+        return self.photon_electrons(image) + self.dark_e
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:
         """Return a perfect decoder's answer: slot means over pitch cells, objective shading undone.

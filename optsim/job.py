@@ -18,7 +18,7 @@ import numpy as np
 
 from optsim import __version__, evidence
 from optsim.cache import Cache
-from optsim.camera import NOT_MODELLED, CodedCamera
+from optsim.camera import CodedCamera
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
@@ -221,7 +221,7 @@ def execute(
         "masks": scorer.masks(frames),
         "noise_ceiling": ceiling,
         "evidence": evidence.status(),
-        "not_modelled": list(NOT_MODELLED),
+        "not_modelled": list(evidence.NOT_MODELLED),
         "reconstruct_s": {name: round(seconds, 3) for name, seconds in decode_s.items()},
         "pictures": pictures,
     }

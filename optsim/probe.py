@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from optsim.camera import CodedCamera
+from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import Changes, changed
 from optsim.quantities import (
     Block,
@@ -84,21 +84,32 @@ class Probe:
     camera: CodedCamera
     radiance: RadianceVideo
 
+    # Most changes leave the objective's image as it is, and many all that happens before the relay.
     @cached_property
     def _lights(self) -> dict[str, IrradianceVideo]:
-        return {}  # most changes leave the objective's image as it is
+        return {}
+
+    @cached_property
+    def _energies(self) -> dict[tuple[str, int], Floats]:
+        return {}
 
     def frame(self, changes: Changes) -> tuple[Doubles, Bools]:
         """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
         camera = changed(self.camera, changes)
-        key = camera.objective.model_dump_json()
-        if key not in self._lights:
-            self._lights[key] = camera.form_image(self.radiance)
-        expected, _ = camera.expected_electrons(self._lights[key], 0, _code(camera), None)
+        expected = camera.electrons_of(self._energy(camera), SAMPLES_PER_PITCH)
         inner = slice(2 * _MARGIN_PX, -2 * _MARGIN_PX)
         smear = camera.sensor.smear_e(expected, camera.exposure_s)
         signal = camera.sensor.signal_e(expected, smear, camera.serial_number)
         return signal[inner, inner], (expected < camera.sensor.full_well_e)[inner, inner]
+
+    def _energy(self, camera: CodedCamera) -> Floats:
+        key = camera.model_dump_json(exclude={"relay", "sensor"}), camera.coded_slots
+        if key not in self._energies:
+            lens = camera.objective.model_dump_json()
+            if lens not in self._lights:
+                self._lights[lens] = camera.form_image(self.radiance)
+            self._energies[key], _ = camera.panel_energy(self._lights[lens], 0, _code(camera), None)
+        return self._energies[key]
 
     def size(self, changes: Changes, of: Changes) -> float:
         """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise."""

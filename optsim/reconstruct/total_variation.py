@@ -8,7 +8,6 @@ from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field
-from skimage.restoration import denoise_tv_chambolle
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Crosstalk
@@ -80,6 +79,9 @@ class TotalVariation(Branch):
         return video * np.float32(white)
 
     def _smoothed(self, video: Floats) -> Floats:
+        # Imported here: it brings scipy.stats along, a second that every other command would wait for.
+        from skimage.restoration import denoise_tv_chambolle
+
         smooth = denoise_tv_chambolle(
             video,
             weight=self.weight,
