@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ideal_camera import BLACK_DN, KERNEL, SLOTS, film, ideal_calibration, still_light
 from pydantic import TypeAdapter
 
-from optsim.calibrate.sample import noise_variance, separate, separated_variance, take
+from optsim.calibrate.sample import Brightness, noise_variance, separate, separated_variance, take
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -249,7 +249,7 @@ def test_saturated_neighbours_taint_unless_known():
     sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
     assert sample.tainted[3:6, 3:6].sum() == 8
     assert sample.tainted.sum() == 8
-    known = separate(calibration, sample, image)
+    known = separate(calibration, sample, Brightness(image, np.zeros_like(image)))
     assert not known.tainted.any()
     np.testing.assert_allclose(known.signal[3:6, 3:6], image[3:6, 3:6] * 36, rtol=0.02)
     result = last(HdrMerge(), [frame], calibration)

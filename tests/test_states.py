@@ -8,7 +8,7 @@ import pytest
 from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
-from optsim.calibrate.sample import separate, take
+from optsim.calibrate.sample import Brightness, separate, take
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.known_calibration import true_calibration
 from optsim.loop import calibrate, capture, set_light
@@ -78,7 +78,7 @@ def test_a_label_stays_where_nothing_can_be_compared_and_goes_where_it_can() -> 
     assert code.moving[8:16, 8:16].all()
     assert not code.moving[:6].any()
     # The last real sample is kept, and no bound taken for one.
-    np.testing.assert_allclose(seen.estimate, 0.1, rtol=0.25)
+    np.testing.assert_allclose(seen.seen.irradiance, 0.1, rtol=0.25)
     frames = film(calibration, scheme, [scene(0.1, p) for p in (0.1, 0.5, 0.5)], np.random.default_rng(1))
     code, _ = scheme.next(3, frames, state)
     assert not code.moving.any(), "it moved once, and stopped"
@@ -102,20 +102,23 @@ def test_a_patch_in_the_sun_is_bright_in_the_sparse_decoder() -> None:
 
 
 def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[np.ndarray] = []
+    given: list[Brightness] = []
 
-    def spy(calibration: Any, sample: Any, estimate: Any) -> Any:
-        given.append(estimate)
-        return separate(calibration, sample, estimate)
+    def spy(calibration: Any, sample: Any, elsewhere: Brightness) -> Any:
+        given.append(elsewhere)
+        return separate(calibration, sample, elsewhere)
 
     monkeypatch.setattr(coded_images, "separate", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))
-    assert np.isnan(given[0]).all()
-    np.testing.assert_allclose(given[1], 0.5, rtol=0.02)
+    assert np.isnan(given[0].irradiance).all()
+    assert not given[1].least.any()
+    np.testing.assert_allclose(given[1].irradiance, 0.5, rtol=0.02)
     # A bound is no estimate.
-    np.testing.assert_allclose(given[2], 0.5, rtol=0.02)
+    np.testing.assert_allclose(given[2].irradiance, 0.5, rtol=0.02)
+    np.testing.assert_allclose(given[2].least[8:16, 8:16], (15_000 - 64) / 270 / 3, rtol=0.15)
+    assert not given[2].least[:6].any()
 
 
 def test_the_union_fades_from_one_branch_to_the_other(monkeypatch: pytest.MonkeyPatch) -> None:

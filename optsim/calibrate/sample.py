@@ -50,6 +50,42 @@ class Sample:
     valid: Bools
     tainted: Bools
 
+    @property
+    def least(self) -> Floats:
+        """Irradiance that a saturated pixel has at least, 0 for the others, W m^-2, (v, u)."""
+        bound = self.measured / np.maximum(self.exposure, np.float32(1e-6))
+        return np.where(self.saturated & self.valid, bound, 0).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Brightness:
+    """What other frames say of each pixel, for those in which it saturates.
+
+    Parameters
+    ----------
+    irradiance : ndarray of shape (v, u), float32
+        W m^-2; NaN where no frame says.
+    least : ndarray of shape (v, u), float32
+        What saturated samples say that it is at least, W m^-2.
+    """
+
+    irradiance: Floats
+    least: Floats
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, int]) -> Brightness:
+        """Before there is a frame."""
+        return cls(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
+
+    def after(self, sample: Sample) -> Brightness:
+        """With what one more frame says: the newest measurement counts, or the highest bound since."""
+        measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
+        mean = sample.signal / np.maximum(sample.exposure, np.float32(1e-6))
+        return Brightness(
+            np.where(measured, mean, self.irradiance).astype(np.float32),
+            np.where(measured, 0, np.maximum(self.least, sample.least)).astype(np.float32),
+        )
+
 
 def take(
     calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
@@ -94,15 +130,21 @@ def take(
         np.zeros_like(seen.valid),
     )
     if crosstalk == "undone":
-        sample = replace(sample, variance=separated_variance(calibration, seen.variance))
-        sample = separate(calibration, sample, None)
+        noise = separated_variance(calibration, seen.variance)
+        sample = separate(calibration, replace(sample, variance=noise), Brightness.unknown(calibration.shape))
+        opened = np.maximum(sample.exposure, np.float32(1e-6))
+        rough = np.maximum(sample.signal / opened, np.float32(0))
+        error = attribution_variance(
+            calibration, sample.exposure, rough, (noise / opened**2).astype(np.float32)
+        )
+        sample = replace(sample, variance=noise + error)
     return sample, panel
 
 
-def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) -> Sample:
+def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:
     """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
 
-    Saturated pixels give what ``estimate`` says they did, but no less than they were measured to give.
+    Saturated pixels give what other frames say they did, but no less than any says they gave at least.
     Pixels that are not valid are taken to look like the nearest valid one.
 
     Parameters
@@ -111,17 +153,17 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
         Holds the kernel.
     sample : Sample
         The frame.
-    estimate : ndarray of shape (v, u), float32, or None
-        Irradiance of the pixels from elsewhere, W m^-2; NaN where unknown.
+    elsewhere : Brightness
+        What other frames say of the pixels.
     """
     centre = _own_share(calibration)
-    known = np.zeros_like(sample.saturated) if estimate is None else np.isfinite(estimate)
+    known = np.isfinite(elsewhere.irradiance)
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
     if not sample.valid.all() and sample.valid.any():
         pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest(sample.valid)] * sample.exposure
-    if estimate is not None:
-        pins = np.where(known, np.maximum(estimate * sample.exposure, pins), pins)
+    told = np.fmax(elsewhere.irradiance, elsewhere.least)
+    pins = np.maximum(pins, told * sample.exposure)
     rate = max(float(((1 - centre) / centre).max()), calibration.veil + calibration.ghost)
     steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))
     # The signal of an earlier call is a good start; at first it is what was measured.
@@ -135,6 +177,38 @@ def separate(calibration: Calibration, sample: Sample, estimate: Floats | None) 
     loud = (sample.saturated & ~known).astype(np.float32)
     tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
     return replace(sample, signal=signal, tainted=tainted)
+
+
+def attribution_variance(
+    calibration: Calibration, exposure: Floats, irradiance: Floats, variance: Floats | None = None
+) -> Floats:
+    """Variance of a separated signal by not knowing whose light it is that crosstalk brings.
+
+    The kernel is measured on flats. There a neighbour's light that spreads here looks like the own light
+    that the neighbour's code lets through (fringing fields, and blur across an edge that lies within a
+    pixel). Anything between the two may be true, as likely as not (a sensible default; no source): the
+    difference over the square root of three around the one that :meth:`Calibration.mix` takes.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Holds the kernel.
+    exposure : ndarray of shape (v, u), float32
+        Sum over the slots of the weights, slots.
+    irradiance : ndarray of shape (v, u), float32
+        Of each pixel, W m^-2.
+    variance : ndarray of shape (v, u), float32, optional
+        Of the irradiance, (W m^-2)^2: what neighbours differ by two standard deviations is no difference.
+    """
+    own = calibration.own_share
+    theirs, opened = calibration.spread(np.stack([irradiance * exposure, exposure]))
+    opened -= own * exposure
+    difference = (theirs - own * irradiance * exposure - irradiance * opened) / own
+    squared = difference**2
+    if variance is not None:
+        noise = calibration.spread_variance(exposure**2 * variance) + opened**2 * variance
+        squared = np.maximum(squared - 4 * noise / own**2, 0)
+    return (squared / 3).astype(np.float32)
 
 
 def separated_variance(calibration: Calibration, variance: Floats) -> Floats:

@@ -10,14 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk, Sample, sample_bounds, separate, take
+from optsim.calibrate.sample import Brightness, Crosstalk, Sample, sample_bounds, separate, take
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.leaves import Leaf
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.tiles import TiledCode
 from optsim.config import Part
 from optsim.forward.motion import changed, grown, without_specks
-from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, PanelState
+from optsim.quantities import Bools, CodedFrame, ExposureCode, PanelState
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class Watch:
         Frames that have arrived.
     last : Sample or None
         The last frame that arrived.
-    estimate : ndarray of shape (v, u), float32
-        Irradiance by each pixel's last unsaturated sample, W m^-2; NaN before there is one.
+    seen : Brightness
+        Of each pixel, from its last samples.
     label : ndarray of shape (v, u), bool
         Pixels that changed between the last two frames, before clean-up.
     """
@@ -48,7 +48,7 @@ class Watch:
     panel: PanelState | None
     n_seen: int
     last: Sample | None
-    estimate: Floats
+    seen: Brightness
     label: Bools
 
 
@@ -99,7 +99,7 @@ class MotionAdaptive(Part):
             None,
             n_seen=0,
             last=None,
-            estimate=np.full(calibration.shape, np.nan, np.float32),
+            seen=Brightness.unknown(calibration.shape),
             label=np.zeros(calibration.shape, np.bool_),
         )
 
@@ -118,19 +118,17 @@ class MotionAdaptive(Part):
     def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
         sample, panel = take(state.calibration, frame, state.panel, self.crosstalk)
         # If nothing moves, saturated pixels give what they gave before: right where the test needs it.
-        sample = separate(state.calibration, sample, state.estimate) if self.crosstalk == "undone" else sample
+        sample = separate(state.calibration, sample, state.seen) if self.crosstalk == "undone" else sample
         label = state.label
         if state.last is not None:
             before, now = (sample_bounds(state.calibration, s) for s in (state.last, sample))
             moved, undecided = changed(before, now, self.threshold_sigma)
             label = np.where(undecided, label, moved)
-        measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
-        estimate = np.where(measured, sample.signal / np.maximum(sample.exposure, 1e-6), state.estimate)
         return replace(
             state,
             panel=panel,
             n_seen=state.n_seen + 1,
             last=sample,
-            estimate=estimate.astype(np.float32),
+            seen=state.seen.after(sample),
             label=label,
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk, separate, take
+from optsim.calibrate.sample import Brightness, Crosstalk, separate, take
 from optsim.quantities import Bools, CodedFrame, Floats, PanelState
 from optsim.reconstruct.layer import Layer
 
@@ -43,14 +43,12 @@ def coded_images(
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
     """Frames with their pixels separated; earlier ones say how bright saturated pixels are."""
     panel: PanelState | None = None
-    estimate = np.full(calibration.shape, np.nan, np.float32)
+    seen = Brightness.unknown(calibration.shape)
     for frame in frames:
         sample, panel = take(calibration, frame, panel, crosstalk)
         if crosstalk == "undone":
-            sample = separate(calibration, sample, estimate)
-        measured = sample.valid & ~sample.saturated & (sample.exposure > 0)
-        mean = sample.signal / np.maximum(sample.exposure, 1e-6)
-        estimate = np.where(measured, mean, estimate).astype(np.float32)
+            sample = separate(calibration, sample, seen)
+        seen = seen.after(sample)
         usable = sample.valid
         yield (
             frame,

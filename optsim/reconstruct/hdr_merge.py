@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false
 """One picture a frame, from the last few in which a pixel stood still (equation 7 of the paper)."""
 
 from __future__ import annotations
@@ -9,11 +10,14 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.special import erfcx
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import (
+    Brightness,
     Crosstalk,
     Sample,
+    attribution_variance,
     nearest,
     noise_variance,
     sample_bounds,
@@ -35,10 +39,12 @@ class HdrMerge(Branch):
     """Merge all unsaturated samples of a pixel since it last changed.
 
     The estimate is the weighted least-squares one, ``sum(W I / var) / sum(W^2 / var)``, which is
-    ``sum(I) / sum(W)`` where shot noise rules. The variances are predicted from the pooled estimate, not from
-    each sample: weights that follow a sample's own noise would bias dark pixels. Any code counts, the
-    paper's mosaic or another. The uncertainty is that of the noise, ``sum(W^2 / var) ** -0.5``: errors of the
-    calibration and motion that nobody noticed are not in it. What is filled is as uncertain as it is bright.
+    ``sum(I) / sum(W)`` where shot noise rules, and then the mean of what it may be without negative light.
+    The variances are predicted from the pooled estimate, not from each sample: weights that follow a sample's
+    own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
+    (:func:`~optsim.calibrate.sample.attribution_variance`): there long exposures are trusted, short ones not.
+    Any code counts, the paper's mosaic or another. The uncertainty, ``sum(W^2 / var) ** -0.5``, holds no
+    other errors of the calibration, nor motion that nobody noticed. What is filled is as uncertain as bright.
 
     Parameters
     ----------
@@ -70,20 +76,26 @@ class HdrMerge(Branch):
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, before negative light is clipped: one image a frame."""
         panel: PanelState | None = None
+        seen = Brightness.unknown(calibration.shape)
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
         for frame in frames:
             sample, panel = take(calibration, frame, panel, crosstalk)
+            if crosstalk == "undone":
+                sample = separate(calibration, sample, seen)
+            seen = seen.after(sample)
             recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
+                alive = [kept.sample.valid for kept in recent]
                 mean, variance, found = _literal(samples)
                 valid = sample.valid
             else:
                 alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
                 mean, variance, found, tainted = _merged(calibration, samples, alive, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
-            mean = _filled(mean, found, sample)
+                mean = positive_mean(mean, variance)
+            mean = _filled(mean, found, _least(samples, alive))
             yield Layer(
                 frame.index,
                 mean[None],
@@ -132,11 +144,12 @@ def _merged(
     usable = [ok & s.valid & ~s.saturated & (s.exposure > 1e-6) for s, ok in zip(samples, alive, strict=True)]
     found = np.logical_or.reduce(usable)
     mean = _ratio([s.signal for s in samples], [s.exposure for s in samples], usable)
+    least = _least(samples, alive)
     bottoms: list[Floats] = []
     for _ in range(_MOST_PASSES):
         if crosstalk == "undone":
             # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
-            known = np.where(found, mean, np.float32(np.nan))
+            known = Brightness(np.where(found, mean, np.float32(np.nan)), least)
             samples = [separate(calibration, s, known) for s in samples]
         tops: list[Floats] = []
         bottoms = []
@@ -145,6 +158,7 @@ def _merged(
             if crosstalk == "undone":
                 measured = calibration.mix(expected)
                 variance = separated_variance(calibration, noise_variance(calibration, measured))
+                variance += attribution_variance(calibration, sample.exposure, np.maximum(mean, 0))
             else:
                 variance = noise_variance(calibration, expected)
             tops.append(sample.signal * sample.exposure / variance)
@@ -178,10 +192,23 @@ def _literal(samples: Sequence[Sample]) -> tuple[Floats, Floats, Bools]:
     return np.mean(quotients, axis=0).astype(np.float32), variance.astype(np.float32), samples[0].valid
 
 
-def _filled(mean: Floats, found: Bools, newest: Sample) -> Floats:
-    """Nearest neighbour where nothing was found, but no less than a saturated newest sample says."""
+def positive_mean(mean: Floats, variance: Floats) -> Floats:
+    """Mean of what may be, given that it isn't negative: a Gaussian cut off at zero.
+
+    Dark pixels are as likely below zero as above, by noise; to clip those below would make them black.
+    """
+    sigma = np.sqrt(np.maximum(variance, 1e-30)).astype(np.float64)
+    more = np.sqrt(2 / np.pi) / erfcx(-mean / sigma / np.sqrt(2))
+    return (mean + sigma * more).astype(np.float32)
+
+
+def _least(samples: Sequence[Sample], alive: Sequence[Bools]) -> Floats:
+    """Greatest of what saturated samples say that there is at least."""
+    return np.max([np.where(ok, s.least, 0) for s, ok in zip(samples, alive, strict=True)], axis=0)
+
+
+def _filled(mean: Floats, found: Bools, least: Floats) -> Floats:
+    """Nearest neighbour where nothing was found, but no less than there is at least."""
     if found.all() or not found.any():
         return mean
-    bound = newest.measured / np.maximum(newest.exposure, 1e-6)
-    least = np.where(newest.saturated & newest.valid, bound, 0)
     return np.where(found, mean, np.maximum(mean[nearest(found)], least)).astype(np.float32)

@@ -1,0 +1,156 @@
+"""HDR merging beside edges, saturation and stray light: wrong guesses of others' light blacken pixels."""
+
+import numpy as np
+import pytest
+from ideal_camera import film, ideal_calibration, still_light
+from scipy import stats
+
+from optsim.calibrate.sample import Brightness, attribution_variance, separate, take
+from optsim.coding import HdrMosaic
+from optsim.quantities import CodedFrame
+from optsim.reconstruct import HdrMerge
+from optsim.reconstruct.hdr_merge import positive_mean
+
+ROWS, COLS = 24, 32
+KERNEL = np.array([[0, 0.03, 0], [0.03, 0.88, 0.03], [0, 0.03, 0]], np.float32)
+
+
+def merged(frames, calibration, **options):
+    *_, result = HdrMerge(**options).decode(frames, calibration)
+    return result
+
+
+def coded_crosstalk(calibration, image, rng):
+    """Four mosaic frames in which neighbours' codes act on the own light: what fringing fields do."""
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
+    shown = []
+    for frame in frames:
+        weights, _ = calibration.weights(frame.code, None)
+        signal = calibration.spread(weights.sum(axis=0)[None])[0] * image * calibration.responsivity_dn
+        dn = signal
+        if rng is not None:
+            dn = rng.poisson(signal) + rng.normal(0, calibration.read_noise_dn, signal.shape)
+        counts = np.clip(np.rint(dn + calibration.black_dn), 0, 16_383).astype(np.uint16)
+        shown.append(CodedFrame(frame.index, counts, frame.code))
+    return shown
+
+
+def test_crosstalk_of_codes_blackens_no_pixel_beside_an_edge():
+    """On flats it is the same as crosstalk of light, so a calibration takes it for that."""
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
+    image = np.full((ROWS, COLS), 0.05, np.float32)
+    image[:, COLS // 2 :] = 0.3
+    found = merged(coded_crosstalk(calibration, image, np.random.default_rng(1)), calibration)
+    dark = found.irradiance_w_m2[0][:, COLS // 2 - 1]
+    # Taken for light, 3 % of a neighbour six times as bright and open 36 times as long is up to six times
+    # what a pixel open for a slot has itself.
+    assert found.valid.all()
+    np.testing.assert_allclose(dark, 0.05, rtol=0.25)
+    # Without noise: long exposures count most, short ones would make it a tenth too dark.
+    exact = merged(coded_crosstalk(calibration, image, None), calibration).irradiance_w_m2[0]
+    np.testing.assert_allclose(exact[:, COLS // 2 - 1], 0.05, rtol=0.05)
+    away = np.r_[0 : COLS // 2 - 2, COLS // 2 + 2 : COLS]
+    np.testing.assert_allclose(found.irradiance_w_m2[0][:, away], image[:, away], rtol=0.15)
+
+
+def test_attribution_is_no_question_in_a_flat_and_known_at_an_edge():
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
+    exposure = np.random.default_rng(0).integers(1, 37, (ROWS, COLS)).astype(np.float32)
+    flat = attribution_variance(calibration, exposure, np.full((ROWS, COLS), 0.2, np.float32))
+    np.testing.assert_allclose(flat, 0, atol=1e-9)
+    image = np.full((ROWS, COLS), 0.1, np.float32)
+    image[:, 16:] = 0.5
+    found = attribution_variance(calibration, exposure, image)
+    # Column 15 takes 3 % of column 16: its light, or the own in its place.
+    expected = (0.03 / 0.88 * exposure[:, 16] * 0.4) ** 2 / 3
+    np.testing.assert_allclose(found[:, 15], expected, rtol=1e-3)
+    np.testing.assert_allclose(found[:, :14], 0, atol=1e-9)
+
+
+def test_noise_alone_makes_no_question_of_attribution():
+    calibration = ideal_calibration(64, 64, crosstalk=KERNEL)
+    frame = film(calibration, HdrMosaic(), [still_light(np.full((64, 64), 0.1))], np.random.default_rng(2))[0]
+    sample, _ = take(calibration, frame, None, "undone")
+    noise = sample.variance
+    true = 0.1 * sample.exposure
+    shortest = np.isclose(sample.exposure, 1)
+    # 1024 pixels, so 4.4 % and five of these: at most half as much again as the noise found is predicted.
+    ratio = noise[shortest].mean() / ((sample.signal - true)[shortest] ** 2).mean()
+    assert 0.78 < ratio < 1.5
+
+
+def test_what_saturates_in_all_frames_is_at_least_what_the_shortest_says():
+    calibration = ideal_calibration(ROWS, COLS)
+    image = np.full((ROWS, COLS), 0.2, np.float32)
+    image[8:16, 8:20] = 400.0
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(3))
+    found = merged(frames, calibration)
+    # 15 000 DN less black, 270 DN per slot and W m^-2; the clip of 16 383 DN is the most it can say.
+    low, high = (15_000 - 64) / 270, (16_383 - 64) / 270
+    inside = found.irradiance_w_m2[0][8:16, 8:20]
+    assert low <= inside.min()
+    assert inside.max() <= high * 1.01
+    assert found.interpolated[8:16, 8:20].all()
+
+
+def test_what_a_light_was_at_least_is_forgotten_when_it_gets_darker():
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
+    before, after = (np.full((ROWS, COLS), 0.2, np.float32) for _ in range(2))
+    before[8:16, 8:20], after[8:16, 8:20] = 400.0, 2.0
+    # 2 W m^-2 still saturates in 36 slots: how much of it gets beside is known from shorter exposures since.
+    lights = [still_light(before)] * 4 + [still_light(after)] * 3
+    found = merged(film(calibration, HdrMosaic(), lights, None), calibration)
+    # Where it saturated once more, the share of a frame that isn't known is of the new light, not of the old.
+    beside = found.irradiance_w_m2[0][7, 8:20]
+    assert np.median(beside) == pytest.approx(0.2, rel=0.7)
+    assert beside.max() < 0.5
+
+
+def test_stray_light_of_what_saturates_is_taken_out():
+    """A long exposure of the sun says little of its light; the shortest one says most."""
+    veiled = ideal_calibration(ROWS, COLS, veil=0.02)
+    image = np.full((ROWS, COLS), 0.02, np.float32)
+    image[4:12, 4:12] = 50.0  # just below saturation in one slot
+    frames = film(ideal_calibration(ROWS, COLS), HdrMosaic(), [still_light(image)] * 8, None)
+    shown = []
+    for frame in frames:
+        weights, _ = veiled.weights(frame.code, None)
+        signal = veiled.mix((weights * image).sum(axis=0)) * veiled.responsivity_dn
+        counts = np.clip(np.rint(signal + veiled.black_dn), 0, 16_383).astype(np.uint16)
+        shown.append(CodedFrame(frame.index, counts, frame.code))
+    found = merged(shown, veiled).irradiance_w_m2[0]
+    # The veil is 2 % of 7 slots and 4 W m^-2 on average: thirty times the dark pixels' own light.
+    np.testing.assert_allclose(found[16:, 16:], 0.02, rtol=0.2)
+
+
+def test_bounds_are_kept_until_a_pixel_is_measured_again():
+    calibration = ideal_calibration(4, 4)
+    bright, dark = still_light(np.full((4, 4), 400.0)), still_light(np.full((4, 4), 0.2))
+    frames = film(calibration, HdrMosaic(), [bright] * 4 + [dark], None)
+    seen, panel, most = Brightness.unknown((4, 4)), None, np.zeros((4, 4), np.float32)
+    for frame in frames[:4]:
+        sample, panel = take(calibration, frame, panel, "undone")
+        seen = seen.after(sample)
+        most = np.maximum(most, sample.least)
+    assert np.isnan(seen.irradiance).all()
+    np.testing.assert_array_equal(seen.least, most)
+    assert seen.least.min() > 50
+    separated = separate(calibration, sample, seen)
+    np.testing.assert_allclose(separated.signal, most * sample.exposure, rtol=1e-5)
+    sample, panel = take(calibration, frames[4], panel, "undone")
+    seen = seen.after(sample)
+    assert not seen.least.any()
+    np.testing.assert_allclose(seen.irradiance, 0.2, rtol=0.05)
+
+
+@pytest.mark.parametrize("ratio", [-40.0, -3.0, 0.0, 0.5, 6.0, 100.0])
+def test_dark_pixels_are_the_mean_of_what_they_may_be(ratio):
+    sigma = 0.02
+    found = positive_mean(np.array([ratio * sigma], np.float32), np.array([sigma**2], np.float32))[0]
+    oracle = stats.truncnorm.mean(-ratio, np.inf, loc=ratio * sigma, scale=sigma)
+    assert found == pytest.approx(oracle, rel=1e-4)
+
+
+def test_without_noise_nothing_is_added():
+    measured = np.array([-1.0, 0.0, 0.3], np.float32)
+    np.testing.assert_allclose(positive_mean(measured, np.zeros(3, np.float32)), [0, 0, 0.3], atol=1e-12)
