@@ -21,10 +21,11 @@ from optsim.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
 from optsim.reconstruct.layer import Branch, Layer
 from optsim.reconstruct.mixture import Mixture, load_mixture, shipped_mixture
-from optsim.reconstruct.patch_codes import nominal_tile, overlap, patch_corners, phase_weights, tile_phases
+from optsim.reconstruct.patch_codes import overlap, patch_corners
 from optsim.reconstruct.posterior import Seen, posterior, seen_through
 from optsim.reconstruct.posterior_spread import Spread
 from optsim.reconstruct.prior_file import check_fit
+from optsim.reconstruct.shared_weights import shared_weights
 
 # Patches whose videos are held at once: 256 of 8 x 8 x 36 are 2.4 MB.
 _TOGETHER = 256
@@ -50,11 +51,9 @@ class GaussianMixture(Branch):
         Distance of patches; 1 costs four times as much as 2.
     noise_gain : float
         Standard deviation of the noise taken, relative to the one predicted; more smooths more.
-    tile_px : int
-        Period of the code, panel pixels; patches that deviate are solved one by one.
     weight_tolerance : float
-        Relative rms deviation of a patch's weights from those of its tile phase beyond which it is solved
-        with its own.
+        Relative rms deviation of a patch's weights from those of its place in the repeated tile beyond which
+        it is solved with its own.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the image or added to the weights.
     uncertainty : bool
@@ -71,7 +70,6 @@ class GaussianMixture(Branch):
     single: bool = False
     stride_px: int = Field(default=2, ge=1, le=8)
     noise_gain: float = Field(default=1.0, gt=0)
-    tile_px: int = Field(default=8, ge=1, le=64)
     weight_tolerance: float = Field(default=0.02, ge=0)
     crosstalk: Crosstalk = "undone"
     uncertainty: bool = False
@@ -96,8 +94,9 @@ class GaussianMixture(Branch):
     ) -> tuple[Floats, Floats, Floats | None]:
         """Sum of all patches over each pixel, (v, u, slot), their number, and mean of their variances."""
         size = prior.patch
-        nominal = nominal_tile(image.weights, frame.code.moving & image.usable, self.tile_px)
-        phase = tile_phases(image.weights, nominal, corners, size, self.weight_tolerance)
+        known = frame.code.moving & image.usable
+        common = shared_weights(image.weights, known, corners, size, self.weight_tolerance)
+        phase = common.phase
         cut = (_patches(each, corners, size) for each in (image.signal, image.exposure, image.variance))
         signals, exposure, variance = cut
         # In the dark it may come out negative: what noise leaves of a patch then is that, without a bias.
@@ -126,8 +125,7 @@ class GaussianMixture(Branch):
             return own
 
         def shared(members: Ints) -> Floats | None:
-            weights = phase_weights(nominal, int(phase[members[0]]), size)
-            return answer(seen_through(prior, weights), members)
+            return answer(seen_through(prior, common.weights(int(phase[members[0]]))), members)
 
         def alone(members: Ints) -> Floats | None:
             v, u = corners[members[0]]

@@ -18,6 +18,7 @@ from optsim.quantities import Bools, Floats, Ints
 from optsim.reconstruct.coded_images import CodedImage
 from optsim.reconstruct.dictionary import Dictionary
 from optsim.reconstruct.matching_pursuit import pursue
+from optsim.reconstruct.shared_weights import SharedWeights
 
 _STRIP = 16
 # Patches of a job: enough that a matrix shared by them costs little, few enough to keep all cores at work.
@@ -52,52 +53,6 @@ def _starts(length: int, patch: int, stride: int) -> Ints:
     return starts if starts[-1] == length - patch else np.append(starts, length - patch)
 
 
-def nominal_tile(weights: Floats, mask: Bools, tile: int, n_max: int = 101) -> Floats:
-    """Median weights of each place in the repeated tile, over pixels of a mask: array of shape (v, u, slot).
-
-    The median is that of the pixels in steady state, even while a few come out of another code.
-    Places with no pixel in the mask are 0.
-    """
-    nominal = np.zeros((tile, tile, weights.shape[2]), np.float32)
-    for v in range(tile):
-        for u in range(tile):
-            pixels = weights[v::tile, u::tile][mask[v::tile, u::tile]]
-            if len(pixels):
-                nominal[v, u] = np.median(pixels[:: -(-len(pixels) // n_max)], axis=0)
-    return nominal
-
-
-def deviating(weights: Floats, nominal: Floats, corners: Ints, patch: int, tolerance: float) -> Bools:
-    """Patches whose weights differ from the tile by more than a relative rms: array of shape (n,)."""
-    rows, cols, _ = weights.shape
-    tile = nominal.shape[0]
-    v = np.mod(np.arange(rows), tile)
-    u = np.mod(np.arange(cols), tile)
-    error = np.empty((rows, cols))
-    for row in range(rows):
-        error[row] = ((weights[row] - nominal[v[row], u]) ** 2).sum(axis=1, dtype=np.float64)
-    energy = (nominal.astype(np.float64) ** 2).sum(axis=2)[v[:, None], u]
-    sums = [np.pad(image.cumsum(0).cumsum(1), ((1, 0), (1, 0))) for image in (error, energy)]
-    top, left = corners[:, 0], corners[:, 1]
-    bottom, right = top + patch, left + patch
-    error, energy = (s[bottom, right] - s[top, right] - s[bottom, left] + s[top, left] for s in sums)
-    return error > tolerance**2 * energy
-
-
-def tile_phases(weights: Floats, nominal: Floats, corners: Ints, patch: int, tolerance: float) -> Ints:
-    """Where in the tile each patch begins, row by row; -1 for those :func:`deviating` from it."""
-    tile = nominal.shape[0]
-    own = deviating(weights, nominal, corners, patch, tolerance)
-    return np.where(own, -1, corners[:, 0] % tile * tile + corners[:, 1] % tile)
-
-
-def phase_weights(nominal: Floats, phase: int, patch: int) -> Floats:
-    """Weights (pixel, slot) of the patches that begin at a place of the tile."""
-    tile = nominal.shape[0]
-    v, u = (np.mod(first + np.arange(patch), tile) for first in divmod(phase, tile))
-    return nominal[v[:, None], u].reshape(patch**2, -1)
-
-
 @dataclass(frozen=True, eq=False)
 class PatchCoder:
     """A dictionary laid out for measuring: used for all frames of a video.
@@ -128,28 +83,24 @@ class PatchCoder:
         self,
         image: CodedImage,
         corners: Ints,
-        nominal: Floats,
-        tolerance: float,
+        shared: SharedWeights,
         *,
         cap: int,
         noise_gain: float,
-    ) -> tuple[Ints, Floats, int]:
+    ) -> tuple[Ints, Floats]:
         """Sparse codes of the patches at ``corners``.
 
-        Patches within ``tolerance`` of the repeated tile share one matrix a tile phase; the others get
-        their own. Blocks run in threads; the result does not depend on how many.
+        Patches that share their weights share one matrix; the others get their own. Blocks run in threads;
+        the result does not depend on how many.
 
         Returns
         -------
         support, amounts : ndarray of shape (patch, cap), int64 and float32
             Atoms and coefficients; -1 after the last.
-        n_own : int
-            Patches that needed a matrix of their own.
         """
         patch = self.atoms.shape[1]
         support = np.empty((len(corners), cap), np.int64)
         amounts = np.empty((len(corners), cap), np.float32)
-        phase = tile_phases(image.weights, nominal, corners, patch, tolerance)
 
         def run(number: int, members: Ints) -> None:
             signals, stop = _gather(image.signal, image.variance, corners[members], patch)
@@ -158,19 +109,18 @@ class PatchCoder:
             if number < 0:
                 _encode_own(self.by_pixel, self.sums, image.weights, corners[members], signals, stop, *codes)
             else:
-                weights = phase_weights(nominal, number, patch)
-                _encode_shared(self.by_pixel, self.sums, weights, signals, stop, *codes)
+                _encode_shared(self.by_pixel, self.sums, shared.weights(number), signals, stop, *codes)
             support[members], amounts[members] = codes
 
         jobs: list[tuple[int, Ints]] = []
-        for number in np.unique(phase):
-            members = np.flatnonzero(phase == number)
+        for number in np.unique(shared.phase):
+            members = np.flatnonzero(shared.phase == number)
             block = _OWN_BLOCK if number < 0 else _SHARED_BLOCK
             jobs += [(number, members[first : first + block]) for first in range(0, len(members), block)]
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             for done in [pool.submit(run, int(n), members) for n, members in jobs]:
                 done.result()
-        return support, amounts, int((phase < 0).sum())
+        return support, amounts
 
     def paint(
         self, corners: Ints, support: Ints, amounts: Floats, shape: tuple[int, int]

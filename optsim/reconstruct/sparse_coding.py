@@ -14,17 +14,18 @@ from optsim.quantities import CodedFrame
 from optsim.reconstruct.coded_images import coded_images, covered
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.reconstruct.layer import Branch, Layer
-from optsim.reconstruct.patch_codes import PatchCoder, nominal_tile, overlap, patch_corners
+from optsim.reconstruct.patch_codes import PatchCoder, overlap, patch_corners
 from optsim.reconstruct.prior_file import check_fit
+from optsim.reconstruct.shared_weights import shared_weights
 
 
 class SparseCoding(Branch):
     """Orthogonal matching pursuit patch by patch, overlapping patches averaged.
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
-    pixel gains are divided out first, crosstalk is undone (or added to the weights), and the weights of a
-    repeated tile are shared: see ``weight_tolerance``. A saturated pixel counts with its bound, the least
-    light that it may have had: without it a patch in the sun would be black.
+    pixel gains are divided out first, crosstalk is undone (or added to the weights), and patches share their
+    weights where the code repeats, with whatever period: see ``weight_tolerance``. A saturated pixel counts
+    with its bound, the least light that it may have had: without it a patch in the sun would be black.
 
     Parameters
     ----------
@@ -36,11 +37,9 @@ class SparseCoding(Branch):
         Cap of a patch's atoms; more than 10 buy nothing from 64 measurements.
     noise_gain : float
         Patches are done at this many times the predicted rms noise (equation 4's epsilon).
-    tile_px : int
-        Period of the code, panel pixels; patches that deviate get a matrix of their own.
     weight_tolerance : float
-        Relative rms deviation of a patch's weights from those of its tile phase beyond which it gets a
-        matrix of its own; 0 gives it to all that deviate at all.
+        Relative rms deviation of a patch's weights from those of its place in the repeated tile beyond which
+        it gets a matrix of its own; 0 gives it to all that deviate at all.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the image or added to the weights.
     """
@@ -50,7 +49,6 @@ class SparseCoding(Branch):
     stride_px: int = Field(default=1, ge=1, le=8)
     max_atoms: int = Field(default=10, ge=1, le=64)
     noise_gain: float = Field(default=1.1, ge=0)
-    tile_px: int = Field(default=8, ge=1, le=64)
     weight_tolerance: float = Field(default=0.02, ge=0)
     crosstalk: Crosstalk = "undone"
 
@@ -61,14 +59,10 @@ class SparseCoding(Branch):
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             moving = frame.code.moving
             corners = patch_corners(moving, patch, self.stride_px)
-            nominal = nominal_tile(image.weights, moving & image.usable, self.tile_px)
-            support, amounts, _ = coder.encode(
-                image,
-                corners,
-                nominal,
-                self.weight_tolerance,
-                cap=self.max_atoms,
-                noise_gain=self.noise_gain,
+            tolerance = self.weight_tolerance
+            shared = shared_weights(image.weights, moving & image.usable, corners, patch, tolerance)
+            support, amounts = coder.encode(
+                image, corners, shared, cap=self.max_atoms, noise_gain=self.noise_gain
             )
             total, count = coder.paint(corners, support, amounts, calibration.shape)
             yield covered(frame, image, total, count, overlap(calibration.shape, patch, self.stride_px))
