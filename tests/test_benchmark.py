@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from ideal_camera import ideal_calibration
 
 from optsim import benchmark
-from optsim.benchmark import capture
+from optsim.benchmark import capture, gmm, made_film
 from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
 from optsim.errors import ConfigError
@@ -90,3 +91,38 @@ def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(share):
     pictures = np.stack([radiance.load(segment).instant(i) for segment in (0, 1) for i in (0, 9, 17)])
     moved = np.mean(np.ptp(pictures, axis=0) > 1e-4 * pictures.mean(axis=0))
     assert 0.8 * share < moved <= share
+
+
+def test_the_plain_mixture_is_ours(monkeypatch):
+    """The dense computation beside which the decoder is timed gives its picture, at a mask's edge too."""
+    for name, value in {"_SIDE": 28, "_CORNER": 12, "_SQUARE": 64, "_ROUNDS": 1}.items():
+        monkeypatch.setattr(gmm, name, value)
+    found = gmm.measure("gmm.36x256")
+    conditions = found["conditions"]
+    # Float32 of some hundred products.
+    assert 0 < conditions["max_difference"] < 1e-5
+    # Patches start at 0, 2 .. 20 on each axis; those that touch the corner at 0, 2 .. 10.
+    assert (conditions["patches"], conditions["peer_patches"]) == (121, 36)
+    assert found["value"] * conditions["seconds"] == pytest.approx(1)
+    assert found["ratio"] == pytest.approx(found["value"] / found["peer_value"])
+    assert conditions["seconds_over_sgemm"] > 0
+
+
+def test_the_made_film_moves_hides_and_exposes_as_stated():
+    film = made_film.made_film(40, 48, 36, np.random.default_rng(1))
+    assert film.shape == (36, 40, 48)
+    assert 0.05 <= film.min() < 0.2 < 0.8 < film.max() <= 1
+    changed = np.ptp(film, axis=0) > 0.1
+    assert 0.2 < changed.mean() < 1
+    calibration = ideal_calibration(40, 48)
+    levels = np.full((36, 40, 48), 255, np.uint8)
+    code = ExposureCode(levels, np.ones((40, 48), np.bool_))
+    frame, scale = made_film.photograph(calibration, code, film, np.random.default_rng(2))
+    dn = frame.dn.astype(float) - 64
+    expected = film.sum(axis=0) * scale * 270
+    assert expected.max() == pytest.approx(2 / 3 * (15_000 - 64), rel=1e-5)
+    # Shot noise at one DN an electron, and 3 DN of the readout: 1920 pixels tell its variance within 3.2 %,
+    # three and a half standard errors are 11 %.
+    error = (dn - expected) / np.sqrt(expected + 9)
+    assert np.square(error).mean() == pytest.approx(1, abs=0.11)
+    assert abs(error.mean()) < 4 / np.sqrt(error.size)

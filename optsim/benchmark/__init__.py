@@ -19,6 +19,7 @@ Record = dict[str, Any]
 ALL: dict[str, str] = {
     "capture.paper_20_percent": "capture",
     "capture.paper_all_moving": "capture",
+    "gmm.36x256": "gmm",
     "omp.k2000": "omp",
     "omp.k5000": "omp",
     "omp.k10000": "omp",

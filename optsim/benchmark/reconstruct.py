@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from optsim.benchmark.made_film import photograph
 from optsim.calibrate.calibration import Calibration
 from optsim.coding import RandomExposure
 from optsim.hardware import prototype
@@ -87,20 +88,11 @@ def _frame(calibration: Calibration, rng: np.random.Generator) -> CodedFrame:
     """Make a coded frame of drifting textures, all of whose pixels are said to move."""
     scheme = RandomExposure()
     code, _ = scheme.next(0, [], scheme.init(calibration, rng))
-    weights, _ = calibration.weights(code, None)
     texture = ndimage.gaussian_filter(rng.standard_normal((_ROWS, _COLS), np.float32), 3, mode="wrap")
     light = np.exp(0.5 * texture / texture.std())
-    shifted = sum(w * np.roll(light, t // 2, axis=1) for t, w in enumerate(weights))
-    exposure: Floats = calibration.spread(np.asarray(shifted, np.float32)[None])[0]
-    # Two thirds of the range for the brightest pixel.
-    counts = calibration.black_dn + exposure / exposure.max() * calibration.saturation_dn * 2 / 3
-    electrons = rng.poisson((counts - calibration.black_dn) / calibration.dn_per_e)
-    noisy = calibration.black_dn + electrons * calibration.dn_per_e
-    noisy = noisy + rng.normal(0, calibration.read_noise_dn, noisy.shape)
-    shape = int(calibration.pick_row.max()) + 1, int(calibration.pick_col.max()) + 1
-    dn = np.zeros(shape, np.uint16)
-    dn[calibration.pick_row, calibration.pick_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
-    return CodedFrame(0, dn, code)
+    drifting: list[Floats] = [np.roll(light, t // 2, axis=1) for t in range(calibration.slots_per_frame)]
+    frame, _ = photograph(calibration, code, drifting, rng)
+    return frame
 
 
 def _moving(frame: CodedFrame, share: float) -> CodedFrame:
