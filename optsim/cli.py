@@ -290,15 +290,14 @@ def bench(
     names: Names = None,
     as_json: Json = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for records.json and, of renders, time_against_error.svg.")
+        Path | None, typer.Option(help="Folder for records.json and pictures of renders and decoders.")
     ] = None,
 ) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer.
 
-    A NAME is a record or a family of them: capture, omp, render.
+    A NAME is a record or a family of them: capture, gmm, omp, reconstruct, render.
     """
     from optsim import benchmark
-    from optsim.benchmark.curve import time_against_error
     from optsim.console import page, people, progress_bars, table
     from optsim.files import write_json, write_text
 
@@ -306,8 +305,8 @@ def bench(
         found = benchmark.measure_all(names or [], progress)
     if out is not None:
         write_json(out / "records.json", found)
-        if any("curve" in record["conditions"] for record in found):
-            write_text(out / "time_against_error.svg", time_against_error(found))
+        for name, drawing in benchmark.pictures(found).items():
+            write_text(out / name, drawing)
         people.print(f"Written to {out}.")
     if as_json:
         print_json(found)

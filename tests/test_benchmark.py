@@ -5,7 +5,8 @@ import pytest
 from ideal_camera import ideal_calibration
 
 from optsim import benchmark
-from optsim.benchmark import capture, gmm, made_film
+from optsim.benchmark import capture, gmm, made_film, quality
+from optsim.benchmark.axes import Axes, even_numbers, round_numbers
 from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
 from optsim.errors import ConfigError
@@ -13,6 +14,7 @@ from optsim.hardware import demo
 from optsim.optics.objective import CORE_SHARE
 from optsim.progress import silent
 from optsim.quantities import ExposureCode
+from optsim.reconstruct import ALL, Average, GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
 
 
 def record(name="render.x", curve=()):
@@ -126,3 +128,45 @@ def test_the_made_film_moves_hides_and_exposes_as_stated():
     error = (dn - expected) / np.sqrt(expected + 9)
     assert np.square(error).mean() == pytest.approx(1, abs=0.11)
     assert abs(error.mean()) < 4 / np.sqrt(error.size)
+
+
+def test_quality_is_that_of_every_decoder_of_moving_light(monkeypatch):
+    kinds = {type(decoder) for _, _, decoder in quality.decoders()}
+    # The merge is of what stands still, the union is made of it and of one of the others.
+    assert kinds == set(ALL) - {HdrMerge, Union}
+    average = next(d for line, setting, d in quality.decoders() if (line, setting) == ("average", "stride 4"))
+    assert average == Average(sparse=SparseCoding(stride_px=4), mixture=GaussianMixture(stride_px=4))
+    few = [("interpolation", "", Interpolation())]
+    few += [("gaussian_mixture", f"stride {n}", GaussianMixture(stride_px=n)) for n in (8, 2)]
+    monkeypatch.setattr(quality, "decoders", lambda: few)
+    monkeypatch.setattr(quality, "_SIDE", 48)
+    found = quality.measure("reconstruct.quality")
+    points = found["conditions"]["quality"]
+    levels = {f"{p['decoder']} {p['setting']}": p["psnr_db"] for p in points}
+    still = found["conditions"]["long_exposure_psnr_db"]
+    # Light in the unit of the film: otherwise no decoder would come near it, nor above the blur.
+    assert still < min(levels.values()) < max(levels.values()) < still + 10
+    assert levels["gaussian_mixture stride 8"] < levels["gaussian_mixture stride 2"] == found["value"]
+    assert found["ratio"] == pytest.approx(10 ** ((found["value"] - levels["interpolation "]) / 10))
+    drawn = benchmark.pictures([found, {"conditions": {}}])
+    assert set(drawn) == {"quality_against_time.svg"}
+    text = drawn["quality_against_time.svg"]
+    assert (text.count("<polyline"), text.count("<circle")) == (2, 3)
+    assert ">stride 8 .. stride 2<" in text
+    assert set(benchmark.pictures([record(curve=[])])) == {"time_against_error.svg"}
+
+
+def test_psnr_is_of_a_white_of_one():
+    film = np.full((2, 3, 3), 0.5, np.float32)
+    assert quality.psnr_db(film + np.float32(0.1), film) == pytest.approx(20, abs=1e-4)
+
+
+def test_places_in_a_picture_follow_its_ticks():
+    axes = Axes(10, 110, 20, 60, round_numbers(0.3, 15), even_numbers(16.2, 19.5, 1.0), log_up=False)
+    assert axes.across == pytest.approx([0.2, 0.5, 1, 2, 5, 10, 20])
+    assert axes.up == [16, 17, 18, 19, 20]
+    assert axes.place(2, 17) == pytest.approx((60, 50))
+    assert axes.place(0.2, 20) == pytest.approx((10, 20))
+    both = Axes(10, 110, 20, 60, [1, 10, 100], [0.01, 0.1, 1.0])
+    assert both.place(10, 0.1) == pytest.approx((60, 40))
+    assert sum("5 %" in part for part in Axes(0, 9, 0, 9, [1, 2], [0.05, 0.1]).grid("%", 100)) == 1

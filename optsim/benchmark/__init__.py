@@ -24,6 +24,7 @@ ALL: dict[str, str] = {
     "omp.k5000": "omp",
     "omp.k10000": "omp",
     "reconstruct.moving_share": "reconstruct",
+    "reconstruct.quality": "quality",
     "render.window_room": "render",
     "render.half_moving": "render",
     "render.moving_camera": "render",
@@ -61,3 +62,17 @@ def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Recor
         out.append(cast("Callable[[str, Progress], Record]", module.measure)(name, progress))
     progress("bench", len(chosen), len(chosen))
     return out
+
+
+def pictures(records: Sequence[Record]) -> dict[str, str]:
+    """Draw the records that have something to draw: SVG by file name."""
+    from optsim.benchmark.curve import time_against_error
+    from optsim.benchmark.quality_curve import quality_against_time
+
+    drawn: dict[str, str] = {}
+    if any("curve" in record["conditions"] for record in records):
+        drawn["time_against_error.svg"] = time_against_error(records)
+    for record in records:
+        if "quality" in record["conditions"]:
+            drawn["quality_against_time.svg"] = quality_against_time(record)
+    return drawn

@@ -141,7 +141,7 @@ def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "arcp"})
 def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
-    """Logarithm of a component's share times its density at each signal, but for what all components share."""
+    """Logarithm of a component's share times its density, but for what all components share."""
     n = len(powers)
     for p in range(len(turned)):
         level = noise[p, 0]
