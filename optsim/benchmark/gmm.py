@@ -27,7 +27,7 @@ from optsim.reconstruct.mixture import Mixture, shipped_mixture
 from optsim.reconstruct.patch_codes import patch_corners
 
 _SIDE, _CORNER, _TILE = 256, 48, 8
-_ROUNDS = 5
+_ROUNDS, _PEER_ROUNDS = 5, 3
 _WANTED_S = 0.5
 # Components less likely than this beside the best one are left out, by both.
 _NEGLIGIBLE = 1e-3
@@ -88,7 +88,7 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
             "note": f"stride {decoder.stride_px}, made film, counts to video; best of {_ROUNDS}, in turn "
             f"with products of {_SQUARE}-square float32 matrices on all cores; gflop counts the products of "
             f"matrices that the estimator is made of; the peer decoded a corner of {_CORNER} x {_CORNER} "
-            "pixels once and is scaled by patches; difference there, relative to the brightest",
+            f"pixels, best of {_PEER_ROUNDS}, scaled by patches; difference there, relative to the brightest",
         },
     }
 
@@ -117,11 +117,12 @@ def _peer(
     cut = CodedFrame(frame.index, frame.dn, ExposureCode(frame.code.levels, corner))
     ours = next(decoder.decode([cut], calibration)).irradiance_w_m2[:, corner]
     ((_, image),) = coded_images([cut], calibration, decoder.crosstalk)
-    start = time.perf_counter()
-    video = _plain(
-        prior, image, [(int(v), int(u)) for v, u in patch_corners(corner, prior.patch, decoder.stride_px)]
-    )
-    seconds = time.perf_counter() - start
+    corners = [(int(v), int(u)) for v, u in patch_corners(corner, prior.patch, decoder.stride_px)]
+    seconds, video = np.inf, np.zeros(image.weights.shape)
+    for _ in range(_PEER_ROUNDS):
+        start = time.perf_counter()
+        video = _plain(prior, image, corners)
+        seconds = min(seconds, time.perf_counter() - start)
     theirs = np.maximum(video, 0)[corner].T
     return seconds, float(np.abs(ours - theirs).max() / np.abs(theirs).max())
 
