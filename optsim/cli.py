@@ -270,18 +270,19 @@ def explain(
 def train(
     prior: Annotated[Literal["dictionary", "mixture"], typer.Argument(help="What to learn.")] = "dictionary",
     out: Annotated[Path | None, typer.Option(help="File to write; default the shipped one.")] = None,
-    size: Annotated[
-        int | None, typer.Option(min=1, max=20000, help="Atoms (1000) or Gaussians (20).")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of scenes, patches and start.")] = 1,
+    size: Annotated[int | None, typer.Option(min=1, max=20000, help="Atoms or Gaussians.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of footage, patches and start.")] = 1,
+    footage: Annotated[Literal["scene", "leaves", "both"], typer.Option(help="To learn from.")] = "scene",
     backend: Backend = None,
 ) -> None:
-    """Learn a decoder's prior from renders of scenes/training_mix."""
+    """Learn a prior from renders of scenes/training_mix, moving leaves with its textures, or both."""
     from optsim.console import people, progress_bars
     from optsim.train import train_shipped
 
     with progress_bars() as progress:
-        path = train_shipped(prior, out, size=size, seed=seed, backend=backend, progress=progress)
+        path = train_shipped(
+            prior, out, size=size, seed=seed, footage=footage, backend=backend, progress=progress
+        )
     people.print(f"Wrote {path}")
 
 

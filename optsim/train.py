@@ -1,7 +1,9 @@
-"""``optsim train``: render training footage, learn a prior, write the small file that ships."""
+"""``optsim train``: make training footage, learn a prior, write the small file that ships."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
@@ -21,10 +23,43 @@ from optsim.scene import Scene
 
 SCENE = "training_mix"
 Prior = Literal["dictionary", "mixture"]
+Footage = Literal["scene", "leaves", "both"]
 # Small panels with the demo's field of view: speeds in pixels per slot are those that decoders will meet.
 _VIEW = View(rows=120, cols=160, samples_per_pitch=1, tan_half_width=0.32)
 _TIMING = Timing(slot_s=1 / 180, slots_per_frame=36, n_frames=2)
 _SAMPLES = 64
+# Clips of moving leaves, and how many are drawn and kept at a time: what a stop loses.
+_LEAVES, _BATCH = 400, 25
+
+
+def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
+    """Clips of leaves, (slot, v, u), that carry the textures of the training scene; cached."""
+    from optsim import scene
+    from optsim.scene.materials import Diffuse, Plastic
+    from optsim.scene.moving_leaves import moving_leaves
+    from optsim.scene.textures import reflectance_map
+
+    cache = Cache()
+    materials = scene.load_scene(SCENE).materials.values()
+    painted = [each for each in materials if isinstance(each, Diffuse | Plastic)]
+    named = [each.texture for each in painted if each.texture is not None]
+    textures = [reflectance_map(name) for name in named]
+    clips: list[Floats] = []
+
+    def one(number: int) -> Floats:
+        return moving_leaves(textures, np.random.default_rng([seed, number]))
+
+    for first in range(0, _LEAVES, _BATCH):
+        progress("training footage", first, _LEAVES)
+
+        def make(first: int = first) -> Mapping[str, Floats]:
+            with ThreadPoolExecutor() as pool:
+                return {"clips": np.stack(list(pool.map(one, range(first, first + _BATCH))))}
+
+        key = hash_of("moving leaves", named, seed, first, _BATCH, __version__)
+        clips += list(np.array(cache.get(key, make)["clips"]))
+    progress("training footage", _LEAVES, _LEAVES)
+    return clips
 
 
 def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dict[str, Floats]:
@@ -35,7 +70,7 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
     names = scene.list_scenes()[SCENE]
     clips: dict[str, Floats] = {}
     for done, name in enumerate(names):
-        progress("training footage", done, len(names))
+        progress("rendered footage", done, len(names))
         chosen = scene.load_scene(SCENE, name)
         if chosen.reserved:
             raise ConfigError(
@@ -52,7 +87,7 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
 
         key = hash_of("training clip", chosen.model_dump(mode="json"), seed, _SAMPLES, __version__)
         clips[name] = np.array(cache.get(key, make)["clip"])
-    progress("training footage", len(names), len(names))
+    progress("rendered footage", len(names), len(names))
     return clips
 
 
@@ -62,10 +97,11 @@ def train_shipped(
     *,
     size: int | None = None,
     seed: int = 1,
+    footage: Footage = "scene",
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Path:
-    """Learn a prior from the training scene and write it.
+    """Learn a prior from the training scene, moving leaves with its textures or both, and write it.
 
     Parameters
     ----------
@@ -76,11 +112,13 @@ def train_shipped(
     size : int, optional
         Atoms or Gaussians.
     seed : int
-        Of renders, patches and where learning begins.
+        Of footage, patches and where learning begins.
+    footage : {"scene", "leaves", "both"}
+        Renders of the training scene's variations, or clips of :mod:`optsim.scene.moving_leaves`.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of slots rendered and of iterations.
+        Told of clips, of slots rendered and of iterations.
 
     Returns
     -------
@@ -95,15 +133,20 @@ def train_shipped(
     path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
     if path.suffix != ".npz":
         raise ConfigError(f"--out {path}: expected a name that ends in .npz")
-    clips = training_clips(seed=seed, backend=backend, progress=progress)
-    footage = list(clips.values())
+    sized = "" if size is None else f" --size {size}"
     record: dict[str, Any] = {
-        "command": f"optsim train {prior}{'' if size is None else f' --size {size}'} --seed {seed}",
+        "command": f"optsim train {prior}{sized} --seed {seed} --footage {footage}",
         "scene": SCENE,
-        "variations": list(clips),
-        "samples": _SAMPLES,
         "optsim": __version__,
     }
+    clips: list[Floats] = []
+    if footage != "scene":
+        clips += leaf_clips(seed=seed, progress=progress)
+        record["moving_leaves"] = len(clips)
+    if footage != "leaves":
+        rendered = training_clips(seed=seed, backend=backend, progress=progress)
+        clips += rendered.values()
+        record |= {"variations": list(rendered), "samples": _SAMPLES}
     common: dict[str, Any] = {
         "rng": np.random.default_rng(seed),
         "provenance": record,
@@ -111,8 +154,8 @@ def train_shipped(
     }
     if prior == "dictionary":
         wanted = {} if size is None else {"n_atoms": size}
-        save_dictionary(path, train_dictionary(footage, **wanted, **common))
+        save_dictionary(path, train_dictionary(clips, **wanted, **common))
     else:
         wanted = {} if size is None else {"n_components": size}
-        save_mixture(path, train_mixture(footage, **wanted, **common))
+        save_mixture(path, train_mixture(clips, **wanted, **common))
     return path

@@ -18,7 +18,7 @@ def some_mixture(rng, k=3, r=6, patch=3, slots=5, rest=0.01):
         shares / shares.sum(),
         rng.standard_normal((k, r)),
         roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(r),
-        rest,
+        rest * np.linspace(0.5, 1.5, k) if k > 1 else np.full(1, rest),
     )
 
 
@@ -36,7 +36,8 @@ def dense_variance(mixture, weights, signal, variance):
     chance /= chance.sum()
     off = means - chance @ means
     whole = np.einsum("k,kij->ij", chance, covariances) + np.einsum("k,ki,kj->ij", chance, off, off)
-    return np.diag(basis @ whole @ basis.T) + mixture.rest * (1 - np.square(basis).sum(axis=1))
+    outside = chance @ mixture.rest * (1 - np.square(basis).sum(axis=1))
+    return np.diag(basis @ whole @ basis.T) + outside
 
 
 def dense_components(mixture, weights, signal, variance):
@@ -48,9 +49,10 @@ def dense_components(mixture, weights, signal, variance):
     basis = mixture.basis.reshape(len(mixture.basis), -1).astype(np.float64).T
     base = mixture.base.ravel().astype(np.float64)
     logs, means, covariances = [], [], []
-    for share, mean, covariance in zip(mixture.shares, mixture.means, mixture.covariances, strict=True):
+    parts = (mixture.shares, mixture.means, mixture.covariances, mixture.rest)
+    for share, mean, covariance, rest in zip(*parts, strict=True):
         a = matrix @ basis
-        total = a @ covariance @ a.T + mixture.rest * matrix @ matrix.T + variance * np.eye(pixels)
+        total = a @ covariance @ a.T + rest * matrix @ matrix.T + variance * np.eye(pixels)
         off = signal - matrix @ (base + basis @ mean)
         solved = np.linalg.inv(total) @ off
         logs.append(np.log(share) - 0.5 * (np.linalg.slogdet(total)[1] + off @ solved))
@@ -73,7 +75,7 @@ def drawn(mixture, n, rng):
     z = mixture.means[member]
     z = z + np.einsum("nij,nj->ni", roots[member], rng.standard_normal(z.shape))
     basis = mixture.basis.reshape(len(mixture.basis), -1)
-    rest = np.sqrt(mixture.rest) * rng.standard_normal((n, basis.shape[1]))
+    rest = np.sqrt(mixture.rest[member])[:, None] * rng.standard_normal((n, basis.shape[1]))
     rest -= rest @ basis.T @ basis
     return (z @ basis + rest + mixture.base.ravel()).reshape(n, -1, mixture.slots)
 

@@ -102,7 +102,7 @@ def test_without_noise_nothing_is_uncertain_and_unmeasured_is_the_prior():
     mixed = some_mixture(rng, rest=0.02)
     basis = mixed.basis.reshape(6, -1)
     wanted = np.einsum("ie,ij,je->e", basis, mixed.single().covariances[0], basis)
-    wanted += 0.02 * (1 - np.square(basis).sum(axis=0))
+    wanted += mixed.single().rest * (1 - np.square(basis).sum(axis=0))
     for noise in (0.0, 1.0, 1e12):
         _, variance = asked(mixed, blind, np.zeros((2, 9)), noise)
         np.testing.assert_allclose(variance.reshape(2, -1), np.stack([wanted] * 2), rtol=1e-4)

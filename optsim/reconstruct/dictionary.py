@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.errors import ValueCheckError
 from optsim.quantities import Floats, checked
-from optsim.reconstruct.prior_file import read_prior, write_prior
+from optsim.reconstruct.prior_file import eight_bits, read_prior, write_prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,7 @@ def unit(atoms: Floats) -> Floats:
 
 def save_dictionary(path: Path, dictionary: Dictionary) -> None:
     """Write a dictionary as a compressed .npz: 8 bits a number, one scale an atom."""
-    scales = np.abs(dictionary.atoms).max(axis=(1, 2, 3)) / 127
-    codes = np.rint(dictionary.atoms / scales[:, None, None, None]).astype(np.int8)
+    codes, _ = eight_bits(dictionary.atoms)
     write_prior(path, {"atoms": codes}, dictionary.provenance)
 
 

@@ -12,14 +12,15 @@ import numpy as np
 
 from optsim.errors import ValueCheckError
 from optsim.quantities import Doubles, Floats, checked
-from optsim.reconstruct.prior_file import read_prior, write_prior
+from optsim.reconstruct.prior_file import eight_bits, read_prior, write_prior
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
     """Prior of space-time patches whose brightness has been divided out: ``base + basis' z + rest``.
 
-    z is drawn from a mixture of Gaussians, the rest from independent ones of the same small variance.
+    z is drawn from a mixture of Gaussians, the rest from independent ones of a small variance that is the
+    component's: what hardly changes has less detail than the basis leaves out of the liveliest.
 
     Parameters
     ----------
@@ -33,8 +34,8 @@ class Mixture:
         Of z.
     covariances : ndarray of shape (k, r, r), float64
         Of z.
-    rest : float
-        Variance of each element that the basis leaves out.
+    rest : ndarray of shape (k,), float64
+        Variance of each element that the basis leaves out, by component.
     provenance : Mapping
         How it was made: settings, seed, what it was trained on.
     """
@@ -44,20 +45,23 @@ class Mixture:
     shares: Doubles
     means: Doubles
     covariances: Doubles
-    rest: float
+    rest: Doubles
     provenance: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def __post_init__(self) -> None:
         axes = ("r", "v", "u", "slot")
         checked("mixture basis", self.basis, axes=axes, dtype=np.float32, unit="1", nonnegative=False)
         k, r = len(self.shares), len(self.basis)
-        shapes = (self.base.shape, self.means.shape, self.covariances.shape)
-        expected = (self.basis.shape[1:], (k, r), (k, r, r))
+        shapes = (self.base.shape, self.means.shape, self.covariances.shape, self.rest.shape)
+        expected = (self.basis.shape[1:], (k, r), (k, r, r), (k,))
         if shapes != expected:
-            raise ValueCheckError(f"mixture: got base, means, covariances of {shapes}, expected {expected}")
-        if abs(float(self.shares.sum()) - 1) > 1e-6 or float(self.shares.min()) <= 0 or not self.rest >= 0:
             raise ValueCheckError(
-                "mixture: expected positive shares that sum to 1 and a variance of the rest >= 0"
+                f"mixture: got base, means, covariances, rest of {shapes}, expected {expected}"
+            )
+        positive = float(self.shares.min()) > 0 and bool((self.rest >= 0).all())
+        if abs(float(self.shares.sum()) - 1) > 1e-6 or not positive:
+            raise ValueCheckError(
+                "mixture: expected positive shares that sum to 1 and variances of the rest >= 0"
             )
 
     @property
@@ -76,25 +80,26 @@ class Mixture:
         off = self.means - mean
         covariance = np.einsum("k,kij->ij", self.shares, self.covariances)
         covariance += np.einsum("k,ki,kj->ij", self.shares, off, off)
-        return Mixture(
-            self.base, self.basis, np.ones(1), mean[None], covariance[None], self.rest, self.provenance
-        )
+        rest = np.array([self.shares @ self.rest])
+        return Mixture(self.base, self.basis, np.ones(1), mean[None], covariance[None], rest, self.provenance)
 
 
 def save_mixture(path: Path, mixture: Mixture) -> None:
-    """Write a mixture as a compressed .npz: 16 bits a number, covariances by their factors."""
+    """Write a mixture as a compressed .npz: covariances by their factors, 16 bits a number; the basis 8."""
     factors = np.linalg.cholesky(mixture.covariances)
     low = np.tril_indices(factors.shape[1])
     # Rows of the factors differ by decades: each is written relative to its largest element.
     scales = np.abs(factors).max(axis=2)
+    codes, steps = eight_bits(mixture.basis)
     arrays = {
         "base": mixture.base.astype(np.float16),
-        "basis": mixture.basis.astype(np.float16),
+        "basis": codes,
+        "steps": steps,
         "shares": mixture.shares,
         "means": mixture.means.astype(np.float32),
         "scales": scales.astype(np.float32),
         "factors": (factors / scales[:, :, None])[:, low[0], low[1]].astype(np.float16),
-        "rest": np.float64(mixture.rest),
+        "rest": mixture.rest,
     }
     write_prior(path, arrays, mixture.provenance)
 
@@ -107,7 +112,7 @@ def load_mixture(path: Path) -> Mixture:
     StorageError
         When the file is missing or is no mixture.
     """
-    names = ("base", "basis", "shares", "means", "scales", "factors", "rest")
+    names = ("base", "basis", "steps", "shares", "means", "scales", "factors", "rest")
     stored, provenance = read_prior(path, "mixture", names)
     scales = stored["scales"].astype(np.float64)
     factors = np.zeros((*scales.shape, scales.shape[1]))
@@ -116,11 +121,11 @@ def load_mixture(path: Path) -> Mixture:
     factors *= scales[:, :, None]
     return Mixture(
         stored["base"].astype(np.float32),
-        stored["basis"].astype(np.float32),
+        stored["basis"] * stored["steps"][:, None, None, None],
         stored["shares"],
         stored["means"].astype(np.float64),
         factors @ factors.transpose(0, 2, 1),
-        float(stored["rest"]),
+        stored["rest"],
         provenance,
     )
 

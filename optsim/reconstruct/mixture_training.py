@@ -15,7 +15,7 @@ from optsim.reconstruct.mixture import Mixture
 from optsim.reconstruct.training import training_patches
 
 # A covariance learns from its own patches and, as if there were so many times the rank of these, from all.
-_PRIOR_PATCHES = 0.5
+_PRIOR_PATCHES = 0.05
 _BUMP = 3
 _LEAST_SHARE = 1e-3
 # Principal components in which the first members are told apart.
@@ -29,7 +29,7 @@ def train_mixture(
     *,
     rng: np.random.Generator,
     n_components: int = 20,
-    rank: int = 192,
+    rank: int = 256,
     patch: int = 8,
     slots: int = 36,
     n_patches: int = 40_000,
@@ -37,7 +37,7 @@ def train_mixture(
     provenance: Mapping[str, object] | None = None,
     progress: Progress = silent,
 ) -> Mixture:
-    """Learn a mixture of Gaussians by expectation maximisation in the subspace of the principal components.
+    """Learn a mixture of Gaussians by expectation maximisation in a subspace of principal components.
 
     Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1 (1977); for coded video Yang et al., IEEE Trans. Image
     Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. A decoder knows a patch's brightness only as its
@@ -73,23 +73,43 @@ def train_mixture(
     signals /= _brightness(signals.reshape(-1, patch * patch, slots), rng)[:, None]
     base = signals.mean(axis=0, dtype=np.float64).astype(np.float32)
     signals -= base
-    scatter = (signals.T @ signals).astype(np.float64) / len(signals)
-    powers, vectors = np.linalg.eigh(scatter)
-    basis = np.ascontiguousarray(vectors[:, ::-1][:, :rank].T, np.float32)
-    rest = float(powers[:-rank].clip(0).sum() / max(1, len(powers) - rank))
+    basis = _basis(signals, rank, slots)
     z = (signals @ basis.T).astype(np.float64)
+    energy = np.einsum("ne,ne->n", signals, signals)
+    left = energy - (z**2).sum(axis=1)
     shares, means, covariances, likelihood = _fit(z, rng, n_components, iterations, progress)
+    rest = _rest(left / max(1, signals.shape[1] - rank), z, shares, means, covariances)
     record = {
         "method": "EM",
         "components": len(shares),
         "rank": rank,
         "patches": len(signals),
-        "kept_energy": float(powers[-rank:].sum() / powers.sum()),
+        "kept_energy": float(1 - left.sum(dtype=np.float64) / energy.sum(dtype=np.float64)),
         "mean_log_likelihood": likelihood,
         **(provenance or {}),
     }
     shape = (patch, patch, slots)
     return Mixture(base.reshape(shape), basis.reshape(rank, *shape), shares, means, covariances, rest, record)
+
+
+def _basis(signals: Floats, rank: int, slots: int) -> Floats:
+    """Principal components of what stands still, a quarter of the rank, and of what changes: (rank, e).
+
+    What stands still has so little energy in its finest detail that principal components of both together
+    would leave it out, and yet a code tells it best: each pixel is measured.
+    """
+    blocks = signals.reshape(len(signals), -1, slots)
+    still = blocks.mean(axis=2)
+    n_still = min(rank // 4, still.shape[1])
+    changing = (blocks - still[:, :, None]).reshape(len(signals), -1)
+    patterns = np.repeat(_principal(still, n_still), slots, axis=1) / np.float32(np.sqrt(slots))
+    return np.concatenate([patterns, _principal(changing, rank - n_still)])
+
+
+def _principal(rows: Floats, n: int) -> Floats:
+    """Find the n unit vectors, (n, e), that hold most of the energy of rows of shape (patch, e)."""
+    vectors: Doubles = np.linalg.eigh((rows.T @ rows).astype(np.float64))[1]
+    return np.ascontiguousarray(vectors[:, ::-1][:, :n].T, np.float32)
 
 
 def _brightness(blocks: Floats, rng: np.random.Generator) -> Floats:
@@ -135,6 +155,14 @@ def _fit(
         likelihood = float((top[:, 0] + np.log(total[:, 0])).mean())
         progress("train", step + 1, iterations)
     return shares, means, covariances, likelihood
+
+
+def _rest(left: Doubles, z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> Doubles:
+    """Mean over each component's patches of the variance that the basis leaves out: array of shape (k,)."""
+    logs = log_densities(z, shares, means, covariances)
+    member = np.exp(logs - logs.max(axis=1, keepdims=True))
+    member /= member.sum(axis=1, keepdims=True)
+    return (left @ member / np.maximum(member.sum(axis=0), 1)).clip(0)
 
 
 def log_densities(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> Doubles:

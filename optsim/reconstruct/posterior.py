@@ -46,7 +46,7 @@ class Seen:
         Mean of z.
     backs : ndarray of shape (k, m, r), float32
         Covariance of the turned signal with z.
-    rest : float
+    rest : ndarray of shape (k,), float32
         Mean variance of a measurement by what the basis leaves out.
     """
 
@@ -56,7 +56,7 @@ class Seen:
     powers: Floats
     means: Floats
     backs: Floats
-    rest: float
+    rest: Floats
 
 
 def seen_through(mixture: Mixture, weights: Floats) -> Seen:
@@ -74,7 +74,7 @@ def seen_through(mixture: Mixture, weights: Floats) -> Seen:
         powers.clip(0).astype(np.float32),
         mixture.means.astype(np.float32),
         (turns.transpose(0, 2, 1) @ back).astype(np.float32),
-        mixture.rest * float((weights.astype(np.float64) ** 2).sum(axis=1).mean()),
+        (mixture.rest * (weights.astype(np.float64) ** 2).sum(axis=1).mean()).astype(np.float32),
     )
 
 
@@ -90,8 +90,8 @@ class Posterior:
         Shares of the components; 0 for those left out.
     turned : list of k ndarray of shape (p, m), float32
         Signals less the component's mean, along its eigenvectors.
-    noise : ndarray of shape (p, 1), float32
-        Variance of a measurement: noise, and what the basis leaves out.
+    noise : ndarray of shape (p, k), float32
+        Variance of a measurement: noise, and what the basis leaves out of each component.
     """
 
     seen: Seen
@@ -110,7 +110,7 @@ class Posterior:
         for k, part in enumerate(self.turned):
             some = np.flatnonzero(chance[:, k])
             if some.size:
-                pull = part[some] / (seen.powers[k] + self.noise[some])
+                pull = part[some] / (seen.powers[k] + self.noise[some, k, None])
                 z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
         return z
 
@@ -128,11 +128,11 @@ def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
         Noise variance of each patch's measurements.
     """
     least = np.maximum(_LEAST_NOISE * seen.powers.max(), _TINY)
-    noise = np.maximum(variance + np.float32(seen.rest), least)[:, None]
+    noise = np.maximum(variance[:, None] + seen.rest, least)
     turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]
     logs = np.empty((len(signals), len(turned)))
     for k, part in enumerate(turned):
-        _log_density(part, seen.powers[k], noise, seen.log_shares[k], logs[:, k])
+        _log_density(part, seen.powers[k], noise[:, k], seen.log_shares[k], logs[:, k])
     chance = np.exp(logs - logs.max(axis=1, keepdims=True))
     chance[chance < _NEGLIGIBLE] = 0
     chance /= chance.sum(axis=1, keepdims=True)
@@ -144,11 +144,11 @@ def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float
     """Logarithm of a component's share times its density, but for what all components share."""
     n = len(powers)
     for p in range(len(turned)):
-        level = noise[p, 0]
-        scale, logs = 1 / np.float64(level), 0.0
+        level = np.float64(noise[p])
+        scale, logs = 1 / level, n * np.log(level)
         squares = np.float32(0)
         for j in range(n):
-            squares += turned[p, j] * turned[p, j] / (powers[j] + level)
+            squares += turned[p, j] * turned[p, j] / (powers[j] + noise[p])
         for first in range(0, n, _MULTIPLIED):
             product = 1.0
             for j in range(first, min(first + _MULTIPLIED, n)):

@@ -38,7 +38,7 @@ class Spread:
         Mean of each component, without the mixture's base.
     variances : ndarray of shape (k, e), float32
         Variance of each component within the basis.
-    outside : ndarray of shape (e,), float32
+    outside : ndarray of shape (k, e), float32
         Variance by what the basis leaves out. No code tells anything of it here.
     """
 
@@ -55,7 +55,7 @@ class Spread:
         spread = (root.T @ basis for root in roots)
         variances = [np.einsum("re,re->e", part, part) for part in spread]
         # The rest fills what is orthogonal to the basis: of an element, one less its share within.
-        outside = mixture.rest * (1 - np.square(basis).sum(axis=0)).clip(0)
+        outside = np.outer(mixture.rest, (1 - np.square(basis).sum(axis=0)).clip(0))
         return cls(
             basis, mixture.means.astype(np.float32) @ basis, np.stack(variances), outside.astype(np.float32)
         )
@@ -84,7 +84,7 @@ class Spread:
     ) -> None:
         seen, chance, noise = known.seen, known.chance[block], known.noise[block]
         mean, weight = np.zeros_like(total), np.zeros(len(total))
-        total[:] = self.outside
+        total[:] = 0
         for k, turned in enumerate(known.turned):
             some = np.flatnonzero(chance[:, k])
             if not some.size:
@@ -92,8 +92,9 @@ class Spread:
             if k not in measured:
                 measured[k] = self._measured(seen, k)
             told, share_told, untold = measured[k]
-            spread = seen.powers[k] + noise[some]
-            within = (noise[some] / spread) @ share_told
+            own = noise[some, k, None]
+            spread = seen.powers[k] + own
+            within = (own / spread) @ share_told
             share = chance[some, k]
             if share.min() == 1:
                 here, step = within[:0], share
@@ -114,7 +115,7 @@ class Spread:
             )
 
     def _measured(self, seen: Seen, k: int) -> tuple[Floats, Floats, Floats]:
-        """Effect of a standard deviation of each direction on the elements, (m, e), its square, the rest."""
+        """Effect of a standard deviation of each direction on the elements, its square, what is not told."""
         powers = seen.powers[k].astype(np.float64)
         heard = powers > _DROWNED * powers.max()
         scale = np.where(heard, 1 / np.sqrt(np.where(heard, powers, 1)), 0)
@@ -122,7 +123,7 @@ class Spread:
         squares = np.empty_like(told)
         untold = self.variances[k].copy()
         _square(told, squares, untold)
-        return told, squares, untold.clip(0)
+        return told, squares, untold.clip(0) + self.outside[k]
 
 
 @njit(nogil=True, cache=True)

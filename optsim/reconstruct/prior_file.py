@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optsim.calibrate.calibration import Calibration
 from optsim.errors import ConfigError, StorageError
 from optsim.files import atomic
+from optsim.quantities import Floats
 
 
 class Prior(Protocol):
@@ -27,6 +29,13 @@ class Prior(Protocol):
     def slots(self) -> int:
         """Slots of a patch."""
         ...
+
+
+def eight_bits(rows: Floats) -> tuple[NDArray[np.int8], Floats]:
+    """Whole numbers of 8 bits in the shape of rows, (n, ...), and a step each, (n,), that give them back."""
+    steps = np.abs(rows).max(axis=tuple(range(1, rows.ndim))) / 127
+    codes = np.rint(rows / steps.reshape(-1, *[1] * (rows.ndim - 1))).astype(np.int8)
+    return codes, steps.astype(np.float32)
 
 
 def write_prior(path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, object]) -> None:

@@ -86,10 +86,11 @@ def train_dictionary(
 def training_patches(
     clips: Sequence[Floats], rng: np.random.Generator, patch: int, slots: int, n_patches: int
 ) -> Floats:
-    """Brightness-normalised patches of shape (patch, v * u * slot), each clip giving the same number."""
-    share = -(-n_patches // len(clips))
+    """Brightness-normalised patches of shape (patch, v * u * slot), from each clip by its size."""
+    size = sum(clip.size for clip in clips)
     kept: list[Floats] = []
     for clip in clips:
+        share = -(-n_patches * clip.size // size)
         n, rows, cols = clip.shape
         if n < slots or rows < patch or cols < patch:
             raise ValueCheckError(
