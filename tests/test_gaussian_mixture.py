@@ -160,6 +160,21 @@ def trained(tmp_path_factory):
     return str(path)
 
 
+def test_a_quarter_of_the_basis_stands_still_and_still_patches_leave_less():
+    clips = [drifting(np.random.default_rng(seed)) for seed in range(3)]
+    fine = np.random.default_rng(5).uniform(0.8, 1.2, (48, 48)).astype(np.float32)
+    clips += [np.repeat(fine[None], SLOTS, axis=0)] * 3
+    rng = np.random.default_rng(0)
+    mixture = train_mixture(clips, rng=rng, n_components=2, rank=256, n_patches=1500, iterations=5)
+    basis = mixture.basis.reshape(256, -1)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(256), atol=1e-4)
+    assert np.abs(np.ptp(mixture.basis[:64], axis=3)).max() < 1e-6
+    assert np.abs(mixture.basis[64:].mean(axis=3)).max() < 1e-4
+    # White noise that stands still has 64 equal directions, all of which are kept.
+    quiet = np.argsort(mixture.rest)
+    assert 0 <= mixture.rest[quiet[0]] < 0.05 * mixture.rest[quiet[1]]
+
+
 def filmed(video, *, noise=True):
     calibration = ideal_calibration(*video.shape[1:], leak=0.01)
     rng = np.random.default_rng(1) if noise else None
