@@ -145,7 +145,7 @@ def _plain(prior: Mixture, image: CodedImage, corners: list[tuple[int, int]]) ->
         scale = signal.sum() / weights.sum()
         noise = variance / scale**2 + prior.rest * np.square(weights).sum(axis=1).mean()
         off = signal / scale - (prior.means @ matrix.T + (base * weights).sum(axis=1))
-        inner = covariances + noise * np.eye(size**2)
+        inner = covariances + noise[:, None, None] * np.eye(size**2)
         solved = np.linalg.solve(inner, off[:, :, None])[:, :, 0]
         logs = np.log(prior.shares) - 0.5 * (np.linalg.slogdet(inner)[1] + (off * solved).sum(axis=1))
         chance = np.exp(logs - logs.max())
