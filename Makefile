@@ -4,12 +4,12 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test setup bench validate lint types architecture requirements clean help
+.PHONY: force demo test setup bench figure4 validate lint types architecture requirements clean help
 
 force:
 
 help: ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
+	@grep -E '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
 
 setup: $(STAMP) ## create .venv with the pinned dependencies and optsim itself
 
@@ -26,6 +26,9 @@ test: setup ## is the code right? (minutes)
 
 bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
+
+figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (half an hour)
+	$(BIN)/python validation/figure4.py
 
 validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)
 	@$(BIN)/python validation/environments.py >/dev/null # first what needs a network
