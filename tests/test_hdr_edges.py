@@ -93,6 +93,21 @@ def test_what_saturates_in_all_frames_is_at_least_what_the_shortest_says():
     assert found.interpolated[8:16, 8:20].all()
 
 
+@pytest.mark.parametrize(("light", "beside", "real_share"), [(4.0, 40.0, 1.0), (8.0, 50.0, 0.5)])
+def test_a_pixel_that_saturates_in_long_exposures_is_not_called_dark_by_a_short_one(
+    light, beside, real_share
+):
+    """More than a short exposure holds may be taken off for neighbours open 36 times as long."""
+    image = np.full((ROWS, COLS), light, np.float32)
+    image[:, ::4] = beside
+    real = KERNEL * real_share
+    real[1, 1] += 1 - real.sum()
+    frames = film(ideal_calibration(ROWS, COLS, crosstalk=real), HdrMosaic(), [still_light(image)] * 4, None)
+    found = merged(frames, ideal_calibration(ROWS, COLS, crosstalk=KERNEL)).irradiance_w_m2[0]
+    # Its saturated samples say that there is a third of it at least; the short one alone says a thousandth.
+    assert (found / image)[2:-2, 4:-4].min() > 0.3
+
+
 def test_what_a_light_was_at_least_is_forgotten_when_it_gets_darker():
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
     before, after = (np.full((ROWS, COLS), 0.2, np.float32) for _ in range(2))

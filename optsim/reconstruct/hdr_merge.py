@@ -26,13 +26,13 @@ from optsim.calibrate.sample import (
     take,
 )
 from optsim.forward.motion import Bounds, changed, without_specks
-from optsim.quantities import Bools, CodedFrame, Floats, PanelState
+from optsim.quantities import Bools, CodedFrame, Doubles, Floats, PanelState
 from optsim.reconstruct.layer import Branch, Layer
 
-# Saturated neighbours and the dark samples between them are estimated from each other: each pass leaves about
-# half of the error at a crosstalk of a few per cent and exposures of 1 : 36.
+# Saturated neighbours and the dark samples between them are estimated from each other. Half of each change is
+# taken, since some estimates would else jump to and fro, until all pixels but these few have settled.
 _MOST_PASSES = 16
-_SETTLED = 1e-3
+_SETTLED_SIGMAS, _SETTLED_SHARE = 0.1, 0.99
 
 
 class HdrMerge(Branch):
@@ -146,42 +146,58 @@ def _merged(
     mean = _ratio([s.signal for s in samples], [s.exposure for s in samples], usable)
     least = _least(samples, alive)
     bottoms: list[Floats] = []
-    for _ in range(_MOST_PASSES):
+    for done in range(_MOST_PASSES):
         if crosstalk == "undone":
             # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
             known = Brightness(np.where(found, mean, np.float32(np.nan)), least)
             samples = [separate(calibration, s, known) for s in samples]
         tops: list[Floats] = []
-        bottoms = []
-        for sample in samples:
+        bottoms, floor = [], np.full_like(mean, -np.inf)
+        for sample, ok in zip(samples, alive, strict=True):
             expected = np.maximum(mean, 0) * sample.exposure
             if crosstalk == "undone":
                 measured = calibration.mix(expected)
                 variance = separated_variance(calibration, noise_variance(calibration, measured))
                 variance += attribution_variance(calibration, sample.exposure, np.maximum(mean, 0))
+                floor = np.maximum(
+                    floor, np.where(ok, _least_alone(calibration, sample, expected, measured), -np.inf)
+                )
             else:
                 variance = noise_variance(calibration, expected)
             tops.append(sample.signal * sample.exposure / variance)
             bottoms.append(sample.exposure**2 / variance)
-        before, mean = mean, _ratio(tops, bottoms, usable)
-        if np.abs(mean - before).max() <= _SETTLED * np.abs(mean).max(initial=0):
+        change = _ratio(tops, bottoms, usable) - mean
+        mean = np.maximum(mean + (change / 2 if done else change), floor).astype(np.float32)
+        certainty = _sum(bottoms, usable)
+        settled = np.abs(change) * np.sqrt(certainty) <= _SETTLED_SIGMAS
+        if settled.mean() >= _SETTLED_SHARE:
             break
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
         tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
-    certainty = sum(np.where(use, b, 0).astype(np.float64) for b, use in zip(bottoms, usable, strict=True))
+    certainty = _sum(bottoms, usable)
     variance = np.divide(1, certainty, out=np.zeros(mean.shape), where=certainty > 0).astype(np.float32)
     return mean, variance, found, tainted
 
 
+def _least_alone(calibration: Calibration, sample: Sample, expected: Floats, mixed: Floats) -> Floats:
+    """Take off the others' light: what a saturated pixel has at least by itself, else minus infinity."""
+    own = calibration.own_share
+    alone = (sample.measured - (mixed - own * expected)) / (own * np.maximum(sample.exposure, 1e-6))
+    return np.where(sample.saturated & sample.valid, alone, -np.inf)
+
+
 def _ratio(tops: Sequence[Floats], bottoms: Sequence[Floats], usable: Sequence[Bools]) -> Floats:
-    top = np.zeros(usable[0].shape)
-    bottom = np.zeros(usable[0].shape)
-    for a, b, ok in zip(tops, bottoms, usable, strict=True):
-        top += np.where(ok, a, 0)
-        bottom += np.where(ok, b, 0)
+    top, bottom = _sum(tops, usable), _sum(bottoms, usable)
     return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0).astype(np.float32)
+
+
+def _sum(images: Sequence[Floats], usable: Sequence[Bools]) -> Doubles:
+    total = np.zeros(usable[0].shape)
+    for image, ok in zip(images, usable, strict=True):
+        total += np.where(ok, image, 0)
+    return total
 
 
 def _literal(samples: Sequence[Sample]) -> tuple[Floats, Floats, Bools]:
