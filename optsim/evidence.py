@@ -41,6 +41,7 @@ EFFECTS: dict[str, str] = {
     "emva1288": "sensor statistics by the reference implementation of EMVA 1288",
     "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
     "hdr_wedge": "HDR merge over four decades",
+    "static_hdr": "HDR merge of still pictures at four exposures, ideal weights and no panel",
     "pu21": "PU21 encoding of the scores",
     "panel_response": "first-order liquid-crystal response with history, late rows and unequal fields",
     "fringing": "fringing fields between panel pixels",
