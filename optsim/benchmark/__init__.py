@@ -20,6 +20,7 @@ ALL: dict[str, str] = {
     "capture.paper_20_percent": "capture",
     "capture.paper_all_moving": "capture",
     "gmm.36x256": "gmm",
+    "mask.speed_latency": "mask",
     "omp.k2000": "omp",
     "omp.k5000": "omp",
     "omp.k10000": "omp",
@@ -67,6 +68,7 @@ def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Recor
 def pictures(records: Sequence[Record]) -> dict[str, str]:
     """Draw the records that have something to draw: SVG by file name."""
     from optsim.benchmark.curve import time_against_error
+    from optsim.benchmark.mask_curve import mask_against_lag
     from optsim.benchmark.quality_curve import quality_against_time
 
     drawn: dict[str, str] = {}
@@ -75,4 +77,6 @@ def pictures(records: Sequence[Record]) -> dict[str, str]:
     for record in records:
         if "quality" in record["conditions"]:
             drawn["quality_against_time.svg"] = quality_against_time(record)
+        if "mask" in record["conditions"]:
+            drawn["mask_against_lag.svg"] = mask_against_lag(record)
     return drawn

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
-from optsim.quantities import CodedFrame, Doubles, ExposureCode, Floats
+from optsim.quantities import CodedFrame, Doubles, ExposureCode, Floats, Words
 
 # Samples of a pixel's side, and instants of a slot: what moves 1.5 px a slot moves 0.4 px in an instant.
 _FINE, _INSTANTS = 2, 4
@@ -39,9 +39,9 @@ def made_film(rows: int, cols: int, slots: int, rng: np.random.Generator) -> Flo
     rng : numpy.random.Generator
         Draws textures, places and velocities.
     """
-    ground = _dead_leaves(2 * max(rows, cols), rng)
+    ground = dead_leaves(2 * max(rows, cols), rng)
     radii = rng.uniform(0.08, 0.2, _DISCS) * min(rows, cols)
-    skins = [_dead_leaves(int(4 * radius), rng) for radius in radii]
+    skins = [dead_leaves(int(4 * radius), rng) for radius in radii]
     start = rng.uniform(0.2, 0.8, (_DISCS, 2)) * (rows, cols)
     angle, speed = rng.uniform(0, 2 * np.pi, _DISCS), rng.uniform(0.2, 1, _DISCS) * _FASTEST
     velocity = speed[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
@@ -52,14 +52,14 @@ def made_film(rows: int, cols: int, slots: int, rng: np.random.Generator) -> Flo
     for slot in range(slots):
         for instant in range(_INSTANTS):
             time = slot + (instant + 0.5) / _INSTANTS
-            picture = _looked_up(ground, v[:, None] + _DRIFT * time, u + 0.5 * _DRIFT * time)
+            picture = looked_up(ground, v[:, None] + _DRIFT * time, u + 0.5 * _DRIFT * time)
             for skin, radius, place, way, rate in zip(skins, radii, start, velocity, turn, strict=True):
                 middle = place + way * (time - slots / 2)
                 rows_near = np.flatnonzero(np.abs(v - middle[0]) < radius)
                 cols_near = np.flatnonzero(np.abs(u - middle[1]) < radius)
                 dv, du = v[rows_near, None] - middle[0], u[cols_near] - middle[1]
                 c, s = np.cos(rate * time), np.sin(rate * time)
-                near = _looked_up(skin, 2 * radius + c * dv - s * du, 2 * radius + s * dv + c * du)
+                near = looked_up(skin, 2 * radius + c * dv - s * du, 2 * radius + s * dv + c * du)
                 where = np.ix_(rows_near, cols_near)
                 picture[where] = np.where(dv**2 + du**2 < radius**2, near, picture[where])
             film[slot] += picture.reshape(rows, _FINE, cols, _FINE).mean(axis=(1, 3))
@@ -88,20 +88,37 @@ def photograph(
     scale : float
         Irradiance of a light of 1, W m^-2: the brightest pixel is exposed to two thirds of its saturation.
     """
+    exposure = _expected_dn(calibration, code, film)
+    scale = float((_EXPOSED * (calibration.saturation_dn - calibration.black_dn) / exposure.max()).min())
+    return CodedFrame(0, _read_out(calibration, exposure * scale, rng), code), scale
+
+
+def exposed(
+    calibration: Calibration, index: int, code: ExposureCode, film: Iterable[Floats], rng: np.random.Generator
+) -> CodedFrame:
+    """Expose as :func:`photograph` does, but light in W m^-2 as it comes; the panel has no memory."""
+    return CodedFrame(index, _read_out(calibration, _expected_dn(calibration, code, film), rng), code)
+
+
+def _expected_dn(calibration: Calibration, code: ExposureCode, film: Iterable[Floats]) -> Floats:
+    """DN above black that light of 1 W m^-2 in the film's unit would give, (v, u)."""
     weights, _ = calibration.weights(code, None)
     light = sum(weight * picture for weight, picture in zip(weights, film, strict=True))
-    exposure = calibration.spread(np.asarray(light, np.float32)[None])[0] * calibration.responsivity_dn
-    scale = float((_EXPOSED * (calibration.saturation_dn - calibration.black_dn) / exposure.max()).min())
-    electrons = rng.poisson(exposure * scale / calibration.dn_per_e)
+    return calibration.spread(np.asarray(light, np.float32)[None])[0] * calibration.responsivity_dn
+
+
+def _read_out(calibration: Calibration, above_black_dn: Floats, rng: np.random.Generator) -> Words:
+    """Raw DN of the whole sensor with shot and read noise; what no pixel is picked from stays 0."""
+    electrons = rng.poisson(above_black_dn / calibration.dn_per_e)
     noisy = calibration.black_dn + electrons * calibration.dn_per_e
     noisy = noisy + rng.normal(0, calibration.read_noise_dn, noisy.shape)
     shape = int(calibration.pick_row.max()) + 1, int(calibration.pick_col.max()) + 1
     dn = np.zeros(shape, np.uint16)
     dn[calibration.pick_row, calibration.pick_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
-    return CodedFrame(0, dn, code), scale
+    return dn
 
 
-def _dead_leaves(side: int, rng: np.random.Generator) -> Floats:
+def dead_leaves(side: int, rng: np.random.Generator) -> Floats:
     """Flat discs whose radii fall as the inverse cube, the later ones in front: (side, side), 0.05 .. 1."""
     texture = np.full((side, side), 0.5, np.float32)
     least, most = _LEAST_LEAF, side / 8
@@ -116,7 +133,7 @@ def _dead_leaves(side: int, rng: np.random.Generator) -> Floats:
     return texture
 
 
-def _looked_up(texture: Floats, v: Doubles, u: Doubles) -> Floats:
+def looked_up(texture: Floats, v: Doubles, u: Doubles) -> Floats:
     """Texture at places (v, u), linear between its pixels."""
     places = np.stack(np.broadcast_arrays(v, u))
     return cast("Floats", ndimage.map_coordinates(texture, places, order=1, mode="mirror", output=np.float32))

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Brightness, Crosstalk, Sample, sample_bounds, separate, take
+from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.leaves import Leaf
 from optsim.coding.random_exposure import RandomExposure
@@ -39,7 +40,9 @@ class Watch:
     seen : Brightness
         Of each pixel, from its last samples.
     label : ndarray of shape (v, u), bool
-        Pixels that changed between the last two frames, before clean-up.
+        Pixels that count as moving since the last two frames, before clean-up.
+    label_before : ndarray of shape (v, u), bool
+        The same before the last frame arrived.
     """
 
     calibration: Calibration
@@ -50,6 +53,7 @@ class Watch:
     last: Sample | None
     seen: Brightness
     label: Bools
+    label_before: Bools
 
 
 class MotionAdaptive(Part):
@@ -77,6 +81,14 @@ class MotionAdaptive(Part):
         What everything counts as until two frames have arrived.
     crosstalk : {"undone", "row_summed"}
         How the neighbours' light is accounted for before frames are compared.
+    release_sigma : float, optional
+        Hysteresis in time: a pixel that counts as moving does so as long as its change stays above this
+        lower threshold, so that what slows down or passes with little contrast keeps its code. Hysteresis
+        in space (J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8, 679 (1986)) would add what lies beside
+        a clear change; the dilation does that already. None is off; no source for a value.
+    growth : {"none", "displacement"}
+        "displacement" sweeps each region of the mask on, by its own measured displacement a frame times
+        the frames that the mask is late (:func:`~optsim.coding.growth.swept_ahead`).
     """
 
     kind: Literal["motion_adaptive"] = "motion_adaptive"
@@ -89,6 +101,17 @@ class MotionAdaptive(Part):
     psf_px: int = Field(default=1, ge=0)
     first_frames: Literal["moving", "static"] = "moving"
     crosstalk: Crosstalk = "undone"
+    release_sigma: float | None = Field(default=None, gt=0)
+    growth: Literal["none", "displacement"] = "none"
+
+    @model_validator(mode="after")
+    def _released_below_the_threshold(self) -> MotionAdaptive:
+        if self.release_sigma is not None and self.release_sigma >= self.threshold_sigma:
+            raise ValueError(
+                f"release_sigma: got {self.release_sigma:g}, expected less than threshold_sigma, which is "
+                f"{self.threshold_sigma:g}; lower it, or leave it out"
+            )
+        return self
 
     def init(self, calibration: Calibration, rng: np.random.Generator) -> Watch:
         """Begin with nothing seen."""
@@ -101,6 +124,7 @@ class MotionAdaptive(Part):
             last=None,
             seen=Brightness.unknown(calibration.shape),
             label=np.zeros(calibration.shape, np.bool_),
+            label_before=np.zeros(calibration.shape, np.bool_),
         )
 
     def next(self, index: int, arrived: Sequence[CodedFrame], state: Watch) -> tuple[ExposureCode, Watch]:
@@ -110,10 +134,16 @@ class MotionAdaptive(Part):
         if state.n_seen < 2:
             decoded = np.full(state.label.shape, self.first_frames == "moving")
         else:
-            decoded = grown(without_specks(state.label, self.speck_px), self.dilation_px)
+            decoded = self._cleaned(state.label)
+            if self.growth == "displacement":
+                # The newest frame that arrived is n_seen - 1: the mask is that of a frame this far back.
+                decoded = swept_ahead(decoded, self._cleaned(state.label_before), index - (state.n_seen - 1))
         shown = grown(decoded, self.patch_px - 1 + self.psf_px)
         levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
         return ExposureCode(levels, decoded), state
+
+    def _cleaned(self, label: Bools) -> Bools:
+        return grown(without_specks(label, self.speck_px), self.dilation_px)
 
     def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
         sample, panel = take(state.calibration, frame, state.panel, self.crosstalk)
@@ -123,6 +153,8 @@ class MotionAdaptive(Part):
         if state.last is not None:
             before, now = (sample_bounds(state.calibration, s) for s in (state.last, sample))
             moved, undecided = changed(before, now, self.threshold_sigma)
+            if self.release_sigma is not None:
+                moved |= label & changed(before, now, self.release_sigma)[0]
             label = np.where(undecided, label, moved)
         return replace(
             state,
@@ -131,4 +163,5 @@ class MotionAdaptive(Part):
             last=sample,
             seen=state.seen.after(sample),
             label=label,
+            label_before=state.label,
         )

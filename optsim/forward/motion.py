@@ -154,11 +154,16 @@ def without_specks(mask: Bools, least_px: int) -> Bools:
     """Remove connected regions (8 neighbours) of fewer than ``least_px`` pixels."""
     if least_px <= 1:
         return mask
-    regions, n = cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
-    sizes = np.bincount(regions.ravel(), minlength=n + 1)
+    labels, n = regions(mask)
+    sizes = np.bincount(labels.ravel(), minlength=n + 1)
     keep = sizes >= least_px
     keep[0] = False
-    return keep[regions]
+    return keep[labels]
+
+
+def regions(mask: Bools) -> tuple[Ints, int]:
+    """Number the connected regions (8 neighbours) from 1 in an array (v, u), 0 elsewhere; and how many."""
+    return cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
 
 
 def grown(mask: Bools, reach_px: int) -> Bools:
