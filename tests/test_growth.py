@@ -60,6 +60,11 @@ def test_the_largest_overlap_decides():
     mask[10:16, 20:29] = True
     _, displacements = region_displacements(mask, before)
     np.testing.assert_allclose(displacements, [(0, 24 - 27.5)])
+    # An overlap counts before a neighbour whose centroid is nearer.
+    before = boxes((18, 40))
+    before[10:16, :42] = True
+    _, displacements = region_displacements(boxes((10, 40)), before)
+    np.testing.assert_allclose(displacements, [(0, 42.5 - 20.5)])
 
 
 def test_what_is_swept_stays_on_the_panel():
@@ -165,14 +170,17 @@ def test_hysteresis_keeps_false_alarms_as_often_as_noise_says():
         frames = film(calibration, scheme, light, np.random.default_rng(6))
         code, _ = scheme.next(3, frames, scheme.init(calibration, np.random.default_rng(0)))
         share = expected.mean()
-        # 5 standard errors: a false alarm in 1.7 million; the two shares are 11 of them apart.
+        # 5 standard errors: a false alarm in 1.7 million; the two shares are 8 standard errors apart.
         assert abs(code.moving.mean() - share) < 5 * np.sqrt(share / code.moving.size)
 
 
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ({"release_sigma": 4.0}, "release_sigma: got 4, expected less than threshold_sigma, which is 4; lower"),
+        (
+            {"release_sigma": 4.0},
+            "release_sigma: got 4, expected less than threshold_sigma, which is 4; lower",
+        ),
         ({"release_sigma": 3.0, "threshold_sigma": 2.0}, "expected less than threshold_sigma, which is 2"),
         ({"release_sigma": 0.0}, "greater than 0"),
         ({"growth": "latency"}, "'none' or 'displacement'"),

@@ -162,7 +162,7 @@ def without_specks(mask: Bools, least_px: int) -> Bools:
 
 
 def regions(mask: Bools) -> tuple[Ints, int]:
-    """Number the connected regions (8 neighbours) from 1 in an array (v, u), 0 elsewhere; and how many."""
+    """Label connected regions (8 neighbours) from 1 in an array (v, u), 0 elsewhere; and count them."""
     return cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
 
 
