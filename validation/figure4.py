@@ -44,7 +44,8 @@ def section(results: dict[str, Any]) -> str:
     """Tables of one run as Markdown."""
     scene, scores = results["scene"], results["scores"]
     lines = [f"## {scene['name']}", "", f"{scene['description']}. Photoelectrons a pixel and frame, mean:"]
-    lines += [", ".join(f"{row['method']} {row['mean_e']:.0f}" for row in results["photons"]) + ".", ""]
+    lines += [", ".join(f"{row['method']} {row['mean_e']:.0f}" for row in results["photons"]) + "."]
+    lines += ["", f"Run {results['finished_utc']}, optsim {results['versions']['optsim']}.", ""]
     for phase, words in _PHASES:
         columns = [(metric, region) for metric, _ in _METRICS for region in _REGIONS]
         heads = [f"{region}, {unit}" for _, unit in _METRICS for region in _REGIONS]
