@@ -109,7 +109,10 @@ def build(part: type[PartT], table: Mapping[str, object], *, where: str) -> Part
     try:
         return part.model_validate(table)
     except ValidationError as error:
-        lines = [_explain(part, cast("dict[str, Any]", item)) for item in error.errors()]
+        items = cast("list[dict[str, Any]]", error.errors())
+        # A list whose items are wrong is also called too short: that is no problem of its own.
+        inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
+        lines = [_explain(part, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
         problems = f"{len(lines)} problem{'s' if len(lines) > 1 else ''}"
         raise ConfigError(f"{where}: {problems}\n" + "\n".join(f"  {line}" for line in lines)) from None
 

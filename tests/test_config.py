@@ -5,6 +5,7 @@ from typing import Literal
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field
 
 from optsim.config import Part, build, override, parse_quantity
 from optsim.errors import ConfigError
@@ -78,3 +79,16 @@ def test_override_sets_nested_keys_without_touching_the_source() -> None:
 def test_bad_overrides(bad: str) -> None:
     with pytest.raises(ConfigError, match="--set"):
         override({"lens": {"count": 1}}, [bad])
+
+
+class Shelf(Part):
+    lenses: tuple[Lens, ...] = Field(min_length=1)
+
+
+def test_a_list_with_a_wrong_item_is_not_called_too_short() -> None:
+    with pytest.raises(ConfigError) as caught:
+        build(Shelf, {"lenses": [{"count": "many"}]}, where="x")
+    assert "lenses.0.count" in str(caught.value)
+    assert "at least 1 item" not in str(caught.value)
+    with pytest.raises(ConfigError, match="at least 1 item"):
+        build(Shelf, {"lenses": []}, where="x")
