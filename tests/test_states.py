@@ -8,7 +8,7 @@ import pytest
 from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
-from optsim.calibrate.sample import Brightness, separate, take
+from optsim.calibrate.sample import Brightness, take_next
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.known_calibration import true_calibration
 from optsim.loop import calibrate, capture, set_light
@@ -36,9 +36,9 @@ def test_the_panel_of_a_frame_is_what_the_frame_before_left(
 
     def spy(*given: Any) -> Any:
         panels.append(given[2])
-        return take(*given)
+        return take_next(*given)
 
-    monkeypatch.setattr(room, "take", spy)
+    monkeypatch.setattr(room, "take_next", spy)
     if room is motion_adaptive:
         scheme = MotionAdaptive()
         state = scheme.init(calibration, np.random.default_rng(0))
@@ -104,11 +104,11 @@ def test_a_patch_in_the_sun_is_bright_in_the_sparse_decoder() -> None:
 def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Brightness] = []
 
-    def spy(calibration: Any, sample: Any, elsewhere: Brightness) -> Any:
-        given.append(elsewhere)
-        return separate(calibration, sample, elsewhere)
+    def spy(*taken: Any) -> Any:
+        given.append(taken[3])
+        return take_next(*taken)
 
-    monkeypatch.setattr(coded_images, "separate", spy)
+    monkeypatch.setattr(coded_images, "take_next", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))

@@ -11,17 +11,18 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from optsim.experiment import load_experiment
 from optsim.files import write_text
 from optsim.job import execute, run_folder
+from optsim.report.headline import Row, table
+from optsim.report.schema import Phase, Results
 
 SCENES = ("window_room", "half_moving", "night_street")
 OUT = Path("reports") / "figure4.md"
 _METRICS = (("PU21-PSNR", "dB"), ("log-RMSE", "stops"))
 _REGIONS = ("moving", "static", "all")
-_PHASES = (
+_PHASES: tuple[tuple[Phase, str], ...] = (
     ("steady", "Steady"),
     ("merging", "Merging: fewer than four frames of a mosaic"),
     ("warm-up", "Warm-up: no motion known yet"),
@@ -40,25 +41,25 @@ def main(names: list[str]) -> None:
     print(f"tables: {OUT}")
 
 
-def section(results: dict[str, Any]) -> str:
+def section(results: Results) -> str:
     """Tables of one run as Markdown."""
-    scene, scores = results["scene"], results["scores"]
+    scene = results["scene"]
     lines = [f"## {scene['name']}", "", f"{scene['description']}. Photoelectrons a pixel and frame, mean:"]
     lines += [", ".join(f"{row['method']} {row['mean_e']:.0f}" for row in results["photons"]) + "."]
     lines += ["", f"Run {results['finished_utc']}, optsim {results['versions']['optsim']}.", ""]
     for phase, words in _PHASES:
-        columns = [(metric, region) for metric, _ in _METRICS for region in _REGIONS]
         heads = [f"{region}, {unit}" for _, unit in _METRICS for region in _REGIONS]
         lines += [f"**{words}**", "", "| method | " + " | ".join(heads) + " |"]
         lines += ["| --- " * (1 + len(heads)) + "|"]
-        best = {column: _best(scores, phase, *column) for column in columns}
-        for method in results["methods"]:
-            cells: list[str] = []
-            for column in columns:
-                value = _value(scores, phase, method, *column)
-                text = "-" if value is None else f"{value:.2f}"
-                cells.append(f"**{text}**" if value is not None and value == best[column] else text)
-            lines.append(f"| {method} | " + " | ".join(cells) + " |")
+        rows = table(results, phase)
+        chosen = [
+            next(row for row in rows if row.metric.startswith(metric) and row.region == region)
+            for metric, _ in _METRICS
+            for region in _REGIONS
+        ]
+        for place, method in enumerate(results["methods"]):
+            cells = " | ".join(_cell(row, place) for row in chosen)
+            lines.append(f"| {method} | {cells} |")
         lines.append("")
     lines.append("What was registered before measuring:")
     lines.append("")
@@ -68,20 +69,12 @@ def section(results: dict[str, Any]) -> str:
     return "\n".join([*lines, ""])
 
 
-def _value(scores: list[dict[str, Any]], phase: str, method: str, metric: str, region: str) -> float | None:
-    for score in scores:
-        place = score["phase"], score["method"], score["region"]
-        if place == (phase, method, region) and score["metric"].startswith(metric):
-            return score["value"]
-    return None
-
-
-def _best(scores: list[dict[str, Any]], phase: str, metric: str, region: str) -> float | None:
-    found = [s for s in scores if s["metric"].startswith(metric) and s["region"] == region]
-    values = [s["value"] for s in found if s["phase"] == phase and s["value"] is not None]
-    if not values:
-        return None
-    return max(values) if found[0]["higher_is_better"] else min(values)
+def _cell(row: Row, place: int) -> str:
+    score = row.scores[place]
+    if score is None or score["value"] is None:
+        return "-"
+    text = f"{score['value']:.2f}"
+    return f"**{text}**" if score["value"] == row.best else text
 
 
 def _say(stage: str, done: int, total: int) -> None:

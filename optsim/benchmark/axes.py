@@ -6,7 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+# Colour-blind safe set (M. Okabe and K. Ito, 2008), without yellow and black.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#666666")
+
 _STEPS = (1, 2, 5)
+
+
+def picture(width: int, height: int, parts: Sequence[str]) -> str:
+    """Put parts on a white ground: an SVG for a browser or a document."""
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" font-family="sans-serif" font-size="12">'
+        f'<rect width="{width}" height="{height}" fill="white"/>{"".join(parts)}</svg>\n'
+    )
 
 
 def round_numbers(low: float, high: float) -> list[float]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from optsim.benchmark.axes import Axes, round_numbers
+from optsim.benchmark.axes import Axes, picture, round_numbers
 
 _WIDTH, _HEIGHT = 430, 330
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 20, 44, 50
@@ -33,11 +33,7 @@ def time_against_error(records: Sequence[dict[str, Any]]) -> str:
     drawn = [record for record in records if record["conditions"].get("curve")]
     panels = [_panel(record, index * _WIDTH) for index, record in enumerate(drawn)]
     width = max(1, len(drawn)) * _WIDTH
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_HEIGHT}" width="{width}" '
-        f'height="{_HEIGHT}" font-family="sans-serif" font-size="12">'
-        f'<rect width="{width}" height="{_HEIGHT}" fill="white"/>{"".join(panels)}</svg>\n'
-    )
+    return picture(width, _HEIGHT, panels)
 
 
 def _lines(curve: Sequence[dict[str, Any]]) -> dict[tuple[str, str], Points]:

@@ -7,13 +7,11 @@ from html import escape
 from itertools import cycle
 from typing import Any
 
-from optsim.benchmark.axes import Axes, even_numbers, round_numbers
+from optsim.benchmark.axes import COLOURS, Axes, even_numbers, picture, round_numbers
 
 _WIDTH, _HEIGHT, _PANELS = 430, 300, 2
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 20, 34, 50
 _FOOT, _KEY_WIDTH = 34, 130
-# Colour-blind safe set (M. Okabe and K. Ito, 2008).
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _QUANTITIES = {"precision": "precision", "recall": "recall", "iou": "IoU", "loss_db": "loss where it moves"}
 
@@ -38,15 +36,11 @@ def mask_against_lag(record: Mapping[str, Any]) -> str:
     for n, (key, title) in enumerate(_QUANTITIES.items()):
         left, top = (n % _PANELS) * _WIDTH, (n // _PANELS) * _HEIGHT
         parts += _panel(points, options, key, title, left, top)
-    for n, (colour, option) in enumerate(zip(cycle(_COLOURS), options, strict=False)):
+    for n, (colour, option) in enumerate(zip(cycle(COLOURS), options, strict=False)):
         x, y = _LEFT + n * _KEY_WIDTH, height - 14
         parts.append(f'<line x1="{x}" x2="{x + 22}" y1="{y - 4}" y2="{y - 4}" {_style(colour, n)}/>')
         parts.append(f'<text x="{x + 28}" y="{y}">{escape(option)}</text>')
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
-        f'height="{height}" font-family="sans-serif" font-size="12">'
-        f'<rect width="{width}" height="{height}" fill="white"/>{"".join(parts)}</svg>\n'
-    )
+    return picture(width, height, parts)
 
 
 def _panel(
@@ -69,7 +63,7 @@ def _panel(
     parts = [f'<text x="{left + _LEFT}" y="{top + 22}" font-size="14" font-weight="bold">{title}</text>']
     parts += axes.grid("dB") if is_loss else axes.grid("%", 100)
     parts.append(f'<text x="{middle:g}" y="{below}" text-anchor="middle">speed x latency, pixels</text>')
-    for n, (colour, option) in enumerate(zip(cycle(_COLOURS), options, strict=False)):
+    for n, (colour, option) in enumerate(zip(cycle(COLOURS), options, strict=False)):
         at_lag: dict[float, list[float]] = {}
         for point in drawn:
             if point["option"] == option:

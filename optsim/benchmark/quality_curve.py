@@ -7,13 +7,11 @@ from html import escape
 from itertools import cycle
 from typing import Any
 
-from optsim.benchmark.axes import Axes, even_numbers, round_numbers
+from optsim.benchmark.axes import COLOURS, Axes, even_numbers, picture, round_numbers
 
 _WIDTH, _HEIGHT = 720, 440
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 200, 44, 50
 _STEP_DB = 1.0
-# Colour-blind safe set (M. Okabe and K. Ito, 2008), without yellow and black.
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#666666")
 
 
 def quality_against_time(record: Mapping[str, Any]) -> str:
@@ -46,7 +44,7 @@ def quality_against_time(record: Mapping[str, Any]) -> str:
         *axes.grid("dB"),
         f'<text x="{middle:g}" y="{_HEIGHT - 12}" text-anchor="middle">seconds an exposure</text>',
     ]
-    for colour, members in zip(cycle(_COLOURS), lines.values(), strict=False):
+    for colour, members in zip(cycle(COLOURS), lines.values(), strict=False):
         members.sort(key=lambda point: point["seconds"])
         style = f'stroke="{colour}" stroke-width="2"'
         parts += axes.line([(p["seconds"], p["psnr_db"]) for p in members], style, colour)
@@ -54,16 +52,12 @@ def quality_against_time(record: Mapping[str, Any]) -> str:
     parts.append(
         f'<line x1="{_LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}" stroke="black" stroke-dasharray="5 4"/>'
     )
-    for row, (colour, (name, members)) in enumerate(zip(cycle(_COLOURS), lines.items(), strict=False)):
+    for row, (colour, (name, members)) in enumerate(zip(cycle(COLOURS), lines.items(), strict=False)):
         top = _TOP + 12 + 34 * row
         parts += _key(right + 14, top, f'stroke="{colour}" stroke-width="2"', name, _settings(members))
     below = _TOP + 12 + 34 * len(lines)
     parts += _key(right + 14, below, 'stroke="black" stroke-dasharray="5 4"', "long exposure, still", "")
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" '
-        f'height="{_HEIGHT}" font-family="sans-serif" font-size="12">'
-        f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="white"/>{"".join(parts)}</svg>\n'
-    )
+    return picture(_WIDTH, _HEIGHT, parts)
 
 
 def _settings(members: list[dict[str, Any]]) -> str:

@@ -141,6 +141,36 @@ def take(
     return sample, panel
 
 
+def take_next(
+    calibration: Calibration,
+    frame: CodedFrame,
+    panel: PanelState | None,
+    seen: Brightness,
+    crosstalk: Crosstalk,
+) -> tuple[Sample, PanelState, Brightness]:
+    """Take the next frame of a film: as :func:`take`, and frames before say how bright saturated pixels are.
+
+    Parameters
+    ----------
+    calibration, frame, panel, crosstalk
+        As of :func:`take`.
+    seen : Brightness
+        What the frames before say of each pixel.
+
+    Returns
+    -------
+    sample : Sample
+    panel : PanelState
+        The panel when the next frame starts.
+    seen : Brightness
+        With what this frame says.
+    """
+    sample, panel = take(calibration, frame, panel, crosstalk)
+    if crosstalk == "undone":
+        sample = separate(calibration, sample, seen)
+    return sample, panel, seen.after(sample)
+
+
 def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:
     """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Brightness, Crosstalk, Sample, sample_bounds, separate, take
+from optsim.calibrate.sample import Brightness, Crosstalk, Sample, sample_bounds, take_next
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.leaves import Leaf
@@ -146,9 +146,8 @@ class MotionAdaptive(Part):
         return grown(without_specks(label, self.speck_px), self.dilation_px)
 
     def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
-        sample, panel = take(state.calibration, frame, state.panel, self.crosstalk)
         # If nothing moves, saturated pixels give what they gave before: right where the test needs it.
-        sample = separate(state.calibration, sample, state.seen) if self.crosstalk == "undone" else sample
+        sample, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
         label = state.label
         if state.last is not None:
             before, now = (sample_bounds(state.calibration, s) for s in (state.last, sample))
@@ -161,7 +160,7 @@ class MotionAdaptive(Part):
             panel=panel,
             n_seen=state.n_seen + 1,
             last=sample,
-            seen=state.seen.after(sample),
+            seen=seen,
             label=label,
             label_before=state.label,
         )

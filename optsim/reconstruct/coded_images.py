@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Brightness, Crosstalk, separate, take
+from optsim.calibrate.sample import Brightness, Crosstalk, take_next
 from optsim.quantities import Bools, CodedFrame, Floats, PanelState
 from optsim.reconstruct.layer import Layer
 
@@ -45,10 +45,7 @@ def coded_images(
     panel: PanelState | None = None
     seen = Brightness.unknown(calibration.shape)
     for frame in frames:
-        sample, panel = take(calibration, frame, panel, crosstalk)
-        if crosstalk == "undone":
-            sample = separate(calibration, sample, seen)
-        seen = seen.after(sample)
+        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
         usable = sample.valid
         yield (
             frame,

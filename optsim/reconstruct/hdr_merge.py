@@ -23,7 +23,7 @@ from optsim.calibrate.sample import (
     sample_bounds,
     separate,
     separated_variance,
-    take,
+    take_next,
 )
 from optsim.forward.motion import Bounds, changed, without_specks
 from optsim.quantities import Bools, CodedFrame, Doubles, Floats, PanelState
@@ -80,22 +80,20 @@ class HdrMerge(Branch):
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
         for frame in frames:
-            sample, panel = take(calibration, frame, panel, crosstalk)
-            if crosstalk == "undone":
-                sample = separate(calibration, sample, seen)
-            seen = seen.after(sample)
+            sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
             recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
-                alive = [kept.sample.valid for kept in recent]
+                least = _least(samples, [kept.sample.valid for kept in recent])
                 mean, variance, found = _literal(samples)
                 valid = sample.valid
             else:
                 alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
-                mean, variance, found, tainted = _merged(calibration, samples, alive, crosstalk)
+                least = _least(samples, alive)
+                mean, variance, found, tainted = _merged(calibration, samples, alive, least, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
                 mean = positive_mean(mean, variance)
-            mean = _filled(mean, found, _least(samples, alive))
+            mean = _filled(mean, found, least)
             yield Layer(
                 frame.index,
                 mean[None],
@@ -138,21 +136,25 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
 
 
 def _merged(
-    calibration: Calibration, samples: Sequence[Sample], alive: Sequence[Bools], crosstalk: Crosstalk
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    alive: Sequence[Bools],
+    least: Floats,
+    crosstalk: Crosstalk,
 ) -> tuple[Floats, Floats, Bools, Floats]:
     """Pooled estimate, its variance, where there is one, and the share of the kernel that is unknown."""
     usable = [ok & s.valid & ~s.saturated & (s.exposure > 1e-6) for s, ok in zip(samples, alive, strict=True)]
     found = np.logical_or.reduce(usable)
-    mean = _ratio([s.signal for s in samples], [s.exposure for s in samples], usable)
-    least = _least(samples, alive)
-    bottoms: list[Floats] = []
+    certainty = _sum([s.exposure for s in samples], usable)
+    mean = _ratio(_sum([s.signal for s in samples], usable), certainty)
     for done in range(_MOST_PASSES):
         if crosstalk == "undone":
             # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
             known = Brightness(np.where(found, mean, np.float32(np.nan)), least)
             samples = [separate(calibration, s, known) for s in samples]
         tops: list[Floats] = []
-        bottoms, floor = [], np.full_like(mean, -np.inf)
+        bottoms: list[Floats] = []
+        floor = np.full_like(mean, -np.inf)
         for sample, ok in zip(samples, alive, strict=True):
             expected = np.maximum(mean, 0) * sample.exposure
             if crosstalk == "undone":
@@ -166,9 +168,9 @@ def _merged(
                 variance = noise_variance(calibration, expected)
             tops.append(sample.signal * sample.exposure / variance)
             bottoms.append(sample.exposure**2 / variance)
-        change = _ratio(tops, bottoms, usable) - mean
-        mean = np.maximum(mean + (change / 2 if done else change), floor).astype(np.float32)
         certainty = _sum(bottoms, usable)
+        change = _ratio(_sum(tops, usable), certainty) - mean
+        mean = np.maximum(mean + (change / 2 if done else change), floor).astype(np.float32)
         settled = np.abs(change) * np.sqrt(certainty) <= _SETTLED_SIGMAS
         if settled.mean() >= _SETTLED_SHARE:
             break
@@ -176,9 +178,7 @@ def _merged(
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
         tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
-    certainty = _sum(bottoms, usable)
-    variance = np.divide(1, certainty, out=np.zeros(mean.shape), where=certainty > 0).astype(np.float32)
-    return mean, variance, found, tainted
+    return mean, _ratio(np.ones(mean.shape), certainty), found, tainted
 
 
 def _least_alone(calibration: Calibration, sample: Sample, expected: Floats, mixed: Floats) -> Floats:
@@ -188,8 +188,7 @@ def _least_alone(calibration: Calibration, sample: Sample, expected: Floats, mix
     return np.where(sample.saturated & sample.valid, alone, -np.inf)
 
 
-def _ratio(tops: Sequence[Floats], bottoms: Sequence[Floats], usable: Sequence[Bools]) -> Floats:
-    top, bottom = _sum(tops, usable), _sum(bottoms, usable)
+def _ratio(top: Doubles, bottom: Doubles) -> Floats:
     return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0).astype(np.float32)
 
 
