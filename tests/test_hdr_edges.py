@@ -9,7 +9,7 @@ from optsim.calibrate.sample import Brightness, attribution_variance, separate, 
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
 from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.hdr_merge import positive_mean
+from optsim.reconstruct.layer import positive_mean
 
 ROWS, COLS = 24, 32
 KERNEL = np.array([[0, 0.03, 0], [0.03, 0.88, 0.03], [0, 0.03, 0]], np.float32)

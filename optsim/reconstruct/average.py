@@ -27,7 +27,7 @@ class Average(Branch):
     mixture: GaussianMixture = GaussianMixture(stride_px=1)
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped and with the opacity of the seam."""
+        """As :meth:`decode`, with the opacity of the seam."""
         one, other = tee(frames)
         pairs = zip(
             self.sparse.layers(one, calibration), self.mixture.layers(other, calibration), strict=True

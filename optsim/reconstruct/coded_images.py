@@ -1,16 +1,23 @@
+# pyright: reportMissingTypeStubs=false
 """What decoders that work patch by patch start from, and how they hand over what they painted."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Brightness, Crosstalk, take_next
 from optsim.quantities import Bools, CodedFrame, Floats, PanelState
-from optsim.reconstruct.layer import Layer
+from optsim.reconstruct.layer import Layer, positive_mean
+
+# Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
+_AROUND = 8
+_DARK_ERROR = np.float32(0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +80,9 @@ def covered(
     error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation
     can make the mean's error larger than that.
 
+    What came out negative or nearly so is brought to its :func:`positive_mean`, with the error that negative
+    light nearby shows.
+
     Parameters
     ----------
     frame, image
@@ -88,14 +98,35 @@ def covered(
     spread = None
     if variance is not None:
         spread = np.ascontiguousarray(np.moveaxis(np.sqrt(variance, out=variance), -1, 0))
+    video = np.ascontiguousarray(np.moveaxis(total, -1, 0))
+    seen = count > 0
+    video[:, seen] = positive_mean(video[:, seen], _error_variance(image, video, seen)[seen])
     moving = frame.code.moving
     return Layer(
         frame.index,
-        np.ascontiguousarray(np.moveaxis(total, -1, 0)),
+        video,
         (count / full).astype(np.float32),
-        image.usable & moving & (count > 0),
+        image.usable & moving & seen,
         np.zeros_like(moving),
         moving,
         total.shape[2],
         spread,
     )
+
+
+def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
+    """Squared error of dark pixels, as negative light around them shows it.
+
+    No light is negative, so where there is next to none of it half of the squared errors are seen. Nor can a
+    patch decoder know better than the noise of all that was gathered around a pixel.
+    """
+    shown = _around(np.square(np.minimum(video, 0)).mean(axis=0)) / np.maximum(_around(seen), 1 / _AROUND**2)
+    variance, exposure = _around(image.variance), _around(image.exposure)
+    gathered = np.zeros_like(variance)
+    np.divide(variance, _AROUND**2 * exposure**2, out=gathered, where=exposure > 1e-6)
+    return (2 * shown + gathered).astype(np.float32)
+
+
+def _around(image: Floats | Bools) -> Floats:
+    mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
+    return mean(image.astype(np.float32), _AROUND)

@@ -75,7 +75,7 @@ class GaussianMixture(Branch):
     uncertainty: bool = False
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped and with the opacity of the seam."""
+        """As :meth:`decode`, with the opacity of the seam."""
         prior = self._prior(calibration)
         spread = Spread.of(prior) if self.uncertainty else None
         for frame, image in coded_images(frames, calibration, self.crosstalk):

@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.special import erfcx
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import (
@@ -27,7 +26,7 @@ from optsim.calibrate.sample import (
 )
 from optsim.forward.motion import Bounds, changed, without_specks
 from optsim.quantities import Bools, CodedFrame, Doubles, Floats, PanelState
-from optsim.reconstruct.layer import Branch, Layer
+from optsim.reconstruct.layer import Branch, Layer, positive_mean
 
 # Saturated neighbours and the dark samples between them are estimated from each other. Half of each change is
 # taken, since some estimates would else jump to and fro, until all pixels but these few have settled.
@@ -74,7 +73,7 @@ class HdrMerge(Branch):
     paper_literal: bool = False
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped: one image a frame."""
+        """As :meth:`decode`: one image a frame."""
         panel: PanelState | None = None
         seen = Brightness.unknown(calibration.shape)
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
@@ -200,21 +199,12 @@ def _sum(images: Sequence[Floats], usable: Sequence[Bools]) -> Doubles:
 
 
 def _literal(samples: Sequence[Sample]) -> tuple[Floats, Floats, Bools]:
-    """Mean of I / S over the frames and its variance."""
+    """Mean of I / S over the frames, no less than none, and its variance."""
     quotients = [s.signal / np.maximum(s.exposure, 1e-6) for s in samples]
     variances = [s.variance / np.maximum(s.exposure, 1e-6) ** 2 for s in samples]
     variance = np.mean(variances, axis=0) / len(samples)
-    return np.mean(quotients, axis=0).astype(np.float32), variance.astype(np.float32), samples[0].valid
-
-
-def positive_mean(mean: Floats, variance: Floats) -> Floats:
-    """Mean of what may be, given that it isn't negative: a Gaussian cut off at zero.
-
-    Dark pixels are as likely below zero as above, by noise; to clip those below would make them black.
-    """
-    sigma = np.sqrt(np.maximum(variance, 1e-30)).astype(np.float64)
-    more = np.sqrt(2 / np.pi) / erfcx(-mean / sigma / np.sqrt(2))
-    return (mean + sigma * more).astype(np.float32)
+    mean = np.maximum(np.mean(quotients, axis=0), 0)
+    return mean.astype(np.float32), variance.astype(np.float32), samples[0].valid
 
 
 def _least(samples: Sequence[Sample], alive: Sequence[Bools]) -> Floats:

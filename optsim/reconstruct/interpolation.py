@@ -41,7 +41,7 @@ class Interpolation(Branch):
     crosstalk: Crosstalk = "undone"
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped."""
+        """As :meth:`decode`, as layers."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Squared: what a dark panel leaks in every slot says little about any of them.
             certainty = image.weights**2

@@ -53,7 +53,7 @@ class SparseCoding(Branch):
     crosstalk: Crosstalk = "undone"
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped and with the opacity of the seam."""
+        """As :meth:`decode`, with the opacity of the seam."""
         coder = PatchCoder.of(self._dictionary(calibration))
         patch = coder.atoms.shape[1]
         for frame, image in coded_images(frames, calibration, self.crosstalk):

@@ -50,7 +50,7 @@ class TotalVariation(Branch):
     crosstalk: Crosstalk = "undone"
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
-        """As :meth:`decode`, before negative light is clipped."""
+        """As :meth:`decode`, as layers."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             known = image.usable & (image.exposure > 0)
             moving = (frame.code.moving & known).astype(np.float32)

@@ -67,7 +67,7 @@ class Union(Part):
                 spread = (1 - share) * still.uncertainty_w_m2 + share * video.uncertainty_w_m2
             yield Reconstruction(
                 still.index,
-                np.maximum(joined, 0),
+                joined.astype(np.float32, copy=False),
                 np.where(share > 0, video.valid | still.valid, still.valid),
                 still.interpolated & (share == 0),
                 video.moving,
