@@ -19,7 +19,7 @@ def coded_image(variance=0.0, exposure=3.0):
         np.zeros(shape, np.float32),
         np.full(shape, exposure, np.float32),
         np.full(shape, variance, np.float32),
-        np.zeros((*shape, SLOTS), np.float32),
+        np.full((*shape, SLOTS), exposure / SLOTS, np.float32),
         np.ones(shape, np.bool_),
     )
 
@@ -55,6 +55,15 @@ def test_light_far_above_its_error_stays_as_it_was():
     video = 1 + errors(rng, 0.05)
     found = layer_of(video.copy(), coded_image(variance=(3 * 0.05) ** 2)).irradiance_w_m2
     np.testing.assert_array_equal(found, np.moveaxis(video, -1, 0))
+
+
+def test_slots_with_the_shutter_closed_show_no_errors():
+    open_slots = coded_image()
+    open_slots.weights[:, :, 28:] = 0
+    video = errors(np.random.default_rng(5), 0.1)
+    expected = layer_of(video.copy(), open_slots).irradiance_w_m2[:28]
+    video[:, :, 28:] = -100
+    np.testing.assert_array_equal(layer_of(video, open_slots).irradiance_w_m2[:28], expected)
 
 
 def test_a_video_without_light_has_the_noise_of_what_its_neighbourhood_gathered():

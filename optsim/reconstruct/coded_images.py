@@ -120,7 +120,10 @@ def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
     No light is negative, so where there is next to none of it half of the squared errors are seen. Nor can a
     patch decoder know better than the noise of all that was gathered around a pixel.
     """
-    shown = _around(np.square(np.minimum(video, 0)).mean(axis=0)) / np.maximum(_around(seen), 1 / _AROUND**2)
+    # What is said of slots with the shutter closed is nobody's error.
+    negative = np.minimum(video[image.weights.any(axis=(0, 1))], 0)
+    squares = np.square(negative).sum(axis=0) / max(1, len(negative))
+    shown = _around(squares) / np.maximum(_around(seen), 1 / _AROUND**2)
     variance, exposure = _around(image.variance), _around(image.exposure)
     gathered = np.zeros_like(variance)
     np.divide(variance, _AROUND**2 * exposure**2, out=gathered, where=exposure > 1e-6)
