@@ -1,12 +1,13 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Video from one coded image by alternating projection and total variation: no training, any code."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
+from numba import njit
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
@@ -14,6 +15,7 @@ from optsim.calibrate.sample import Crosstalk
 from optsim.quantities import CodedFrame, Floats
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
 from optsim.reconstruct.layer import Branch, Layer
+from optsim.reconstruct.tv_smoothing import smoothed
 
 _WHITE = 99.0  # percentile of the means that is brought to 1 before the total variation is weighed
 
@@ -24,7 +26,7 @@ class TotalVariation(Branch):
     X. Yuan, "Generalized alternating projection based total variation minimization for compressive sensing",
     ICIP 2016, doi:10.1109/ICIP.2016.7532817, in its accelerated form: in turn the video is brought to what
     was measured, with measurements from which the error so far has been taken off, and its total variation is
-    lowered (A. Chambolle, J. Math. Imaging Vis. 20, 89, 2004, by scikit-image).
+    lowered (:func:`~optsim.reconstruct.tv_smoothing.smoothed`).
     What noise a pixel has loosens its measurement as it would for light of unit variance.
 
     Parameters
@@ -45,8 +47,8 @@ class TotalVariation(Branch):
     kind: Literal["total_variation"] = "total_variation"
     weight: float = Field(default=0.2, gt=0, le=10)
     over_time: bool = True
-    rounds: int = Field(default=60, ge=1, le=1000)
-    inner_rounds: int = Field(default=5, ge=1, le=100)
+    rounds: int = Field(default=40, ge=1, le=1000)
+    inner_rounds: int = Field(default=4, ge=1, le=100)
     crosstalk: Crosstalk = "undone"
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
@@ -62,31 +64,33 @@ class TotalVariation(Branch):
         weights = image.weights
         means = image.signal / np.maximum(image.exposure, np.float32(1e-6))
         lit = means[image.exposure > 0]
-        white = float(np.percentile(lit, _WHITE)) if lit.size else 0.0
+        white = np.float32(np.percentile(lit, _WHITE)) if lit.size else np.float32(0)
         if white <= 0:
             return np.zeros_like(weights)
-        measured = image.signal / np.float32(white)
-        energy = np.einsum("vut,vut->vu", weights, weights) + image.variance / np.float32(white) ** 2
+        measured = (image.signal / white).astype(np.float32)
+        energy = np.einsum("vut,vut->vu", weights, weights) + image.variance / white**2
         gain = np.where(energy > 0, 1 / np.maximum(energy, np.float32(1e-12)), 0).astype(np.float32)
         # Each pixel's mean in all slots is a start that agrees with what was measured.
-        video = np.repeat(means[:, :, None] / np.float32(white), weights.shape[2], axis=2)
+        start = (means / white).astype(np.float32)
+        video = np.repeat(start[:, :, None], weights.shape[2], axis=2)
         target = np.zeros_like(measured)
         for _ in range(self.rounds):
-            seen = np.einsum("vut,vut->vu", weights, video)
-            target += measured - seen
-            video = video + weights * ((target - seen) * gain)[:, :, None]
-            video = self._smoothed(video)
-        return video * np.float32(white)
+            _bring(video, weights, measured, gain, target)
+            video = smoothed(video, self.weight, self.inner_rounds, over_time=self.over_time)
+        return video * white
 
-    def _smoothed(self, video: Floats) -> Floats:
-        # Imported here: it brings scipy.stats along, a second that every other command would wait for.
-        from skimage.restoration import denoise_tv_chambolle
 
-        smooth = denoise_tv_chambolle(
-            video,
-            weight=self.weight,
-            eps=0.0,
-            max_num_iter=self.inner_rounds,
-            channel_axis=None if self.over_time else 2,
-        )
-        return cast("Floats", smooth)
+@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+def _bring(video: Floats, weights: Floats, measured: Floats, gain: Floats, target: Floats) -> None:
+    """Bring a video to what was measured, from which the error so far has been taken off."""
+    rows, cols, slots = video.shape
+    for v in range(rows):
+        for u in range(cols):
+            light, open_ = video[v, u], weights[v, u]
+            seen = np.float32(0)
+            for t in range(slots):
+                seen += open_[t] * light[t]
+            target[v, u] += measured[v, u] - seen
+            change = (target[v, u] - seen) * gain[v, u]
+            for t in range(slots):
+                light[t] += open_[t] * change
