@@ -216,3 +216,18 @@ def test_help_is_quick_to_import() -> None:
         [sys.executable, "-c", program], check=True, timeout=60, capture_output=True, text=True
     )
     assert out.stdout.strip() == "[]"
+
+
+def test_explain_needs_no_compiler_and_no_renderer() -> None:
+    """A plan and the sizes of all effects come from small cameras: loading numba would take longer."""
+    program = (
+        "import sys\n"
+        "from optsim.explain import explanation\n"
+        "explanation('demo', [])\n"
+        "heavy = {'numba', 'llvmlite', 'mitsuba', 'drjit', 'skimage', 'OpenEXR', 'trimesh', 'jinja2'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", program], check=True, timeout=60, capture_output=True, text=True
+    )
+    assert out.stdout.strip() == "[]"

@@ -10,7 +10,8 @@ from optsim.reconstruct.correlation_bounds import PANEL, correlate, pack, packed
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, save_dictionary, unit
 from optsim.reconstruct.gram_pursuit import pursue_products
 from optsim.reconstruct.matching_pursuit import pursue
-from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix, overlap, patch_corners
+from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix
+from optsim.reconstruct.patch_grid import overlap, patch_corners
 from optsim.reconstruct.training import train_dictionary
 
 

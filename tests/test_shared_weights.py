@@ -19,7 +19,7 @@ from optsim.coding import (
 from optsim.forward.panel import PanelResponse
 from optsim.quantities import CodedFrame, ExposureCode
 from optsim.reconstruct import GaussianMixture, SparseCoding, shared_weights
-from optsim.reconstruct.patch_codes import patch_corners
+from optsim.reconstruct.patch_grid import patch_corners
 from optsim.reconstruct.shared_weights import code_period
 
 ROWS, COLS = 70, 84

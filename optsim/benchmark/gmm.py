@@ -24,7 +24,7 @@ from optsim.quantities import Bools, CodedFrame, Doubles, ExposureCode
 from optsim.reconstruct import GaussianMixture
 from optsim.reconstruct.coded_images import CodedImage, coded_images
 from optsim.reconstruct.mixture import Mixture, shipped_mixture
-from optsim.reconstruct.patch_codes import patch_corners
+from optsim.reconstruct.patch_grid import patch_corners
 
 _SIDE, _CORNER, _TILE = 256, 48, 8
 _ROUNDS, _PEER_ROUNDS = 5, 3

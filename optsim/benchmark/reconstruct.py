@@ -24,7 +24,7 @@ from optsim.progress import Progress, silent
 from optsim.quantities import CodedFrame, ExposureCode, Floats
 from optsim.reconstruct import SparseCoding
 from optsim.reconstruct.dictionary import shipped_dictionary
-from optsim.reconstruct.patch_codes import patch_corners
+from optsim.reconstruct.patch_grid import patch_corners
 
 _ROWS, _COLS = 400, 480
 _SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit
 
 from optsim.errors import ValueCheckError
+from optsim.forward.compiled import compiled
 from optsim.forward.ghost import mirrored
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.quantities import Bools, CodedFrame, Doubles, ExposureCode, Floats, Ints, PanelState, checked
@@ -261,7 +261,7 @@ class Calibration:
         return out
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _gather(padded: Floats, kernels: Floats, out: Floats) -> None:
     size = kernels.shape[2]
     rows, cols = out.shape

@@ -9,11 +9,11 @@ one key image, and only the blocks are walked instant by instant.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from optsim.errors import ValueCheckError
 from optsim.forward.bands import in_bands
+from optsim.forward.compiled import FEW, compiled
 from optsim.quantities import Doubles, Floats, Segment, Video
 
 
@@ -62,6 +62,9 @@ def integrate_exposure(
 
 
 def _add_segment(energy: Doubles, segment: Segment, weights: Floats, shares: Doubles) -> None:
+    if weights.size < FEW:
+        _add_small_segment(energy, segment, weights, shares)
+        return
     early, late = np.zeros(weights.shape[1:]), np.zeros(weights.shape[1:])
 
     def sums(first: int, end: int) -> None:
@@ -76,13 +79,26 @@ def _add_segment(energy: Doubles, segment: Segment, weights: Floats, shares: Dou
     in_bands(len(energy), light)
 
 
+def _add_small_segment(energy: Doubles, segment: Segment, weights: Floats, shares: Doubles) -> None:
+    rising = (np.arange(segment.n_instants) + 0.5) / segment.n_instants
+    for line, key in ((1 - rising, segment.start), (rising, segment.stop)):
+        energy += fine_image(np.tensordot(line, weights, 1), shares) * key
+    for block in segment.blocks:
+        _, height, width = block.excess.shape
+        window = np.s_[block.row : block.row + height, block.col : block.col + width]
+        for t in np.flatnonzero(block.excess.any(axis=(1, 2))):
+            energy[window] += fine_image(weights[t].astype(np.float64), shares)[window] * block.excess[t]
+
+
 def fine_image(panel: Doubles, borders: Doubles) -> Doubles:
     """Panel values on the fine grid, (v, u) to (y, x), the neighbours' shares in; as in an exposure."""
-    pitch = len(borders)
-    fine = np.empty((panel.shape[0] * pitch, panel.shape[1] * pitch))
-    for y, row in enumerate(fine):
-        _fine_row(panel, y, borders, 0, row)
-    return fine
+    for axis in (0, 1):
+        lines = np.moveaxis(panel, axis, 0)
+        # Beyond the panel's edge the nearest pixel counts.
+        rulers = np.concatenate([lines[:1], lines[:-1]]), lines, np.concatenate([lines[1:], lines[-1:]])
+        cells = sum(share[:, None] * ruler[:, None] for share, ruler in zip(borders.T, rulers, strict=True))
+        panel = np.moveaxis(np.reshape(cells, (-1, lines.shape[1])), 0, axis)
+    return panel
 
 
 def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
@@ -100,7 +116,7 @@ def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
     return fine
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _hat_sums(weights: Floats, early: Doubles, late: Doubles) -> None:
     """Sum the weights against the falling and the rising line of a segment."""
     n, rows, cols = weights.shape
@@ -112,7 +128,7 @@ def _hat_sums(weights: Floats, early: Doubles, late: Doubles) -> None:
                 early[v, u] += (1 - share) * weights[t, v, u]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _fine_row(image: Floats | Doubles, y: int, shares: Doubles, first: int, fine: Doubles) -> None:
     """Fine row y of panel values, with the neighbours' shares; ``fine`` begins at panel column ``first``."""
     rows, cols = image.shape
@@ -131,7 +147,7 @@ def _fine_row(image: Floats | Doubles, y: int, shares: Doubles, first: int, fine
         before, own = own, after
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add_base(
     energy: Doubles,
     top: int,
@@ -152,7 +168,7 @@ def _add_base(
             energy[y, x] += first[x] * start[y, x] + then[x] * stop[y, x]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add_block(
     energy: Doubles,
     top: int,
@@ -217,7 +233,7 @@ def cell_means(image: NDArray[np.floating], pitch: int) -> Doubles:
     return total / pitch**2
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add_block_means(means: Doubles, excess: Floats, row: int, col: int, pitch: int, n_sub: int) -> None:
     scale = 1.0 / (n_sub * pitch * pitch)
     for t in range(excess.shape[0]):

@@ -27,19 +27,15 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.special import sici
 
 from optsim.config import Part
 from optsim.errors import ValueCheckError
-from optsim.forward.bands import in_bands
-from optsim.quantities import Bytes, Doubles, Floats, Ints, PanelState
+from optsim.forward.relaxation import TABLE_CELLS, walk
+from optsim.quantities import Bytes, Doubles, Floats, PanelState
 
-_CELLS = 4096
-# Nearer than this to its target a pixel stays there: it changes a weight by less than 1e-14.
-_SETTLED_RAD = 1e-7
 # Steps of retardance are at most 2 pi; linear interpolation errs by h^2/8 max|f''| with h = 2 pi/4096 and
 # |f''| <= 1/2 for each of the four values, plus float32 rounding of the weight.
 TABLE_ERROR = 6e-7
@@ -217,14 +213,10 @@ def slot_weights(
     weights = np.empty((n_slots * instants_per_slot, rows, cols), np.float32)
     retardance, shown = panel.retardance_rad.copy(), panel.levels.copy()
 
-    def band(first: int, end: int) -> None:
-        part = slice(first, end)
-        _run(
-            levels[:, part], retardance[part], shown[part], targets, np.cos(targets), np.sin(targets), taus,
-            turn[part], early_s[part], instant_s, leaks, spans, _si_cin_table(), weights[:, part],
-        )  # fmt: skip
-
-    in_bands(rows, band)
+    walk(
+        levels, retardance, shown, targets, taus, turn, early_s, instant_s, leaks, spans,
+        _si_cin_table(), weights,
+    )  # fmt: skip
     return weights, PanelState(retardance, shown, panel.slots_shown + n_slots)
 
 
@@ -235,97 +227,4 @@ def _curve(response: PanelResponse) -> Doubles:
 @lru_cache(maxsize=1)
 def _si_cin_table() -> Doubles:
     """Si and Cin side by side at equal steps from 0 to 2 pi."""
-    return np.stack(_si_cin(np.linspace(0, 2 * np.pi, _CELLS + 1)), axis=1)
-
-
-@njit(nogil=True, cache=True)
-def _relax(
-    gamma: float,
-    target: float,
-    cosine: float,
-    sine: float,
-    length_s: float,
-    decays: tuple[float, float],
-    taus: Doubles,
-    table: Doubles,
-) -> tuple[float, float]:
-    """Retardance after an interval, and the integral of its cosine over it, s."""
-    step = gamma - target
-    if abs(step) < _SETTLED_RAD:
-        return gamma, cosine * length_s
-    side = 0 if step < 0 else 1
-    rest = step * decays[side]
-    si_step, cin_step = _look_up(abs(step), table)
-    si_rest, cin_rest = _look_up(abs(rest), table)
-    si = si_step - si_rest if step > 0 else si_rest - si_step
-    return target + rest, cosine * (length_s - taus[side] * (cin_step - cin_rest)) - sine * taus[side] * si
-
-
-@njit(nogil=True, cache=True)
-def _look_up(size: float, table: Doubles) -> tuple[float, float]:
-    place = size * (_CELLS / (2 * np.pi))
-    cell = min(int(place), _CELLS - 1)
-    part = place - cell
-    si = table[cell, 0] + part * (table[cell + 1, 0] - table[cell, 0])
-    return si, table[cell, 1] + part * (table[cell + 1, 1] - table[cell, 1])
-
-
-@njit(nogil=True, cache=True)
-def _decays(length_s: float, taus: Doubles) -> tuple[float, float]:
-    on = np.exp(-length_s / taus[0]) if taus[0] > 0 else 0.0
-    return on, np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
-
-
-@njit(nogil=True, cache=True)
-def _run(
-    levels: Bytes,
-    retardance: Floats,
-    shown: Bytes,
-    targets: Doubles,
-    cosines: Doubles,
-    sines: Doubles,
-    taus: Doubles,
-    turn: Ints,
-    early_s: Doubles,
-    instant_s: float,
-    leaks: Doubles,
-    spans: Doubles,
-    table: Doubles,
-    weights: Floats,
-) -> None:
-    """Walk through the slots; a row's turn comes in instant ``turn``, ``early_s`` after its start."""
-    n_slots, rows, cols = levels.shape
-    n_sub = weights.shape[0] // n_slots
-    whole = _decays(instant_s, taus)
-    for slot in range(n_slots):
-        for v in range(rows):
-            split = _decays(early_s[v], taus), _decays(instant_s - early_s[v], taus)
-            for sub in range(n_sub):
-                row = weights[slot * n_sub + sub, v]
-                # Lengths before and after the row's turn, of which one is usually nothing.
-                if sub == turn[v]:
-                    first_s, then_s, first, then = early_s[v], instant_s - early_s[v], split[0], split[1]
-                elif sub < turn[v]:
-                    first_s, then_s, first, then = instant_s, 0.0, whole, whole
-                else:
-                    first_s, then_s, first, then = 0.0, instant_s, whole, whole
-                for u in range(cols):
-                    gamma, cosine = float(retardance[v, u]), 0.0
-                    if first_s > 0:
-                        old = shown[v, u]
-                        gamma, cosine = _relax(
-                            gamma, targets[slot, old], cosines[slot, old], sines[slot, old],
-                            first_s, first, taus, table,
-                        )  # fmt: skip
-                    if then_s > 0:
-                        new = levels[slot, v, u]
-                        gamma, after = _relax(
-                            gamma, targets[slot + 1, new], cosines[slot + 1, new], sines[slot + 1, new],
-                            then_s, then, taus, table,
-                        )  # fmt: skip
-                        cosine += after
-                    retardance[v, u] = gamma
-                    # Dark is dark: the table's error must not make light negative.
-                    row[u] = leaks[u] + spans[u] * max(0.5 - 0.5 * cosine / instant_s, 0.0)
-            for u in range(cols):
-                shown[v, u] = levels[slot, v, u]
+    return np.stack(_si_cin(np.linspace(0, 2 * np.pi, TABLE_CELLS + 1)), axis=1)

@@ -22,10 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from optsim.forward.compiled import FEW, compiled
 from optsim.forward.ghost import mirrored
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import SomeBlur
@@ -148,10 +148,12 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
     boxes = _boxes(g)
     # A side s overlaps at most floor(s) + 2 pixels.
     reach = int(np.floor(max(float(boxes[2].max()), float(boxes[3].max())))) + 2
+    if g.rows * g.cols < FEW:
+        return _small_overlap(g, boxes, reach, transmission)
     counts = np.zeros(g.rows * g.cols + 1, np.int64)
     empty_rows, empty_values = np.empty(0, np.int32), np.empty(0, np.float32)
     ccd = (g.ccd_rows, g.ccd_cols)
-    scale = transmission * g.cell_px**2 / g.magnification**2
+    scale = _scale(g, transmission)
     _overlaps(ccd, boxes, reach, scale, counts, empty_rows, empty_values, False)
     pointers = np.cumsum(counts)
     indices = np.empty(pointers[-1], np.int32)
@@ -159,6 +161,36 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
     _overlaps(ccd, boxes, reach, scale, pointers, indices, values, True)
     shape = (g.ccd_rows * g.ccd_cols, g.rows * g.cols)
     return sparse.csc_array((values, indices, pointers.astype(np.int32)), shape=shape)
+
+
+def _scale(geometry: RelayGeometry, transmission: float) -> float:
+    """Share of a cell's radiant exposure that a CCD pixel gets of a cell that lands on it alone."""
+    return transmission * geometry.cell_px**2 / geometry.magnification**2
+
+
+def _small_overlap(
+    geometry: RelayGeometry, boxes: Doubles, reach: int, transmission: float
+) -> sparse.csc_array:
+    """As in :func:`overlap_operator`: each pixel that a cell may reach, for all cells together."""
+    top, left, height, width = boxes.reshape(4, -1)
+    found: list[tuple[Doubles, Ints, Ints]] = []
+    for down in range(reach):
+        y = np.floor(top) + down
+        high = np.minimum(top + height, y + 1) - np.maximum(top, y)
+        for right in range(reach):
+            x = np.floor(left) + right
+            wide = np.minimum(left + width, x + 1) - np.maximum(left, x)
+            # Less than a billionth of a pixel is rounding, not overlap.
+            met = (high >= 1e-9) & (wide >= 1e-9)
+            cell = np.flatnonzero(
+                met & (y >= 0) & (y < geometry.ccd_rows) & (x >= 0) & (x < geometry.ccd_cols)
+            )
+            pixel = (y[cell] * geometry.ccd_cols + x[cell]).astype(np.int64)
+            found.append(((high * wide / (height * width))[cell], pixel, cell))
+    shares, pixels, cells = (np.concatenate(each) for each in zip(*found, strict=True))
+    values = (shares * _scale(geometry, transmission)).astype(np.float32)
+    shape = (geometry.ccd_rows * geometry.ccd_cols, geometry.rows * geometry.cols)
+    return sparse.csc_array((values, (pixels, cells)), shape=shape)
 
 
 def _boxes(geometry: RelayGeometry) -> Doubles:
@@ -174,7 +206,7 @@ def _boxes(geometry: RelayGeometry) -> Doubles:
     return np.stack([centre_y - sides[0] / 2, centre_x - sides[1] / 2, *sides])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _overlaps(
     ccd: tuple[int, int],
     boxes: Doubles,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from optsim.forward.bands import in_bands
+from optsim.forward.compiled import FEW, compiled
 from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import ModesError, blur_moving
@@ -174,12 +174,16 @@ def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
 
 def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
     """Keep a share of a key's image; add far light, given on panel pixels, and glare."""
+    if key.size < FEW:
+        pitch = len(key) // len(far)
+        light = far.repeat(pitch, axis=0).repeat(pitch, axis=1)
+        return (kept * key + factor * light + evenly).astype(np.float32)
     result = np.empty(key.shape, np.float32)
     in_bands(len(key), lambda a, b: _add_far(key, far, factor, evenly, kept, a, b, result))
     return result
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add_far(
     key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
 ) -> None:

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Crosstalk, nearest
+from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
 from optsim.reconstruct.layer import Branch, Layer
 from optsim.reconstruct.mixture import Mixture, load_mixture, shipped_mixture
-from optsim.reconstruct.patch_codes import overlap, patch_corners
+from optsim.reconstruct.patch_grid import overlap, patch_corners
 from optsim.reconstruct.posterior import Seen, posterior, seen_through
 from optsim.reconstruct.posterior_spread import Spread
 from optsim.reconstruct.prior_file import check_fit
@@ -211,7 +211,7 @@ def _paint(
     return total, count
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add(videos: Floats, corners: Ints, total: Floats, count: Floats) -> None:
     slots = total.shape[2]
     lines = total.reshape(total.shape[0], -1)

@@ -14,9 +14,9 @@ but not ``A'q``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Floats, Ints
 from optsim.reconstruct.correlation_bounds import COPY
 
@@ -25,13 +25,13 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 _LANE = 128
 
 
-@njit(nogil=True, cache=True, fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def _add(target: Floats, factor: float, source: Floats) -> None:
     for k in range(len(target)):
         target[k] += factor * source[k]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def pursue_products(products: Floats, gram: Floats, support: Ints, amounts: Floats) -> None:
     """Sparse codes of signals from their products with all atoms.
 
@@ -52,7 +52,7 @@ def pursue_products(products: Floats, gram: Floats, support: Ints, amounts: Floa
         _one(products[p], gram, spans, support[p], amounts[p])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _one(products: Floats, gram: Floats, spans: Floats, support: Ints, amounts: Floats) -> None:
     cap = len(support)
     triangle = np.zeros((cap, cap), np.float64)
@@ -83,7 +83,7 @@ def _one(products: Floats, gram: Floats, spans: Floats, support: Ints, amounts: 
         amounts[i] = total / triangle[i, i]
 
 
-@njit(nogil=True, cache=True, fastmath=_FAST)
+@compiled(fastmath=_FAST)
 def _project(
     row: Floats, spans: Floats, factors: Floats, picked: int, scale: float, share: float, products: Floats
 ) -> None:
@@ -107,7 +107,7 @@ def _project(
         products[k] -= share32 * value
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _largest(values: Floats) -> int:
     """Index of the largest magnitude.
 
@@ -128,7 +128,7 @@ def _largest(values: Floats) -> int:
     return 0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _peak(bits: NDArray[np.int32]) -> np.int32:
     peak = np.int32(-1)
     for k in range(len(bits)):

@@ -17,9 +17,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats, Ints
 from optsim.reconstruct.correlation_bounds import (
     COPY,
@@ -53,7 +53,7 @@ class _Atoms(NamedTuple):
     known: Bools  # (k,)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, amounts: Floats) -> None:
     """Sparse codes of signals over the columns of a matrix.
 
@@ -149,7 +149,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
             stale[slot] = terms[slot, 2] > _STALE * np.sqrt(energy[slot])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _look(
     residual: Doubles,
     energy: float,
@@ -166,7 +166,7 @@ def _look(
     terms[2] = length * (grid[1] + rounding + _ROUNDING)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _turn(matrix: Floats, columns: Floats) -> None:
     """Transpose, some columns at a time, since single ones would miss the cache at each number."""
     rows, width = matrix.shape
@@ -176,7 +176,7 @@ def _turn(matrix: Floats, columns: Floats) -> None:
                 columns[k, m] = matrix[m, k]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _restart(distances: Floats, width: int) -> None:
     """Distances of unit atoms from nothing; what lies beyond the last atom is never picked."""
     distances[:] = 1
@@ -185,7 +185,7 @@ def _restart(distances: Floats, width: int) -> None:
 
 
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
-@njit(nogil=True, cache=True)
+@compiled()
 def _best(
     slot: int,
     state: Floats,
@@ -242,7 +242,7 @@ def _best(
     return best
 
 
-@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+@compiled(fastmath={"nnan", "nsz"})
 def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
     """Largest of a chunk of peaks."""
     largest = np.float32(-1)
@@ -252,7 +252,7 @@ def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
     return largest
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _bounds(
     state: Floats, slot: int, atom: int, c_error: np.float32, n_error: np.float32
 ) -> tuple[float, float]:
@@ -264,7 +264,7 @@ def _bounds(
     return float(most * most), float(max(state[panel, slot, 1, place] - n_error, np.float32(COPY)))
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _energy_taken(
     slot: int,
     atom: int,
@@ -300,7 +300,7 @@ def _energy_taken(
     return product * product / distance if distance >= COPY else -1.0
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _extend(
     slot: int, column: Floats, basis: Doubles, triangle: Doubles, residual: Doubles, count: int
 ) -> float:
@@ -326,7 +326,7 @@ def _extend(
     return share
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _solve(triangle: Doubles, shares: Doubles, length: float, amounts: Floats) -> None:
     """Coefficients of the atoms from those of the basis."""
     for i in range(len(amounts) - 1, -1, -1):
@@ -336,7 +336,7 @@ def _solve(triangle: Doubles, shares: Doubles, length: float, amounts: Floats) -
         amounts[i] = total / triangle[i, i]
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _dot(a: Doubles, b: Doubles | Floats) -> float:
     total = 0.0
     for m in range(len(a)):

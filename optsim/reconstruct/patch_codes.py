@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from optsim.quantities import Bools, Floats, Ints
+from optsim.forward.compiled import compiled
+from optsim.quantities import Floats, Ints
 from optsim.reconstruct.coded_images import CodedImage
 from optsim.reconstruct.dictionary import Dictionary
 from optsim.reconstruct.matching_pursuit import pursue
@@ -23,34 +23,6 @@ from optsim.reconstruct.shared_weights import SharedWeights
 _STRIP = 16
 # Patches of a job: enough that a matrix shared by them costs little, few enough to keep all cores at work.
 _OWN_BLOCK, _SHARED_BLOCK = 256, 2048
-
-
-def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
-    """First rows and columns of the patches that touch a mask: array of shape (n, 2), raster order."""
-    v, u = _starts(mask.shape[0], patch, stride), _starts(mask.shape[1], patch, stride)
-    sums = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    top, left = v[:, None], u
-    touched = sums[top + patch, left + patch] - sums[top, left + patch]
-    touched += sums[top, left] - sums[top + patch, left]
-    rows, cols = np.nonzero(touched)
-    return np.stack([v[rows], u[cols]], axis=1)
-
-
-def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
-    """How many patches of the whole grid cover each pixel: array of shape (v, u), float32."""
-    counts: list[Floats] = []
-    for length in shape:
-        count = np.zeros(length, np.float32)
-        for start in _starts(length, patch, stride):
-            count[start : start + patch] += 1
-        counts.append(count)
-    return counts[0][:, None] * counts[1]
-
-
-def _starts(length: int, patch: int, stride: int) -> Ints:
-    """Where patches start along an axis; the last one sits at the edge, so that every pixel is covered."""
-    starts = np.arange(0, length - patch + 1, stride)
-    return starts if starts[-1] == length - patch else np.append(starts, length - patch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +119,7 @@ class PatchCoder:
         return total, count
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _gather(signal: Floats, variance: Floats, corners: Ints, patch: int) -> tuple[Floats, Floats]:
     """Signals of shape (p, pixel) and the expected squared noise of each."""
     n = len(corners)
@@ -162,7 +134,7 @@ def _gather(signal: Floats, variance: Floats, corners: Ints, patch: int) -> tupl
     return signals, noise
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+@compiled(fastmath={"reassoc", "contract", "nsz"})
 def measurement_matrix(
     by_pixel: Floats, sums: Floats, weights: Floats, matrix: Floats, lengths: Floats
 ) -> None:
@@ -199,7 +171,7 @@ def measurement_matrix(
             row[k] /= lengths[k]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _rescale(support: Ints, amounts: Floats, lengths: Floats) -> None:
     for p in range(support.shape[0]):
         for j in range(support.shape[1]):
@@ -207,7 +179,7 @@ def _rescale(support: Ints, amounts: Floats, lengths: Floats) -> None:
                 amounts[p, j] /= lengths[support[p, j]]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _encode_shared(
     by_pixel: Floats,
     sums: Floats,
@@ -224,7 +196,7 @@ def _encode_shared(
     _rescale(support, amounts, lengths)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _encode_own(
     by_pixel: Floats,
     sums: Floats,
@@ -249,7 +221,7 @@ def _encode_own(
         _rescale(support[one], amounts[one], lengths)
 
 
-@njit(nogil=True, cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _paint(
     atoms: Floats,
     corners: Ints,

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats
 from optsim.reconstruct.mixture import Mixture
 
@@ -139,7 +139,7 @@ def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
     return Posterior(seen, chance, turned, noise)
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "arcp"})
+@compiled(fastmath={"reassoc", "contract", "arcp"})
 def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
     """Logarithm of a component's share times its density, but for what all components share."""
     n = len(powers)

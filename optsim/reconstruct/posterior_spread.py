@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Floats, Ints
 from optsim.reconstruct.mixture import Mixture
 from optsim.reconstruct.posterior import Posterior, Seen
@@ -126,7 +126,7 @@ class Spread:
         return told, squares, untold.clip(0) + self.outside[k]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _square(rows: Floats, squares: Floats, left: Floats) -> None:
     for j in range(rows.shape[0]):
         for e in range(rows.shape[1]):
@@ -135,7 +135,7 @@ def _square(rows: Floats, squares: Floats, left: Floats) -> None:
             left[e] -= square
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _blend(
     some: Ints,
     share: Floats,

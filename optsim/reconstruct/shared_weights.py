@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 # Longest period that is looked for, panel pixels: the longest tile of a scheme.
@@ -151,7 +151,7 @@ def _places(corners: Ints, tile: tuple[int, int]) -> Ints:
     return corners[:, 0] % tile[0] * tile[1] + corners[:, 1] % tile[1]
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _period(weights: Floats, mask: Bools, rows: Ints, cols: Ints, axis: int, bound: float) -> int:
     """Shortest lag at which the weights repeat along an axis; 0 if there is none."""
     longest = min(_LONGEST, mask.shape[axis] - 1)
@@ -170,7 +170,7 @@ def _period(weights: Floats, mask: Bools, rows: Ints, cols: Ints, axis: int, bou
     return 0
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _pairs(
     weights: Floats, mask: Bools, rows: Ints, cols: Ints, axis: int, lag: int, bound: float
 ) -> tuple[int, int]:
@@ -191,7 +191,7 @@ def _pairs(
     return pairs, differ
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _fill_medians(weights: Floats, mask: Bools, tile: Floats) -> None:
     """Median weights of each place in the tile, over pixels of a mask; 0 where there are none.
 
@@ -221,7 +221,7 @@ def _fill_medians(weights: Floats, mask: Bools, tile: Floats) -> None:
                 tile[v0, u0, t] = np.median(numbers[t, :taken])
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _deviation(weights: Floats, tile: Floats) -> tuple[Doubles, Doubles]:
     """Squared difference of each pixel's weights from the tile's, and the square of these: (v, u) each."""
     rows, cols, slots = weights.shape

@@ -14,7 +14,7 @@ from optsim.quantities import CodedFrame
 from optsim.reconstruct.coded_images import coded_images, covered
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.reconstruct.layer import Branch, Layer
-from optsim.reconstruct.patch_codes import PatchCoder, overlap, patch_corners
+from optsim.reconstruct.patch_grid import overlap, patch_corners
 from optsim.reconstruct.prior_file import check_fit
 from optsim.reconstruct.shared_weights import shared_weights
 
@@ -54,6 +54,9 @@ class SparseCoding(Branch):
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, with the opacity of the seam."""
+        # Brings numba along, which reading an experiment must not.
+        from optsim.reconstruct.patch_codes import PatchCoder
+
         coder = PatchCoder.of(self._dictionary(calibration))
         patch = coder.atoms.shape[1]
         for frame, image in coded_images(frames, calibration, self.crosstalk):

@@ -1,0 +1,71 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+"""Loops that numba compiles when they first run.
+
+To import numba and make it ready takes longer than a small camera's frame: so loops are only marked here, and
+what runs none of them, such as ``optsim explain``, never imports it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import update_wrapper
+from threading import Lock
+from typing import Any, Generic, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_one_at_a_time = Lock()
+# Fewer numbers than these are worked through with whole arrays: that is done before a loop could be loaded.
+FEW = 100_000
+
+
+class Compiled(Generic[P, R]):
+    """A function in the part of Python that numba knows; compiled loops may call it, too.
+
+    Parameters
+    ----------
+    function : callable
+        What to compile.
+    options : mapping
+        Of ``numba.njit``, beside ``nogil`` and ``cache``, which are on.
+    """
+
+    def __init__(self, function: Callable[P, R], options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self._function, self._options = function, options
+        self._dispatcher: Any = None
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run it."""
+        return self.dispatcher()(*args, **kwargs)
+
+    def dispatcher(self) -> Any:
+        """Numba's own form of the function."""
+        if self._dispatcher is None:
+            import numba
+            from numba.extending import typeof_impl
+
+            with _one_at_a_time:
+                # How a loop that calls this one finds out what it is.
+                if Compiled not in typeof_impl.registry:
+                    typeof_impl.register(Compiled, _numba_type)
+                if self._dispatcher is None:
+                    self._dispatcher = numba.njit(nogil=True, cache=True, **self._options)(self._function)
+        return self._dispatcher
+
+
+def _numba_type(loop: Compiled[..., Any], _: object) -> object:
+    from numba import types
+
+    return types.Dispatcher(loop.dispatcher())
+
+
+def compiled(**options: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
+    """Mark a loop as one that numba compiles when it is first called; it lets go of Python's lock.
+
+    Parameters
+    ----------
+    **options
+        Of ``numba.njit``, such as ``fastmath``.
+    """
+    return lambda function: Compiled(function, options)
