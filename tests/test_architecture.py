@@ -224,7 +224,7 @@ def test_explain_needs_no_compiler_and_no_renderer() -> None:
         "import sys\n"
         "from optsim.explain import explanation\n"
         "explanation('demo', [])\n"
-        "heavy = {'numba', 'llvmlite', 'mitsuba', 'drjit', 'skimage', 'OpenEXR', 'trimesh', 'jinja2'}\n"
+        "heavy = {'numba', 'llvmlite', 'mitsuba', 'drjit', 'OpenEXR', 'trimesh', 'jinja2', 'scipy.ndimage'}\n"
         "print(sorted(heavy & set(sys.modules)))\n"
     )
     out = subprocess.run(

@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from optsim.config import Part
 from optsim.forward.field_blur import FieldPsf, uniform
+from optsim.forward.psf import rounded
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.quantities import Doubles
 
@@ -114,10 +114,13 @@ def field_psf(
     """
     if wavefront == Wavefront() and not defocus_m:
         return uniform(kernel)
-    optics = _Optics(f_number, sigma_m, cell_m, wavelength_m)
+    # In cells two lenses that differ in scale alone are the same one, once rounding is out of the way.
+    sigma = sigma_m / cell_m
+    # The cell's own variance is taken out of the Gaussian, as in the kernel.
+    optics = _Optics(rounded(wavelength_m * f_number / cell_m), rounded(max(sigma**2 - 1 / 12, 0.0) ** 0.5))
     # Path difference at the rim of the pupil, waves (Goodman, section 6.4).
-    defocus = defocus_m / (8 * f_number**2 * wavelength_m)
-    half = _reach(_pupil(wavefront, _grid(np.linspace(-1, 1, 3), sides), defocus), optics)
+    defocus = rounded(defocus_m / (8 * f_number**2 * wavelength_m))
+    half = _reach(_pupil(wavefront, _grid(np.linspace(-1, 1, 3), sides), defocus), optics.spread, sigma)
     whole = np.pad(kernel, max(0, half - len(kernel) // 2))
     inner = slice(len(whole) // 2 - half, len(whole) // 2 + half + 1)
 
@@ -125,8 +128,7 @@ def field_psf(
         """PSFs on an even grid over the whole field."""
         found = _quarter(wavefront, optics, sides, defocus, half, nodes)  # pyright: ignore[reportArgumentType]
         # Light that leaves the window would be lost: it stays with its point.
-        found = found * (whole[inner, inner].sum() / found.sum(axis=(1, 2), keepdims=True))
-        right = found.reshape((nodes + 1) // 2, (nodes + 1) // 2, *found.shape[1:])
+        right = found * (whole[inner, inner].sum() / found.sum(axis=(2, 3), keepdims=True))
         # A lens is symmetric about both its axes.
         lower = np.concatenate([right[:, : -(nodes // 2) - 1 : -1, :, ::-1], right], axis=1)
         return np.concatenate([lower[: -(nodes // 2) - 1 : -1, :, ::-1], lower])
@@ -143,9 +145,20 @@ def field_psf(
 def _quarter(
     wavefront: Wavefront, optics: _Optics, sides: tuple[int, int], defocus: float, half: int, nodes: int
 ) -> Doubles:
-    """PSFs over cells on the quarter of an even grid where both field coordinates are positive, (n, y, x)."""
-    places = np.linspace(-1, 1, nodes)[nodes // 2 :]
-    return _cells(_pupil(wavefront, _grid(places, sides), defocus), optics, half)
+    """PSFs over cells on the quarter of an even grid with no negative field coordinate, (n, n, y, x)."""
+    numbers = (wavefront, optics, sides, defocus, half)
+    if nodes < _MEAN_OF:
+        # These nodes are among those that a mean is taken of in any case; they are counted from the edge.
+        step = (_MEAN_OF - 1) // (nodes - 1)
+        return _quarter(*numbers, _MEAN_OF)[::-step, ::-step][::-1, ::-1]
+    grid = _grid(np.linspace(-1, 1, nodes)[nodes // 2 :], sides)
+    side = nodes // 2 + 1
+    found, new = np.empty((side, side, 2 * half + 1, 2 * half + 1)), np.ones((side, side), np.bool_)
+    if nodes > _MEAN_OF:
+        found[::2, ::2], new[::2, ::2] = _quarter(*numbers, side), False
+    places = [place for place, wanted in zip(grid, new.ravel(), strict=True) if wanted]
+    found[new] = _cells(_pupil(wavefront, places, defocus), optics, half)
+    return found
 
 
 def _enough_nodes(cores: Callable[[int], Doubles], field_error: float) -> Doubles:
@@ -172,10 +185,10 @@ class _Pupil:
 
 @dataclass(frozen=True)
 class _Optics:
-    f_number: float
-    sigma_m: float
-    cell_m: float
-    wavelength_m: float
+    """Wavelength times f-number, and standard deviation of the Gaussian over the sum over a cell; cells."""
+
+    spread: float
+    sigma: float
 
 
 def _grid(places: Doubles, sides: tuple[int, int]) -> list[tuple[float, float]]:
@@ -202,42 +215,49 @@ def _pupil(wavefront: Wavefront, places: list[tuple[float, float]], defocus: flo
     return _Pupil(axis, share, waves)
 
 
-def _reach(pupil: _Pupil, optics: _Optics) -> int:
+def _reach(pupil: _Pupil, spread: float, sigma: float) -> int:
     """Cells that the rays reach from their point, and a margin for diffraction and the Gaussian."""
     step = pupil.axis[1] - pupil.axis[0]
     slope_y, slope_x = np.gradient(pupil.waves, step, axis=(1, 2))
     steepest = float(np.hypot(slope_y, slope_x)[:, pupil.open == 1].max())
-    rays_m = 2 * optics.f_number * optics.wavelength_m * steepest
-    airy_m = 1.22 * optics.wavelength_m * optics.f_number
-    return int(np.ceil((rays_m + _MARGIN * (airy_m + optics.sigma_m)) / optics.cell_m))
+    return int(np.ceil(2 * spread * steepest + _MARGIN * (1.22 * spread + sigma)))
 
 
 def _cells(pupil: _Pupil, optics: _Optics, half: int) -> Doubles:
     """PSFs of a pupil's wavefronts over cells, (place, 2 half + 1, 2 half + 1); the whole plane sums to 1."""
-    spread_m = optics.wavelength_m * optics.f_number
+    spread = optics.spread
     # The intensity has no finer detail than a wavelength times the f-number: two samples of that would tell
     # it apart, but their sum over a cell would make too much of the finest; with four it is right to 1e-3.
-    parts = max(1, int(np.ceil(4 * optics.cell_m / spread_m)))
-    step_m = optics.cell_m / parts
+    parts = max(1, int(np.ceil(4 / spread)))
     size = (2 * half + 1) * parts
-    place_m = (np.arange(size) - (size - 1) / 2) * step_m
+    place = (np.arange(size) - (size - 1) / 2) / parts
     # A pupil's sample at p sends exp(2 pi i p x / (2 lambda N)) to x.
-    kernel = np.exp(2j * np.pi * np.outer(place_m, pupil.axis) / (2 * spread_m)).astype(np.complex64)
-    fields = (pupil.open * np.exp(-2j * np.pi * pupil.waves)).astype(np.complex64)
+    kernel = np.exp(2j * np.pi * np.outer(place, pupil.axis) / (2 * spread)).astype(np.complex64)
+    # Whole waves make no difference, and would cost digits.
+    phase = (-2 * np.pi * (pupil.waves - np.rint(pupil.waves))).astype(np.float32)
+    fields = np.empty(phase.shape, np.complex64)
+    fields.real, fields.imag = pupil.open * np.cos(phase), pupil.open * np.sin(phase)
     fields = _along_both_axes(kernel, fields)
     pupil_step = pupil.axis[1] - pupil.axis[0]
-    share = (step_m * pupil_step / (2 * spread_m)) ** 2 / (pupil.open**2).sum()
-    # As in the kernel: the cell's own variance is taken out of the Gaussian.
-    sigma = np.sqrt(max((optics.sigma_m / optics.cell_m) ** 2 - 1 / 12, 0.0)) * parts
-    blurred = gaussian_filter1d(np.eye(size), sigma, axis=0, mode="constant") if sigma else np.eye(size)
-    to_cells = blurred.reshape(2 * half + 1, parts, size).sum(axis=1)
-    return _along_both_axes(to_cells, np.abs(fields) ** 2 * share)
+    share = (pupil_step / parts / (2 * spread)) ** 2 / (pupil.open**2).sum()
+    to_cells = _gaussian_rows(size, optics.sigma * parts).reshape(2 * half + 1, parts, size).sum(axis=1)
+    intensity = fields.real**2 + fields.imag**2
+    return _along_both_axes(to_cells.astype(np.float32), intensity) * np.float64(share)
+
+
+def _gaussian_rows(size: int, sigma: float) -> Doubles:
+    """Matrix of a Gaussian blur of a standard deviation in samples, dark outside; cut at four of them."""
+    distance = np.abs(np.arange(size)[:, None] - np.arange(size))
+    reach = int(4 * sigma + 0.5)
+    weight = np.exp(-((np.arange(reach + 1) / sigma) ** 2) / 2) if reach else np.ones(1)
+    weight /= 2 * weight.sum() - weight[0]
+    return np.where(distance <= reach, weight[np.minimum(distance, reach)], 0.0)
 
 
 def _along_both_axes(matrix: NDArray[Any], images: NDArray[Any]) -> NDArray[Any]:
-    """Apply a matrix to the rows and the columns of images, (k, y, x)."""
+    """Apply a matrix to the columns and the rows of images, (k, y, x); what comes out is (k, x, y)."""
     # Two large products: many small ones would wait for each other's threads.
-    for _ in range(2):
-        found = (images.reshape(-1, images.shape[2]) @ matrix.T).reshape(*images.shape[:2], len(matrix))
-        images = np.ascontiguousarray(found.transpose(0, 2, 1))
-    return images
+    k, rows, cols = images.shape
+    found = (images.reshape(-1, cols) @ matrix.T).reshape(k, rows, len(matrix))
+    found = np.ascontiguousarray(found.transpose(0, 2, 1))
+    return (found.reshape(-1, rows) @ matrix.T).reshape(k, len(matrix), len(matrix))

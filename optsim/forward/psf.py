@@ -96,7 +96,7 @@ def psf_kernel(
     # Four times as wide, so that what the transform folds in from outside stays small beside the wings as far
     # as it is used: 1 % of the ring from 16 to 24 cells, of which twice as wide would leave 8 %.
     wide = 4 * near
-    middle = _middle(wide, spread, variance, disc_m / cell_m)
+    middle = _middle(wide, rounded(spread), rounded(variance), rounded(disc_m / cell_m))
     place = np.arange(-half, half + 1)
     square = place[:, None] ** 2 + place**2
     kernel = spread / np.pi**3 / np.maximum(square, 1) ** 1.5
@@ -107,6 +107,11 @@ def psf_kernel(
     within = square <= near**2
     kernel[within] *= (1 - kernel[~within].sum()) / kernel[within].sum()
     return kernel
+
+
+def rounded(number: float) -> float:
+    """To twelve digits: what is the same but for rounding has the same key in a cache."""
+    return float(f"{number:.12g}")
 
 
 # Kept: it does not depend on how far the wings reach.
