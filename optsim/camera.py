@@ -237,24 +237,27 @@ class CodedCamera(Part):
         self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
     ) -> tuple[Doubles, PanelState]:
         """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
-        energy, after = self.panel_energy(truth, index, code, panel)
-        return self.electrons_of(energy, truth.samples_per_pitch), after
-
-    def panel_energy(
-        self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
-    ) -> tuple[Floats, PanelState]:
-        """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2; as :meth:`expose`."""
         self._check(truth)
-        n_sub = truth.instants_per_slot
+        weights, after = self.shutter_weights(code, panel, truth.instants_per_slot)
+        energy = self.panel_energy(truth, index, weights)
+        return self.electrons_of(self.relay_operator(truth.samples_per_pitch).apply(energy)), after
+
+    def shutter_weights(
+        self, code: ExposureCode, panel: PanelState | None, n_sub: int
+    ) -> tuple[Floats, PanelState]:
+        """As :meth:`panel_weights`, with the transmission of splitter and panel, and the shutter."""
         weights, after = self.panel_weights(code, panel, n_sub)
         weights[self.coded_slots * n_sub :] = 0
         weights *= self.panel_gain
-        borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
-        return integrate_exposure(truth, index * self.slots_per_frame, weights, borders), after
+        return weights, after
 
-    def electrons_of(self, energy: Floats, samples_per_pitch: int) -> Doubles:
-        """Electrons that a radiant exposure behind the panel frees on average, dark ones included, (y, x)."""
-        image = self.relay_operator(samples_per_pitch).apply(energy)
+    def panel_energy(self, truth: IrradianceVideo, index: int, weights: Floats) -> Floats:
+        """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2; of shutter weights."""
+        borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
+        return integrate_exposure(truth, index * self.slots_per_frame, weights, borders)
+
+    def electrons_of(self, image: Doubles) -> Doubles:
+        """Electrons that a radiant exposure of the CCD frees on average, dark ones included, (y, x)."""
         return self.photon_electrons(image) + self.dark_e
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:

@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 """The plan: what an experiment doesn't need isn't modelled, up to a stated error.
 
 The full model is the camera with every effect on and its numerics as fine as they come. Each short cut makes
@@ -13,6 +14,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal, TypeGuard
+
+from threadpoolctl import threadpool_limits
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import ALL, Changes, changed
@@ -154,6 +157,8 @@ class CameraPlan:
         return sum(choice.size for choice in self.choices)
 
 
+# A probe's matrices are small: two threads would wait for each other.
+@threadpool_limits.wrap(limits=1)
 def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> CameraPlan:
     """Choose how finely a camera must be modelled.
 

@@ -1,8 +1,11 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 """How much each imperfection changes a frame, predicted on a small probe before anything is rendered."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from threadpoolctl import threadpool_limits
 
 from optsim.effects import ALL, switched
 from optsim.probe import Probe
@@ -25,6 +28,8 @@ class EffectSize:
     size: float
 
 
+# As in a plan.
+@threadpool_limits.wrap(limits=1)
 def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
     found = [

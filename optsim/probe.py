@@ -14,13 +14,15 @@ frame's predicted noise. What a calibration takes out again, such as shading, co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import ndimage
 
-from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.camera import CodedCamera
 from optsim.effects import Changes, changed
 from optsim.quantities import (
     Block,
@@ -29,12 +31,13 @@ from optsim.quantities import (
     Doubles,
     ExposureCode,
     Floats,
-    IrradianceVideo,
     RadianceVideo,
     Segment,
     made_radiance,
 )
 from optsim.scene import BrightLight
+
+T = TypeVar("T")
 
 # Wings that lose less than this share of the light reach beyond a near probe.
 NEAR_WINGS = 1e-3
@@ -84,32 +87,43 @@ class Probe:
     camera: CodedCamera
     radiance: RadianceVideo
 
-    # Most changes leave the objective's image as it is, and many all that happens before the relay.
+    # Most changes leave most of what a frame is made from as it is.
     @cached_property
-    def _lights(self) -> dict[str, IrradianceVideo]:
+    def _made(self) -> dict[object, Any]:
         return {}
 
-    @cached_property
-    def _energies(self) -> dict[tuple[str, int], Floats]:
-        return {}
+    def _once(self, key: object, make: Callable[[], T]) -> T:
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     def frame(self, changes: Changes) -> tuple[Doubles, Bools]:
         """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
         camera = changed(self.camera, changes)
-        expected = camera.electrons_of(self._energy(camera), SAMPLES_PER_PITCH)
+        expected = camera.electrons_of(self._image(camera))
         inner = slice(2 * _MARGIN_PX, -2 * _MARGIN_PX)
         smear = camera.sensor.smear_e(expected, camera.exposure_s)
         signal = camera.sensor.signal_e(expected, smear, camera.serial_number)
         return signal[inner, inner], (expected < camera.sensor.full_well_e)[inner, inner]
 
-    def _energy(self, camera: CodedCamera) -> Floats:
-        key = camera.model_dump_json(exclude={"relay", "sensor"}), camera.coded_slots
-        if key not in self._energies:
-            lens = camera.objective.model_dump_json()
-            if lens not in self._lights:
-                self._lights[lens] = camera.form_image(self.radiance)
-            self._energies[key], _ = camera.panel_energy(self._lights[lens], 0, _code(camera), None)
-        return self._energies[key]
+    def _image(self, camera: CodedCamera) -> Doubles:
+        """Radiant exposure of the CCD."""
+        panel, lens = camera.modulator, camera.objective.model_dump_json()
+        gate = (
+            panel.model_dump_json(exclude={"fringing_px"}), camera.splitter.model_dump_json(),
+            camera.objective.working_f_number, camera.coded_slots,
+        )  # fmt: skip
+        behind = lens, gate, panel.fringing_px
+
+        def energy() -> Floats:
+            light = self._once(("light", lens), lambda: camera.form_image(self.radiance))
+            weights = self._once(("weights", gate), lambda: camera.shutter_weights(_code(camera), None, 1)[0])
+            return camera.panel_energy(light, 0, weights)
+
+        def image() -> Doubles:
+            return camera.relay_operator().apply(self._once(("energy", behind), energy))
+
+        return self._once(("image", behind, camera.relay.model_dump_json(), camera.relay_geometry()), image)
 
     def size(self, changes: Changes, of: Changes) -> float:
         """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise."""
@@ -122,14 +136,7 @@ class Probe:
         return float(np.sqrt(np.mean((whole - without)[both] ** 2)) / noise_e)
 
     def _whole(self, changes: Changes) -> tuple[Doubles, Bools]:
-        key = repr(changes)
-        if key not in self._kept:
-            self._kept[key] = self.frame(changes)
-        return self._kept[key]
-
-    @cached_property
-    def _kept(self) -> dict[str, tuple[Doubles, Bools]]:
-        return {}
+        return self._once(("frame", repr(changes)), lambda: self.frame(changes))
 
 
 def near_probe(camera: CodedCamera, light: Illumination) -> Probe:

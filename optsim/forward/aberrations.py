@@ -150,12 +150,14 @@ def _quarter(
     if nodes < _MEAN_OF:
         # These nodes are among those that a mean is taken of in any case; they are counted from the edge.
         step = (_MEAN_OF - 1) // (nodes - 1)
-        return _quarter(*numbers, _MEAN_OF)[::-step, ::-step][::-1, ::-1]
+        all_of_them = _quarter(*numbers, _MEAN_OF)  # pyright: ignore[reportArgumentType]
+        return all_of_them[::-step, ::-step][::-1, ::-1]
     grid = _grid(np.linspace(-1, 1, nodes)[nodes // 2 :], sides)
     side = nodes // 2 + 1
     found, new = np.empty((side, side, 2 * half + 1, 2 * half + 1)), np.ones((side, side), np.bool_)
     if nodes > _MEAN_OF:
-        found[::2, ::2], new[::2, ::2] = _quarter(*numbers, side), False
+        new[::2, ::2] = False
+        found[~new] = _quarter(*numbers, side).reshape(-1, *found.shape[2:])  # pyright: ignore[reportArgumentType]
     places = [place for place, wanted in zip(grid, new.ravel(), strict=True) if wanted]
     found[new] = _cells(_pupil(wavefront, places, defocus), optics, half)
     return found
@@ -235,9 +237,9 @@ def _cells(pupil: _Pupil, optics: _Optics, half: int) -> Doubles:
     kernel = np.exp(2j * np.pi * np.outer(place, pupil.axis) / (2 * spread)).astype(np.complex64)
     # Whole waves make no difference, and would cost digits.
     phase = (-2 * np.pi * (pupil.waves - np.rint(pupil.waves))).astype(np.float32)
-    fields = np.empty(phase.shape, np.complex64)
-    fields.real, fields.imag = pupil.open * np.cos(phase), pupil.open * np.sin(phase)
-    fields = _along_both_axes(kernel, fields)
+    seen = np.empty(phase.shape, np.complex64)
+    seen.real, seen.imag = pupil.open * np.cos(phase), pupil.open * np.sin(phase)
+    fields: NDArray[np.complex64] = _along_both_axes(kernel, seen)
     pupil_step = pupil.axis[1] - pupil.axis[0]
     share = (pupil_step / parts / (2 * spread)) ** 2 / (pupil.open**2).sum()
     to_cells = _gaussian_rows(size, optics.sigma * parts).reshape(2 * half + 1, parts, size).sum(axis=1)
