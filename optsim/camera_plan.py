@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import ALL, Changes, changed
+from optsim.forward.bands import side_by_side
 from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
 
 # Scenes differ from the probe's: what is predicted is doubled.
@@ -145,11 +146,14 @@ class CameraPlan:
         One a short cut.
     camera : CodedCamera
         As planned.
+    near : Probe
+        The near probe of the full model, by which it was found.
     """
 
     tolerance: float
     choices: tuple[Choice, ...]
     camera: CodedCamera
+    near: Probe
 
     @property
     def predicted(self) -> float:
@@ -179,6 +183,7 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
         whole = changed(whole, cut.steps[0][1])
     near = near_probe(whole, light)
     far = far_probe(changed(whole, _EVEN_PSFS), light)
+    side_by_side([lambda: near.size({}, {}), lambda: far.size({}, {})])
     ladders = {name: _Ladder(cut, near, far, {}) for name, cut in open_to_choice.items()}
     chosen = dict.fromkeys(ladders, 0)
     if tolerance > 0:
@@ -194,7 +199,7 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     for name, step in chosen.items():
         planned = changed(planned, ladders[name].cut.steps[step][1])
     choices = [ladders[name].choice(name, step) for name, step in chosen.items()]
-    return CameraPlan(tolerance, tuple(choices), planned)
+    return CameraPlan(tolerance, tuple(choices), planned, near)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from threadpoolctl import threadpool_limits
 
-from optsim.effects import ALL, switched
+from optsim.effects import ALL, Effect, switched
+from optsim.forward.bands import side_by_side
 from optsim.probe import Probe
 
 
@@ -32,9 +34,11 @@ class EffectSize:
 @threadpool_limits.wrap(limits=1)
 def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
-    found = [
-        EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), {}))
-        for name, effect in ALL.items()
-        if not effect.in_scene
-    ]
-    return sorted(found, key=lambda each: -each.size)
+
+    def found(name: str, effect: Effect) -> EffectSize:
+        return EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), {}))
+
+    # The frame with all of them comes first: each is compared with it.
+    probe.size({}, {})
+    sizes = side_by_side(partial(found, *each) for each in ALL.items() if not each[1].in_scene)
+    return sorted(sizes, key=lambda each: -each.size)

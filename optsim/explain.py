@@ -30,7 +30,6 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     from optsim.effect_sizes import effect_sizes
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
-    from optsim.probe import near_probe
     from optsim.truth import describe_truth, illumination, scene_light
 
     try:
@@ -60,7 +59,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             for name, level in levels.items()
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
-        "effects": [asdict(each) for each in effect_sizes(near_probe(plan.camera, light))],
+        "effects": [asdict(each) for each in effect_sizes(plan.near)],
         "plan": plan_record(plan),
     }
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy import ndimage
 
 from optsim.quantities import Bools, Floats, Ints
 
@@ -163,6 +162,8 @@ def without_specks(mask: Bools, least_px: int) -> Bools:
 
 def regions(mask: Bools) -> tuple[Ints, int]:
     """Label connected regions (8 neighbours) from 1 in an array (v, u), 0 elsewhere; and count them."""
+    from scipy import ndimage
+
     return cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
 
 
@@ -170,4 +171,6 @@ def grown(mask: Bools, reach_px: int) -> Bools:
     """Dilate by a square: every pixel within ``reach_px`` rows and columns of the mask."""
     if reach_px == 0:
         return mask
+    from scipy import ndimage
+
     return cast("Callable[..., Bools]", ndimage.maximum_filter)(mask, size=2 * reach_px + 1)
