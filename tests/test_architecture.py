@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "origins": {"forward", "camera", "report"},
     "effects": {"camera"},
     "probe": {"camera", "effects", "scene"},
-    "effect_sizes": {"effects", "probe"},
+    "effect_sizes": {"forward", "effects", "probe"},
     "camera_plan": {"forward", "camera", "effects", "optics", "probe"},
     "focus": {"forward", "camera", "render", "scene"},
     "hardware": {"optics", "sensor", "camera", "forward"},

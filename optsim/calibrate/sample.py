@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
-from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
 from optsim.errors import ConfigError
@@ -274,6 +273,8 @@ def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
 
 def nearest(found: Bools) -> tuple[Ints, Ints]:
     """Row and column of the nearest pixel of a mask, for every pixel."""
+    from scipy import ndimage
+
     transform = cast("Callable[..., Ints]", ndimage.distance_transform_edt)
     rows, cols = transform(~found, return_distances=False, return_indices=True)
     return rows, cols

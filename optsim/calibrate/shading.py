@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, median_filter
 
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
@@ -116,6 +115,8 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
     BenchError
         When no pixel is lit.
     """
+    from scipy.ndimage import binary_dilation, median_filter
+
     on, on_variance = picker.rate(bench.flats)
     off, off_variance = picker.rate((bench.off,))
     typical = float(np.median(on[inside])) if inside.any() else 0.0
@@ -190,6 +191,8 @@ def stray_light(glare: Sequence[Patches], picker: Picker, flat: Shading) -> tupl
     """
     if not glare:
         return 0.0, 0.0, _GHOST_BLURS_PX[0]
+    from scipy.ndimage import binary_dilation
+
     seen: list[Doubles] = []
     patterns: list[tuple[Doubles, Bools]] = []
     for pattern in glare:

@@ -8,7 +8,6 @@ from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field
-from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Crosstalk
@@ -57,5 +56,7 @@ class Interpolation(Branch):
             yield layer
 
     def _smoothed(self, stack: Floats) -> Floats:
+        from scipy import ndimage
+
         blur = cast("Callable[..., Floats]", ndimage.gaussian_filter)
         return blur(stack, (self.sigma_px, self.sigma_px, self.sigma_slots), mode="constant", truncate=_CUT)

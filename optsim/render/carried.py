@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy import ndimage
 
 from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
@@ -231,6 +230,8 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
     never, ever = np.flatnonzero(~known.any(axis=0)), np.zeros(mask.shape, np.bool_)
     ever[mask] = known.any(axis=0)
     if len(never) and ever.any():
+        from scipy import ndimage
+
         beside = cast(
             "Ints", ndimage.distance_transform_edt(~ever, return_distances=False, return_indices=True)
         )

@@ -11,14 +11,20 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from optsim.quantities import Doubles
 
 
+def periodic_blur(image: Doubles, sigma: float | tuple[float, float]) -> Doubles:
+    """Blur a periodic image by a Gaussian; sigma in texels."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(image, sigma, mode="wrap"))
+
+
 def _grain(shape: tuple[int, int], sigma: float | tuple[float, float], seed: int) -> Doubles:
     """Periodic blurred noise of zero mean and unit standard deviation; sigma in texels."""
-    noise = gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
+    noise = periodic_blur(np.random.default_rng(seed).standard_normal(shape), sigma)
     return (noise - noise.mean()) / noise.std()
 
 

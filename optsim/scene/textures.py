@@ -14,12 +14,11 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, zoom
 
 from optsim.errors import ConfigError, unknown_name
 from optsim.quantities import Doubles, Floats
 from optsim.scene.charts import CHARTS
-from optsim.scene.surfaces import SURFACES
+from optsim.scene.surfaces import SURFACES, periodic_blur
 
 PHOTOGRAPHS = {
     "astronaut": "astronaut.png",
@@ -43,7 +42,7 @@ def _noise(size: int, scales: tuple[float, ...], seed: int) -> Doubles:
     rng = np.random.default_rng(seed)
     total = np.zeros((size, size))
     for scale in scales:
-        layer = gaussian_filter(rng.standard_normal((size, size)), scale, mode="wrap")
+        layer = periodic_blur(rng.standard_normal((size, size)), scale)
         total += layer / layer.std()
     total -= total.min()
     return total / total.max()
@@ -56,7 +55,7 @@ def _checker() -> Doubles:
 
 def _planks() -> Doubles:
     rows, cols = np.indices((512, 512))
-    grain = gaussian_filter(np.random.default_rng(5).standard_normal((512, 512)), (0.8, 40), mode="wrap")
+    grain = periodic_blur(np.random.default_rng(5).standard_normal((512, 512)), (0.8, 40))
     tone = 0.75 + 0.5 * np.random.default_rng(6).random(8)[rows // 64]
     shade = 0.38 * tone * (1 + 0.22 * grain / grain.std())
     return np.clip(np.where((rows % 64 < 2) | ((cols + rows // 64 * 190) % 512 < 2), 0.06, shade), 0.03, 0.9)
@@ -158,6 +157,8 @@ def _street() -> Doubles:
     The relative scale is that of a sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07,
     foliage 0.03 (no source; sensible defaults).
     """
+    from scipy.ndimage import zoom
+
     n = 480
     y, x = np.indices((n, n)) / n
     rng = np.random.default_rng(21)
