@@ -35,5 +35,8 @@ def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
 
 def side_by_side(pieces: Iterable[Callable[[], T]]) -> list[T]:
     """Do pieces of work that don't wait for each other, as many at a time as there are cores."""
+    work = list(pieces)
+    if len(work) == 1:
+        return [work[0]()]
     with ThreadPoolExecutor(CORES) as pool:
-        return [done.result() for done in [pool.submit(piece) for piece in pieces]]
+        return [done.result() for done in [pool.submit(piece) for piece in work]]

@@ -87,41 +87,48 @@ def _walk_together(
 ) -> None:
     """Take all pixels through an instant at a time."""
     n_sub = len(weights) // len(levels)
-    # Lengths of an instant before and after each row's turn, (instant of a slot, v, 1).
+    cosines, sines = np.cos(targets), np.sin(targets)
+    # Lengths of an instant before and after each row's turn, (instant of a slot, v, u).
     before_s = (delays_s[:, None] - np.arange(n_sub)[:, None, None] * instant_s).clip(0, instant_s)
+    before_s = np.broadcast_to(before_s, (n_sub, *shown.shape))
+    gamma = retardance.ravel()
     for slot, new in enumerate(levels):
         for sub in range(n_sub):
-            cosine = np.zeros(new.shape)
-            for level, target, length_s in (
-                (shown, targets[slot], before_s[sub]),
-                (new, targets[slot + 1], instant_s - before_s[sub]),
+            swept = np.zeros(gamma.shape)
+            for level, at, length_s in (
+                (shown.ravel(), slot, before_s[sub].ravel()),
+                (new.ravel(), slot + 1, instant_s - before_s[sub].ravel()),
             ):
-                if length_s.any():
-                    gamma, part = _relax_together(retardance, target[level], length_s, taus, table)
-                    retardance[:] = gamma
-                    cosine += part
+                if not length_s.any():
+                    continue
+                cosine, step = cosines[at, level], gamma - targets[at, level]
+                part = cosine * length_s
+                on_the_way = np.flatnonzero(np.abs(step) >= _SETTLED_RAD)
+                some, step = level[on_the_way], step[on_the_way]
+                rest, over, across = _relax_together(step, length_s[on_the_way], taus, table)
+                gamma[on_the_way] = targets[at, some] + rest
+                part[on_the_way] -= cosine[on_the_way] * over + sines[at, some] * across
+                swept += part
             # Dark is dark: the table's error must not make light negative.
-            weights[slot * n_sub + sub] = leaks + spans * np.maximum(0.5 - 0.5 * cosine / instant_s, 0)
+            light = np.maximum(0.5 - 0.5 * swept / instant_s, 0).reshape(shown.shape)
+            weights[slot * n_sub + sub] = leaks + spans * light
         shown[:] = new
+    retardance[:] = gamma.reshape(retardance.shape)
 
 
 def _relax_together(
-    gamma: Floats, target: Doubles, length_s: Doubles, taus: Doubles, table: Doubles
-) -> tuple[Doubles, Doubles]:
-    """Retardances after an interval, (v, u), and the integrals of their cosines over it, s; as _relax."""
-    step = gamma - target
-    side = (step >= 0).astype(np.intp)
-    lasting = [np.exp(-length_s / tau) if tau > 0 else np.float64(length_s == 0) for tau in taus.tolist()]
-    rest: Doubles = step * np.where(side, lasting[1], lasting[0])
-    place = np.abs([step, rest]) * (TABLE_CELLS / (2 * np.pi))
-    cell = np.minimum(place.astype(np.intp), TABLE_CELLS - 1)
+    step: Doubles, length_s: Doubles, taus: Doubles, table: Doubles
+) -> tuple[Doubles, Doubles, Doubles]:
+    """As _relax for steps (pixel,): what is left of them, and tau times the changes of Cin and of Si."""
+    tau = taus[(step >= 0).astype(np.intp)]
+    # At once, where a time constant is nothing; but not in no time.
+    rest = step * np.where(tau > 0, np.exp(-length_s / np.maximum(tau, 1e-30)), length_s == 0)
+    size = np.abs(np.concatenate([step, rest])) * (TABLE_CELLS / (2 * np.pi))
+    cell = np.minimum(size.astype(np.intp), TABLE_CELLS - 1)
     low = table[cell]
-    found = low + (place - cell)[..., None] * (table[cell + 1] - low)
-    si, cin = np.moveaxis(found[0] - found[1], -1, 0)
-    tau, cosine = taus[side], np.cos(target)
-    swept = cosine * (length_s - tau * cin) - np.sin(target) * tau * np.sign(step) * si
-    settled = np.abs(step) < _SETTLED_RAD
-    return np.where(settled, gamma, target + rest), np.where(settled, cosine * length_s, swept)
+    found = low + (size - cell)[:, None] * (table[cell + 1] - low)
+    si, cin = (found[: len(step)] - found[len(step) :]).T
+    return rest, tau * cin, tau * np.sign(step) * si
 
 
 @compiled()
