@@ -233,3 +233,11 @@ def test_lenses_with_odd_numbers_still_give_a_psf():
     np.testing.assert_allclose(same, np.eye(2, 3), atol=1e-15)
     assert FieldPsf(np.ones((1, 1)), np.zeros((0, 0, 1, 1))).middle(5).half == 0
     assert extend(np.ones((1, 1)), 2).shape == (5, 5)
+
+
+def test_without_aberrations_worth_the_name_the_psf_is_that_of_the_closed_form():
+    """The cell's own variance is taken out of the Gaussian in both; sampling the pupil misplaces 3e-3."""
+    numbers = {"f_number": 6.0, "sigma_m": 3e-6, "cell_m": 6.667e-6, "wavelength_m": WAVELENGTH_M}
+    kernel = psf_kernel(6.0, 3e-6, 6.667e-6, WAVELENGTH_M, 1e-3)
+    found = field_psf(Wavefront(spherical_waves=1e-6), kernel, sides=(9, 12), field_error=1.0, **numbers)
+    assert 1e-3 < np.abs(found.kernel - kernel).sum() / 2 < 5e-3

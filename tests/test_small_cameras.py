@@ -56,7 +56,7 @@ def test_a_small_exposure(monkeypatch):
     np.testing.assert_allclose(few, many, rtol=1e-6)
 
 
-@pytest.mark.parametrize("shift", [0.0, 4.0])
+@pytest.mark.parametrize("shift", [0.0, 4.0, -4.0])
 def test_the_overlap_of_a_small_panel(monkeypatch, shift):
     geometry = relay.RelayGeometry(
         18, 24, 20, 25, 1.02, 0.681, shift, -shift, 0.01, keystone_y=0.01, distortion=-0.02
