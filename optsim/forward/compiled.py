@@ -27,7 +27,8 @@ class Compiled(Generic[P, R]):
     function : callable
         What to compile.
     options : mapping
-        Of ``numba.njit``, beside ``nogil`` and ``cache``, which are on.
+        Of ``numba.njit``, beside those that all loops have: ``nogil``, ``cache`` and numpy's error model,
+        without which a loop with a division, which might raise, is not vectorised.
     """
 
     def __init__(self, function: Callable[P, R], options: dict[str, Any]) -> None:
@@ -50,7 +51,8 @@ class Compiled(Generic[P, R]):
                 if Compiled not in typeof_impl.registry:
                     typeof_impl.register(Compiled, _numba_type)
                 if self._dispatcher is None:
-                    self._dispatcher = numba.njit(nogil=True, cache=True, **self._options)(self._function)
+                    jit = numba.njit(nogil=True, cache=True, error_model="numpy", **self._options)
+                    self._dispatcher = jit(self._function)
         return self._dispatcher
 
 

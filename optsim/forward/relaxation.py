@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """The walk of a panel's pixels through the slots of a code: retardance relaxes, light is averaged.
 
 The closed form is that of :mod:`optsim.forward.panel`, with Si and Cin from its table. Many pixels walk one

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Brightness, Crosstalk, take_next
@@ -131,5 +130,7 @@ def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
 
 
 def _around(image: Floats | Bools) -> Floats:
+    from scipy import ndimage
+
     mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
     return mean(image.astype(np.float32), _AROUND)

@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Video from one coded image by alternating projection and total variation: no training, any code."""
 
 from __future__ import annotations
@@ -7,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Crosstalk
+from optsim.forward.compiled import compiled
 from optsim.quantities import CodedFrame, Floats
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
 from optsim.reconstruct.layer import Branch, Layer
@@ -80,7 +79,7 @@ class TotalVariation(Branch):
         return video * white
 
 
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
+@compiled(fastmath={"reassoc", "contract", "nsz"})
 def _bring(video: Floats, weights: Floats, measured: Floats, gain: Floats, target: Floats) -> None:
     """Bring a video to what was measured, from which the error so far has been taken off."""
     rows, cols, slots = video.shape

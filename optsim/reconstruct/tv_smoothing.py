@@ -1,5 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-# pyright: reportUnknownArgumentType=false
 """Total variation lowered by a few steps of Chambolle's dual projection, row by row inside the cache.
 
 A. Chambolle, J. Math. Imaging Vis. 20, 89 (2004), doi:10.1023/B:JMIV.0000011325.36760.1e, isotropic; from a
@@ -9,12 +7,11 @@ dual field of zero the first steps are those of scikit-image's ``denoise_tv_cham
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from optsim.forward.compiled import compiled
 from optsim.quantities import Floats
 
-# Without numpy's error model each division might raise, and no loop with one is vectorised.
-_fast = njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
+_fast = compiled(fastmath={"reassoc", "contract", "nsz", "arcp"})
 
 
 def smoothed(video: Floats, weight: float, steps: int, *, over_time: bool) -> Floats:
@@ -37,7 +34,7 @@ def smoothed(video: Floats, weight: float, steps: int, *, over_time: bool) -> Fl
     down, right = np.zeros_like(lines), np.zeros_like(lines)
     later = np.zeros_like(lines) if over_time else lines[:0]
     # The last slot has none after it.
-    has_next = np.tile(np.arange(slots) < slots - 1, cols).astype(np.float32)
+    has_next = np.tile((np.arange(slots) < slots - 1).astype(np.float32), cols)
     step = np.float32(1 / 6 if over_time else 1 / 4)
     result = np.empty_like(lines)
     _smooth(lines, down, right, later, has_next, slots, steps, step, np.float32(step / weight), result)
