@@ -171,13 +171,13 @@ def test_correlations_lie_within_their_bounds(m, k, slots, seed):
     assert not rounded[:, k:].any()
     off = np.linalg.norm(rounded[:m, :k] - matrix, axis=0)
     assert abs(off.max() - matrix_error) < 1e-6
-    moves = np.full((slots, packed.shape[1]), -7, np.int32)
+    moves = np.zeros((slots, 2 * packed.shape[1]), np.int16)
     state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
     state[:, :, 1] = 1
     terms = np.zeros((slots, 4), np.float32)
     bounds = np.empty(slots)
     for slot in range(slots):
-        own, error = round_unit(vectors[slot].astype(np.float64), lengths[slot], moves[slot])
+        own, error = round_unit(vectors.astype(np.float64), slot, lengths[slot], moves, slot)
         bounds[slot] = matrix_error + error + 1e-6
         terms[slot, :2] = step * own, -((step * own) ** 2)
     terms[:, 2], terms[:, 3] = bounds, 2 * bounds + bounds**2

@@ -90,28 +90,25 @@ def pack(matrix: Floats, packed: Pairs) -> tuple[float, float]:
 
 
 @njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
-def round_unit(vector: Doubles, length: float, target: NDArray[np.int32]) -> tuple[float, float]:
-    """Round a vector, divided by its length, to 16 bits.
+def round_unit(vectors: Doubles, which: int, length: float, moves: Pairs, slot: int) -> tuple[float, float]:
+    """Round one of several vectors, divided by its length, to 16 bits, into a slot's moves.
 
     Returns
     -------
     step, error : float
         As :func:`pack`, of the vector divided by its length.
     """
+    rows = np.uint64(vectors.shape[1])
     top = 0.0
-    for m in range(len(vector)):
-        top = max(top, abs(vector[m]))
+    for m in range(rows):
+        top = max(top, abs(vectors[which, m]))
     scale = min(_SCALE, LARGEST * length / top) / length
     square = 0.0
-    for m in range(0, len(vector) - 1, 2):
-        first, second = vector[m] * scale, vector[m + 1] * scale
-        even, odd = np.rint(first), np.rint(second)
-        square += (first - even) ** 2 + (second - odd) ** 2
-        target[m // 2] = (np.int32(even) & np.int32(0xFFFF)) | (np.int32(odd) << np.int32(16))
-    if len(vector) % 2:
-        last = vector[-1] * scale
-        square += (last - np.rint(last)) ** 2
-        target[len(vector) // 2] = np.int32(np.rint(last)) & np.int32(0xFFFF)
+    for m in range(rows):
+        value = vectors[which, m] * scale
+        nearest = np.rint(value)
+        square += (value - nearest) ** 2
+        moves[slot, m] = np.int16(np.int32(nearest))
     return 1 / (scale * length), np.sqrt(square) / (scale * length)
 
 
@@ -240,17 +237,15 @@ def atom_of(peak: int, i: int) -> int:
 
 
 @njit(nogil=True, cache=True)
-def correlate(
-    packed: Pairs, moves: NDArray[np.int32], state: Floats, terms: Floats, peaks: Floats, active: int
-) -> None:
+def correlate(packed: Pairs, moves: Pairs, state: Floats, terms: Floats, peaks: Floats, active: int) -> None:
     """Renew state and peaks of the first ``active`` slots.
 
     Parameters
     ----------
     packed : ndarray of shape (panel, pair, atom, 2), int16
         From :func:`pack`.
-    moves : ndarray of shape (slot, pair), int32
-        Each slot's vector in 16 bits, two rows a number.
+    moves : ndarray of shape (slot, 2 * pair), int16
+        Each slot's vector, zero beyond its rows.
     state : ndarray of shape (panel, slot, 2, atom), float32
         Correlation c of each atom with a slot's residual; squared distance n from the span of its atoms.
     terms : ndarray of shape (slot, 4), float32

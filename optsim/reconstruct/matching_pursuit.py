@@ -17,7 +17,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats, Ints
@@ -25,6 +24,7 @@ from optsim.reconstruct.correlation_bounds import (
     COPY,
     PANEL,
     SHARING,
+    Pairs,
     atom_of,
     correlate,
     pack,
@@ -84,7 +84,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
         _turn(matrix, atoms.columns)
         atoms.known[:] = True
     # What correlate() reads and renews.
-    moves = np.zeros((slots, packed.shape[1]), np.int32)
+    moves = np.zeros((slots, 2 * packed.shape[1]), np.int16)
     state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
     terms = np.zeros((slots, 4), np.float32)
     peaks = np.zeros((slots, peaks_of(packed.shape[0])), np.float32)
@@ -94,6 +94,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
     residual, energy, enough = np.zeros((slots, rows)), np.zeros(slots), np.zeros(slots)
     # Picked atoms, one a row, in an orthonormal basis; the signal in that basis.
     basis, triangle = np.zeros((slots, cap, rows)), np.zeros((slots, cap, cap))
+    directions = basis.reshape(slots * cap, rows)
     shares, parts = np.zeros((slots, cap)), np.zeros(cap)
     # Sum of the squared errors of its products; whether correlations are due anew before the next pick.
     doubt, stale = np.zeros(slots), np.zeros(slots, np.bool_)
@@ -109,8 +110,8 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
                     energy[slot], enough[slot] = 1, max(stop_energy[following] / square, _NOTHING)
                     residual[slot] /= length[slot]
                     doubt[slot] = 0
-                    _restart(state[:, slot, 1], width)
-                    _look(residual[slot], energy[slot], grid, state[:, slot, 0], moves[slot], terms[slot])
+                    _restart(slot, state, width)
+                    _look(slot, residual, energy, grid, state, moves, terms)
                 following += 1
             if owner[slot] >= 0:
                 busy = slot + 1
@@ -122,13 +123,14 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
             if p < 0:
                 continue
             if stale[slot]:
-                _look(residual[slot], energy[slot], grid, state[:, slot, 0], moves[slot], terms[slot])
+                _look(slot, residual, energy, grid, state, moves, terms)
                 stale[slot] = False
                 continue
             best = _best(slot, state, peaks, terms, atoms, residual, basis, triangle, parts, count)
             if best >= 0:
-                shares[slot, count] = _extend(slot, atoms.columns[best], basis, triangle, residual, count)
-                energy[slot] = _dot(residual[slot], residual[slot])
+                shares[slot, count], energy[slot] = _extend(
+                    slot, best, atoms.columns, basis, triangle, residual, count
+                )
                 support[p, count] = best
                 count += 1
                 picked[slot] = count
@@ -138,7 +140,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
                 terms[slot] = 0
                 continue
             share = shares[slot, count - 1]
-            step, rounding = round_unit(basis[slot, count - 1], 1.0, moves[slot])
+            step, rounding = round_unit(directions, slot * cap + count - 1, 1.0, moves, slot)
             unit = grid[0] * step
             off = grid[1] + rounding + _ROUNDING
             doubt[slot] += off * off
@@ -149,21 +151,25 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
             stale[slot] = terms[slot, 2] > _STALE * np.sqrt(energy[slot])
 
 
+# The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
 @compiled()
 def _look(
+    slot: int,
     residual: Doubles,
-    energy: float,
+    energy: Doubles,
     grid: tuple[float, float],
-    correlations: Floats,
-    move: NDArray[np.int32],
+    state: Floats,
+    moves: Pairs,
     terms: Floats,
 ) -> None:
     """Have the correlations computed from the residual itself."""
-    length = np.sqrt(energy)
-    step, rounding = round_unit(residual, length, move)
-    correlations[:] = 0
-    terms[0], terms[1] = length * grid[0] * step, 0
-    terms[2] = length * (grid[1] + rounding + _ROUNDING)
+    length = np.sqrt(energy[slot])
+    step, rounding = round_unit(residual, slot, length, moves, slot)
+    for panel in range(len(state)):
+        for k in range(PANEL):
+            state[panel, slot, 0, k] = 0
+    terms[slot, 0], terms[slot, 1] = length * grid[0] * step, 0
+    terms[slot, 2] = length * (grid[1] + rounding + _ROUNDING)
 
 
 @compiled()
@@ -177,14 +183,15 @@ def _turn(matrix: Floats, columns: Floats) -> None:
 
 
 @compiled()
-def _restart(distances: Floats, width: int) -> None:
+def _restart(slot: int, state: Floats, width: int) -> None:
     """Distances of unit atoms from nothing; what lies beyond the last atom is never picked."""
-    distances[:] = 1
-    for atom in range(width, distances.size):
-        distances[atom // PANEL, atom % PANEL] = np.inf
+    for panel in range(len(state)):
+        for k in range(PANEL):
+            state[panel, slot, 1, k] = 1
+    for atom in range(width, len(state) * PANEL):
+        state[atom // PANEL, slot, 1, atom % PANEL] = np.inf
 
 
-# The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
 @compiled()
 def _best(
     slot: int,
@@ -221,7 +228,8 @@ def _best(
     taken = _energy_taken(slot, first, atoms, residual, basis, parts, count, 0.0)
     if taken > score:
         best, score = first, taken
-        triangle[slot, count, :count] = parts[:count]
+        for k in range(count):
+            triangle[slot, count, k] = parts[k]
     for chunk in range(0, n_peaks, _CHUNK):
         if _largest(peaks, slot, chunk) <= score:
             continue
@@ -236,7 +244,8 @@ def _best(
                 taken = _energy_taken(slot, atom, atoms, residual, basis, parts, count, score * distance)
                 if taken > score or (taken == score and atom < best):
                     best, score = atom, taken
-                    triangle[slot, count, :count] = parts[:count]
+                    for k in range(count):
+                        triangle[slot, count, k] = parts[k]
                 elif taken < 0:
                     state[atom // PANEL, slot, 1, atom % PANEL] = np.inf
     return best
@@ -246,9 +255,9 @@ def _best(
 def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
     """Largest of a chunk of peaks."""
     largest = np.float32(-1)
-    for k in range(first, min(first + _CHUNK, peaks.shape[1])):
-        if peaks[slot, k] > largest:
-            largest = peaks[slot, k]
+    # Unsigned: a loop whose index might be negative would not become vector code.
+    for k in range(np.uint64(first), np.uint64(min(first + _CHUNK, peaks.shape[1]))):
+        largest = max(largest, peaks[slot, k])
     return largest
 
 
@@ -281,7 +290,8 @@ def _energy_taken(
     """
     columns, rows = atoms.columns, atoms.columns.shape[1]
     if not atoms.known[atom]:
-        columns[atom] = atoms.matrix[:, atom]
+        for m in range(rows):
+            columns[atom, m] = atoms.matrix[m, atom]
         atoms.known[atom] = True
     # Rounded to float32 an atom's length is not quite 1, and ties are finer than that.
     product, distance = 0.0, 0.0
@@ -302,12 +312,21 @@ def _energy_taken(
 
 @compiled(fastmath={"reassoc", "contract"})
 def _extend(
-    slot: int, column: Floats, basis: Doubles, triangle: Doubles, residual: Doubles, count: int
-) -> float:
-    """Add an atom, whose parts are in the triangle, to the basis; take its share from the residual."""
-    rows = len(column)
+    slot: int,
+    atom: int,
+    columns: Floats,
+    basis: Doubles,
+    triangle: Doubles,
+    residual: Doubles,
+    count: int,
+) -> tuple[float, float]:
+    """Add an atom, whose parts are in the triangle, to the basis; take its share from the residual.
+
+    Returns the share and the energy left.
+    """
+    rows = columns.shape[1]
     for m in range(rows):
-        basis[slot, count, m] = column[m]
+        basis[slot, count, m] = columns[atom, m]
     for k in range(count):
         part = triangle[slot, count, k]
         for m in range(rows):
@@ -320,10 +339,12 @@ def _extend(
     for m in range(rows):
         basis[slot, count, m] /= length
         share += basis[slot, count, m] * residual[slot, m]
+    energy = 0.0
     for m in range(rows):
         residual[slot, m] -= share * basis[slot, count, m]
+        energy += residual[slot, m] ** 2
     triangle[slot, count, count] = length
-    return share
+    return share, energy
 
 
 @compiled()

@@ -34,10 +34,13 @@ def smoothed(video: Floats, weight: float, steps: int, *, over_time: bool) -> Fl
     down, right = np.zeros_like(lines), np.zeros_like(lines)
     later = np.zeros_like(lines) if over_time else lines[:0]
     # The last slot has none after it.
-    has_next = np.tile((np.arange(slots) < slots - 1).astype(np.float32), cols)
+    has_next = np.ones((cols, slots), np.float32)
+    has_next[:, -1] = 0
     step = np.float32(1 / 6 if over_time else 1 / 4)
     result = np.empty_like(lines)
-    _smooth(lines, down, right, later, has_next, slots, steps, step, np.float32(step / weight), result)
+    _smooth(
+        lines, down, right, later, has_next.ravel(), slots, steps, step, np.float32(step / weight), result
+    )
     return result.reshape(video.shape)
 
 
