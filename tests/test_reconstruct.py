@@ -469,7 +469,7 @@ def test_total_variation_finds_what_is_flat_between_edges_with_any_code():
     assert errors[TotalVariation] < 0.85
     assert errors[TotalVariation] < 0.8 * errors[Interpolation]
     # Each slot by itself is another answer, and what no slot ever opened is nobody's.
-    still = last(TotalVariation(over_time=False), frames, calibration).irradiance_w_m2
+    still = last(TotalVariation(time_weight=0), frames, calibration).irradiance_w_m2
     assert np.abs(still - last(TotalVariation(), frames, calibration).irradiance_w_m2).max() > 0.01
     levels = frames[0].code.levels.copy()
     levels[:, 3, 4] = 0

@@ -14,7 +14,7 @@ from optsim.quantities import Floats
 _fast = compiled(fastmath={"reassoc", "contract", "nsz", "arcp"})
 
 
-def smoothed(video: Floats, weight: float, steps: int, *, over_time: bool) -> Floats:
+def smoothed(video: Floats, weight: float, steps: int, *, time_weight: float) -> Floats:
     """Lower the total variation of a video by a number of dual steps.
 
     Parameters
@@ -25,22 +25,20 @@ def smoothed(video: Floats, weight: float, steps: int, *, over_time: bool) -> Fl
         Of the total variation, in the video's unit.
     steps : int
         Steps of the dual field; the minimum is reached after hundreds.
-    over_time : bool
-        Whether differences from slot to slot count; otherwise each slot is smoothed by itself.
+    time_weight : float
+        What a difference from slot to slot counts against one from pixel to pixel; 0 smooths each slot by
+        itself.
     """
     rows, cols, slots = video.shape
     # Slots side by side: neighbours in a row are then a fixed distance apart, and loops are long.
     lines = np.ascontiguousarray(video, np.float32).reshape(rows, cols * slots)
     down, right = np.zeros_like(lines), np.zeros_like(lines)
-    later = np.zeros_like(lines) if over_time else lines[:0]
-    # The last slot has none after it.
-    has_next = np.ones((cols, slots), np.float32)
-    has_next[:, -1] = 0
-    step = np.float32(1 / 6 if over_time else 1 / 4)
+    later = np.zeros_like(lines) if time_weight else lines[:0]
+    links = np.full((cols, slots), time_weight, np.float32)
+    links[:, -1] = 0  # no slot comes after the last
+    step = np.float32(1 / (4 + 2 * time_weight**2))
     result = np.empty_like(lines)
-    _smooth(
-        lines, down, right, later, has_next.ravel(), slots, steps, step, np.float32(step / weight), result
-    )
+    _smooth(lines, down, right, later, links.ravel(), slots, steps, step, np.float32(step / weight), result)
     return result.reshape(video.shape)
 
 
@@ -50,7 +48,7 @@ def _smooth(
     down: Floats,
     right: Floats,
     later: Floats,
-    has_next: Floats,
+    links: Floats,
     slots: int,
     steps: int,
     step: np.float32,
@@ -63,21 +61,21 @@ def _smooth(
     timed = len(later) > 0
     for _ in range(steps):
         # A row's fields change once the row below has been made from the old ones.
-        _light(lines[0], down[0], none, right[0], later[0] if timed else none, timed, slots, here)
+        _light(lines[0], down[0], none, right[0], later[0] if timed else none, links, timed, slots, here)
         for v in range(rows):
             if v + 1 < rows:
                 late = later[v + 1] if timed else none
-                _light(lines[v + 1], down[v + 1], down[v], right[v + 1], late, timed, slots, below)
+                _light(lines[v + 1], down[v + 1], down[v], right[v + 1], late, links, timed, slots, below)
             else:
                 below[:] = here
             if timed:
-                _step_in_time(down[v], right[v], later[v], here, below, has_next, slots, step, damping)
+                _step_in_time(down[v], right[v], later[v], here, below, links, slots, step, damping)
             else:
                 _step(down[v], right[v], here, below, slots, step, damping)
             here, below = below, here
     for v in range(rows):
         above, late = down[v - 1] if v else none, later[v] if timed else none
-        _light(lines[v], down[v], above, right[v], late, timed, slots, result[v])
+        _light(lines[v], down[v], above, right[v], late, links, timed, slots, result[v])
 
 
 @_fast
@@ -87,6 +85,7 @@ def _light(
     above: Floats,
     right: Floats,
     later: Floats,
+    links: Floats,
     timed: bool,
     slots: int,
     out: Floats,
@@ -100,10 +99,10 @@ def _light(
         beside[k] -= left[k]
     if timed:
         for k in range(n):
-            out[k] += later[k]
+            out[k] += links[k] * later[k]
         after, before = out[1:], later[: n - 1]
         for k in range(n - 1):
-            after[k] -= before[k]
+            after[k] -= links[k] * before[k]
 
 
 @_fast
@@ -136,7 +135,7 @@ def _step_in_time(
     later: Floats,
     here: Floats,
     below: Floats,
-    has_next: Floats,
+    links: Floats,
     slots: int,
     step: np.float32,
     damping: np.float32,
@@ -146,14 +145,14 @@ def _step_in_time(
     beside, after = here[slots:], here[1:]
     for k in range(n - slots):
         dv, du = below[k] - here[k], beside[k] - here[k]
-        dt = (after[k] - here[k]) * has_next[k]
+        dt = (after[k] - here[k]) * links[k]
         shrink = np.float32(1) / (np.float32(1) + damping * np.sqrt(dv * dv + du * du + dt * dt))
         down[k] = (down[k] + step * dv) * shrink
         right[k] = (right[k] + step * du) * shrink
         later[k] = (later[k] + step * dt) * shrink
     for k in range(n - slots, n):
         dv = below[k] - here[k]
-        dt = here[min(k + 1, n - 1)] - here[k]
+        dt = (here[min(k + 1, n - 1)] - here[k]) * links[k]
         shrink = np.float32(1) / (np.float32(1) + damping * np.sqrt(dv * dv + dt * dt))
         down[k] = (down[k] + step * dv) * shrink
         later[k] = (later[k] + step * dt) * shrink
