@@ -31,6 +31,8 @@ def test_differences_in_time_count_as_they_are_told_to(time_weight):
     """The least sum of squared change and weighted total variation, found by hand for one step in time."""
     video = np.zeros((3, 4, 2), np.float32)
     video[:, :, 1] = 1
+    few = smoothed(video, 0.1, 2, time_weight=time_weight)
+    np.testing.assert_allclose(np.ptp(few, axis=(0, 1)), 0, atol=1e-6, err_msg="no pixel is special")
     # Each side of the step moves by what the variation's slope takes: weight times time_weight.
     found = smoothed(video, 0.1, 3000, time_weight=time_weight)
     np.testing.assert_allclose(found[:, :, 0], 0.1 * time_weight, atol=1e-4)
