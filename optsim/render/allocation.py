@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from scipy import ndimage
 
 from optsim.quantities import Doubles, Floats, Ints
 
@@ -104,8 +105,6 @@ def smoothed(shape: tuple[int, int], values: Doubles) -> Floats:
 
 
 def _blurred(image: Floats) -> Floats:
-    from scipy import ndimage
-
     return cast("Floats", ndimage.uniform_filter(image, 3, mode="constant"))  # type: ignore[no-untyped-call]
 
 

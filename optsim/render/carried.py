@@ -21,8 +21,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numba import njit
+from scipy import ndimage
 
-from optsim.forward.compiled import compiled
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.stage import Looks
 from optsim.scene.geometry import Faces
@@ -142,12 +143,12 @@ def seen_at(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Double
     return np.column_stack([np.einsum("nk,nkx->nx", weighted, corners[:, :, :2]) / depth[:, None], depth])
 
 
-@compiled()
+@njit(nogil=True, cache=True)
 def _turns(a, b, c):  # type: ignore[no-untyped-def]
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0
 
 
-@compiled()
+@njit(nogil=True, cache=True)
 def _looked_up(  # type: ignore[no-untyped-def]
     face,
     weights,
@@ -230,8 +231,6 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
     never, ever = np.flatnonzero(~known.any(axis=0)), np.zeros(mask.shape, np.bool_)
     ever[mask] = known.any(axis=0)
     if len(never) and ever.any():
-        from scipy import ndimage
-
         beside = cast(
             "Ints", ndimage.distance_transform_edt(~ever, return_distances=False, return_indices=True)
         )
