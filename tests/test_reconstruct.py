@@ -31,6 +31,7 @@ from optsim.reconstruct import (
     GaussianMixture,
     HdrMerge,
     Interpolation,
+    MotionDeblurring,
     SparseCoding,
     TotalVariation,
     Union,
@@ -40,8 +41,13 @@ from optsim.reconstruct.coded_images import coded_images
 from optsim.reconstruct.dictionary import Dictionary, save_dictionary, unit
 
 ROWS, COLS = 32, 40
-VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation)
-NATURAL = {HdrMerge: HdrMosaic(), Union: MotionAdaptive(), **dict.fromkeys(VIDEO, RandomExposure())}
+VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, MotionDeblurring)
+NATURAL = {
+    HdrMerge: HdrMosaic(),
+    Union: MotionAdaptive(),
+    **dict.fromkeys(VIDEO, RandomExposure()),
+    MotionDeblurring: FlutterShutter(),
+}
 
 
 def last(decoder, frames, calibration):

@@ -29,7 +29,7 @@ _ROUNDS = 2
 
 
 def decoders() -> list[tuple[str, str, Branch]]:
-    """Every decoder of moving light, over what trades its time for quality: (line, setting, decoder)."""
+    """Every decoder for any code, over what trades its time for quality: (line, setting, decoder)."""
     strides, atoms, rounds = (4, 2, 1), (3, 5, 10, 20), (15, 30, 60)
     sparse = [("sparse_coding", f"stride {n}", SparseCoding(stride_px=n)) for n in strides]
     few = [("sparse_coding, stride 2", f"{n} atoms", SparseCoding(stride_px=2, max_atoms=n)) for n in atoms]

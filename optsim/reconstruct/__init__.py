@@ -9,14 +9,31 @@ from optsim.reconstruct.branches import (
     GaussianMixture,
     HdrMerge,
     Interpolation,
+    MotionDeblurring,
     SparseCoding,
     TotalVariation,
 )
 from optsim.reconstruct.union import Union
 
-ALL = (HdrMerge, SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, Union)
+ALL = (
+    HdrMerge,
+    SparseCoding,
+    GaussianMixture,
+    Average,
+    Interpolation,
+    TotalVariation,
+    MotionDeblurring,
+    Union,
+)
 Decoder = Annotated[
-    HdrMerge | SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation | Union,
+    HdrMerge
+    | SparseCoding
+    | GaussianMixture
+    | Average
+    | Interpolation
+    | TotalVariation
+    | MotionDeblurring
+    | Union,
     Field(discriminator="kind"),
 ]
 
@@ -27,6 +44,7 @@ __all__ = [
     "GaussianMixture",
     "HdrMerge",
     "Interpolation",
+    "MotionDeblurring",
     "SparseCoding",
     "TotalVariation",
     "Union",

@@ -17,12 +17,14 @@ from optsim.reconstruct.branches import (
     GaussianMixture,
     HdrMerge,
     Interpolation,
+    MotionDeblurring,
     SparseCoding,
     TotalVariation,
 )
 
 _Moving = Annotated[
-    SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation, Field(discriminator="kind")
+    SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation | MotionDeblurring,
+    Field(discriminator="kind"),
 ]
 
 
