@@ -182,3 +182,21 @@ def test_what_little_speaks_for_goes_to_the_velocity_of_most_pixels():
     assert (shared_out(costs) == 0).all()
     costs[1, :, 15:] = -1
     assert (shared_out(costs)[:, 15:] == 1).all()
+
+
+def test_a_code_that_a_minority_shares_is_an_error_too():
+    frame, calibration = exposed(textured((0, 0), 32, 40))
+    levels = frame.code.levels.copy()
+    levels[:, :, 16:28] = 255 - levels[:, :, 16:28]
+    levels[:, :, 28:] = 255
+    mixed = replace(frame, code=ExposureCode(levels, frame.code.moving))
+    with pytest.raises(ConfigError, match="30 % of the moving pixels share"):
+        next(QUICK.decode([mixed], calibration))
+
+
+def test_the_model_errs_only_where_something_moves():
+    light = textured((0, 0))[0]
+    known = np.ones(light.shape, np.bool_)
+    blur = coded_blur(light, np.full(light.shape, 1e-6, np.float32), known, np.ones(36), 0, 0.03)
+    still, moving = (np.median(blur.along(way).noise) for way in ((0.0, 0.0), (0.5, 0.0)))
+    assert still < 0.01 * moving
