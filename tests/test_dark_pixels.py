@@ -21,6 +21,7 @@ def coded_image(variance=0.0, exposure=3.0):
         np.full(shape, variance, np.float32),
         np.full((*shape, SLOTS), exposure / SLOTS, np.float32),
         np.ones(shape, np.bool_),
+        np.zeros(shape, np.bool_),
     )
 
 

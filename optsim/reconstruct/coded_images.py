@@ -16,7 +16,6 @@ from optsim.reconstruct.layer import Layer, positive_mean
 
 # Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
 _AROUND = 8
-_DARK_ERROR = np.float32(0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,8 @@ class CodedImage:
         Weights.
     usable : ndarray of shape (v, u), bool
         Where there is a signal.
+    saturated : ndarray of shape (v, u), bool
+        Where it is only known to be so large at least.
     """
 
     signal: Floats
@@ -42,6 +43,7 @@ class CodedImage:
     variance: Floats
     weights: Floats
     usable: Bools
+    saturated: Bools
 
 
 def coded_images(
@@ -61,6 +63,7 @@ def coded_images(
                 np.where(usable, sample.variance, 0).astype(np.float32),
                 np.ascontiguousarray(np.moveaxis(np.where(usable, sample.weights, 0), 0, -1)),
                 usable,
+                sample.saturated,
             ),
         )
 
@@ -122,15 +125,16 @@ def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
     # What is said of slots with the shutter closed is nobody's error.
     negative = np.minimum(video[image.weights.any(axis=(0, 1))], 0)
     squares = np.square(negative).sum(axis=0) / max(1, len(negative))
-    shown = _around(squares) / np.maximum(_around(seen), 1 / _AROUND**2)
-    variance, exposure = _around(image.variance), _around(image.exposure)
+    shown = box_mean(squares, _AROUND) / np.maximum(box_mean(seen, _AROUND), 1 / _AROUND**2)
+    variance, exposure = box_mean(image.variance, _AROUND), box_mean(image.exposure, _AROUND)
     gathered = np.zeros_like(variance)
     np.divide(variance, _AROUND**2 * exposure**2, out=gathered, where=exposure > 1e-6)
     return (2 * shown + gathered).astype(np.float32)
 
 
-def _around(image: Floats | Bools) -> Floats:
+def box_mean(image: Floats | Bools, side: int) -> Floats:
+    """Mean over the square around each pixel, mirrored at the border: (v, u), float32."""
     from scipy import ndimage
 
     mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
-    return mean(image.astype(np.float32), _AROUND)
+    return mean(image.astype(np.float32, copy=False), side)

@@ -1,19 +1,18 @@
-# pyright: reportMissingTypeStubs=false
 """Video from one coded image of a shutter that flutters: the blur of what moves evenly is undone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from typing import Literal, cast
+from collections.abc import Iterable, Iterator
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk
+from optsim.calibrate.sample import Crosstalk, nearest
 from optsim.errors import ConfigError
-from optsim.quantities import Bools, CodedFrame, Doubles, Floats, Ints
+from optsim.quantities import Bools, CodedFrame, Doubles, Floats
 from optsim.reconstruct.coded_blur import CodedBlur, Velocity, carried, coded_blur, spectrum_of
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
 from optsim.reconstruct.layer import Branch, Layer
@@ -88,25 +87,24 @@ class MotionDeblurring(Branch):
             light = np.zeros_like(image.weights)
             if moving.any():
                 code, alike = shared_code(image.weights[:, :, : calibration.coded_slots], moving)
-                saturated = calibration.observe(frame).saturated
-                found = self._video(image, code, alike, saturated, calibration.slots_per_frame)
+                found = self._video(image, known, code, alike)
                 light = np.ascontiguousarray(np.moveaxis(found, 0, -1)) * moving[:, :, None]
             count = moving.astype(np.float32)
             yield covered(frame, image, light, count, np.ones_like(count))
 
-    def _video(self, image: CodedImage, code: Doubles, alike: Bools, saturated: Bools, slots: int) -> Floats:
+    def _video(self, image: CodedImage, known: Bools, code: Doubles, alike: Bools) -> Floats:
         """Light of all slots, (slot, v, u), wherever pixels move or not."""
-        known = image.usable & (image.exposure > _LEAST)
+        slots = image.weights.shape[2]
         opened = np.maximum(image.exposure, np.float32(_LEAST))
         light = image.signal / opened
         mean = float(light[alike].mean(dtype=np.float64))
         if mean <= 0:
             return np.zeros((slots, *light.shape), np.float32)
         if not known.all():
-            light = light[_nearest(known)]
+            light = light[nearest(known)]
         light = (light / np.float32(mean)).astype(np.float32)
         # What saturates is only known to be so bright at least: it may be off by its own size.
-        variance = image.variance / (opened * np.float32(mean)) ** 2 + np.where(saturated, light**2, 0)
+        variance = image.variance / (opened * np.float32(mean)) ** 2 + np.where(image.saturated, light**2, 0)
         margin = self._margin(len(code), slots)
         blur = coded_blur(light, variance.astype(np.float32), alike, code, margin, self.model_error)
         video = painted(blur, *self._explained(blur, light.shape), slots, light.shape)
@@ -183,12 +181,3 @@ def painted(
             opacity = np.clip(mask[inside], 0, 1) if place else np.float32(1)
             light[slot] += opacity * (there[inside] - light[slot])
     return light
-
-
-def _nearest(known: Bools) -> tuple[Ints, Ints]:
-    """Place of the nearest known pixel: rows and columns, (v, u) each."""
-    from scipy import ndimage
-
-    distances = cast("Callable[..., Ints]", ndimage.distance_transform_edt)
-    rows, cols = distances(~known, return_distances=False, return_indices=True)
-    return rows, cols

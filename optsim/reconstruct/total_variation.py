@@ -73,9 +73,9 @@ class TotalVariation(Branch):
         gain = np.where(energy > 0, 1 / np.maximum(energy, np.float32(1e-12)), 0).astype(np.float32)
         # Each pixel's mean in all slots is a start that agrees with what was measured.
         start = (means / white).astype(np.float32)
-        video = np.repeat(start[:, :, None], weights.shape[2], axis=2)
-        target = np.zeros_like(measured)
         slots = weights.shape[2]
+        video = np.repeat(start[:, :, None], slots, axis=2)
+        target = np.zeros_like(measured)
         time_weight = min(1.0, slots / _SLOTS_LIKE_PIXELS) if self.time_weight is None else self.time_weight
         for _ in range(self.rounds):
             _bring(video, weights, measured, gain, target)

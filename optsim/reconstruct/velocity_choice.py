@@ -1,18 +1,16 @@
-# pyright: reportMissingTypeStubs=false
 """Which velocity explains which neighbourhood of a coded image: the one whose sharp picture looks natural."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import cast
 
 import numpy as np
 
 from optsim.quantities import Floats, Ints
 from optsim.reconstruct.coded_blur import CodedBlur, Velocity, Way
+from optsim.reconstruct.coded_images import box_mean
 
 _LEAST = 1e-6
 # Mean of the roots of two gradients, of Gaussian noise of standard deviation 1.
@@ -79,7 +77,7 @@ def explained(
     order = [k for k in np.argsort([np.hypot(*way) for way in velocities], kind="stable") if pixels[k]]
     order.sort(key=lambda k: k != most)
     sides = [(corner, n - side - corner) for n, side in zip(blur.light.shape, shape, strict=True)]
-    masks = [np.pad(_mean((labels == k).astype(np.float32), _SOFT), sides, mode="edge") for k in order]
+    masks = [np.pad(box_mean(labels == k, _SOFT), sides, mode="edge") for k in order]
     return [velocities[k] for k in order], np.stack(masks), np.stack([pictures[k] for k in order])
 
 
@@ -111,7 +109,7 @@ def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: in
     undone = 0.5 * float(np.log(way.power).mean(dtype=np.float64))
     # Where there is nothing but noise no velocity is better than it lets be seen.
     least = np.float32(max(_OF_NOISE * math.sqrt(way.rough), _LEAST))
-    return 2 * np.log(np.maximum(_mean(rough, around), least)) + np.float32(undone)
+    return 2 * np.log(np.maximum(box_mean(rough, around), least)) + np.float32(undone)
 
 
 def likely_velocities(
@@ -185,10 +183,3 @@ def shared_out(costs: Floats) -> Ints:
 def _to_border(n: int) -> Ints:
     place = np.arange(n)
     return np.minimum(place, n - 1 - place)
-
-
-def _mean(image: Floats, around: int) -> Floats:
-    from scipy import ndimage
-
-    mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
-    return mean(image, around)

@@ -23,7 +23,12 @@ SOURCE = "PHYSICS: fringing acts on retardance; sin^2(G/2) of a retarder between
 # are exact, and a still black and white mosaic leaves 0.1; greys and passing times leave 0.37. It is worth
 # its name as long as it is nearer to the truth than to nothing by a good margin.
 TOLERANCE = 0.4
-FILES = ("optsim/forward/fringing.py", "optsim/forward/panel.py", "optsim/forward/integrate.py")
+FILES = (
+    "optsim/forward/fringing.py",
+    "optsim/forward/panel.py",
+    "optsim/forward/relaxation.py",
+    "optsim/forward/integrate.py",
+)
 
 _POINTS, _SIDE, _SLOTS, _STEPS, _SLOT_S = 15, 16, 36, 120, 1 / 180
 

@@ -32,6 +32,7 @@ FILES = (
     "optsim/calibrate/sample.py",
     "optsim/forward/motion.py",
     "optsim/forward/panel.py",
+    "optsim/forward/relaxation.py",
 )
 
 _SLOTS, _ROWS, _COLS = 36, 240, 240

@@ -15,7 +15,10 @@ SOURCE = "dG/dt = (G_inf - G) / tau, tau by direction; sin^2(G/2) of a retarder 
 # The table claims 6e-7; steps of a thousandth of tau leave the midpoint rule 1e-7, and float32 retardance
 # carried through the slots some 1e-6.
 TOLERANCE = 1e-5
-FILES = ("optsim/forward/panel.py",)
+FILES = (
+    "optsim/forward/panel.py",
+    "optsim/forward/relaxation.py",
+)
 
 _SLOT_S, _SLOTS, _PIXELS, _STEPS = 1 / 180, 12, 24, 12_000
 _LEAK, _EXPONENT, _FIELDS = 0.01, 1.2, (1.0, 0.95, 1.03)

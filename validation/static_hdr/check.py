@@ -53,6 +53,7 @@ FILES = (
     "optsim/calibrate/sample.py",
     "optsim/forward/motion.py",
     "optsim/forward/panel.py",
+    "optsim/forward/relaxation.py",
 )
 
 _ROWS, _COLS = 180, 240
