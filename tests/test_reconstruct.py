@@ -489,6 +489,17 @@ def test_total_variation_finds_what_is_flat_between_edges_with_any_code():
     assert found.valid.sum() == ROWS * COLS - 1
 
 
+@pytest.mark.parametrize(("slots", "weight"), [(SLOTS, 1.0), (8, 1 / 3)])
+def test_total_variation_trusts_time_less_where_slots_are_few(slots, weight):
+    calibration = ideal_calibration(12, 16, slots_per_frame=slots, coded_slots=slots)
+    light = np.random.default_rng(0).uniform(0.2, 0.8, (slots, 12, 16)).astype(np.float32)
+    frames = film(calibration, RandomExposure(), [light], None)
+    told = last(TotalVariation(time_weight=weight), frames, calibration)
+    np.testing.assert_array_equal(
+        last(TotalVariation(), frames, calibration).irradiance_w_m2, told.irradiance_w_m2
+    )
+
+
 def test_total_variation_agrees_with_what_was_measured_as_far_as_the_noise_lets_it():
     calibration = ideal_calibration(ROWS, COLS)
     (light,) = crossing(1)
