@@ -41,6 +41,9 @@ class Scorer:
     truth: IrradianceVideo
     radiance: RadianceVideo
     tallies: list[metrics.FrameTally] = field(default_factory=list[metrics.FrameTally], init=False)
+    spreads: list[metrics.UncertaintyTally] = field(
+        default_factory=list[metrics.UncertaintyTally], init=False
+    )
     _references: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
     _moving: dict[int, Bools] = field(default_factory=dict[int, Bools], init=False)
 
@@ -86,6 +89,9 @@ class Scorer:
         for method, video in videos.items():
             reference, moving = self.reference(video.index), self.moving(video.index)
             self.tallies.append(self.board.tally(method, video, reference, moving, scored))
+            slots = self.camera.coded_slots
+            spread = metrics.tally_uncertainty(method, video, reference, moving, scored, slots)
+            self.spreads += [] if spread is None else [spread]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
@@ -114,6 +120,7 @@ class Scorer:
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
+            "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
             "hypothesis": metrics.judge_hypothesis(scores),
         }
 

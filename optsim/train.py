@@ -32,17 +32,23 @@ _SAMPLES = 64
 _LEAVES, _BATCH = 400, 25
 
 
-def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
-    """Clips of leaves, (slot, v, u), that carry the textures of the training scene; cached."""
+def training_textures() -> list[str]:
+    """Names of the textures of the training scene."""
     from optsim import scene
     from optsim.scene.materials import Diffuse, Plastic
+
+    materials = scene.load_scene(SCENE).materials.values()
+    painted = [each for each in materials if isinstance(each, Diffuse | Plastic)]
+    return [each.texture for each in painted if each.texture is not None]
+
+
+def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
+    """Clips of leaves, (slot, v, u), that carry the textures of the training scene; cached."""
     from optsim.scene.moving_leaves import moving_leaves
     from optsim.scene.textures import reflectance_map
 
     cache = Cache()
-    materials = scene.load_scene(SCENE).materials.values()
-    painted = [each for each in materials if isinstance(each, Diffuse | Plastic)]
-    named = [each.texture for each in painted if each.texture is not None]
+    named = training_textures()
     textures = [reflectance_map(name) for name in named]
     clips: list[Floats] = []
 

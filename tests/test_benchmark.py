@@ -5,10 +5,11 @@ import pytest
 from ideal_camera import ideal_calibration
 
 from optsim import benchmark
-from optsim.benchmark import capture, gmm, made_film, quality
+from optsim.benchmark import capture, gmm, made_film, photographs, quality
 from optsim.benchmark.axes import Axes, even_numbers, round_numbers
 from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
+from optsim.calibrate.sample import take
 from optsim.errors import ConfigError
 from optsim.hardware import demo
 from optsim.optics.objective import CORE_SHARE
@@ -24,6 +25,8 @@ from optsim.reconstruct import (
     SparseCoding,
     Union,
 )
+from optsim.scene.textures import PHOTOGRAPHS
+from optsim.train import training_textures
 
 
 def record(name="render.x", curve=()):
@@ -164,6 +167,41 @@ def test_quality_is_that_of_every_decoder_of_moving_light(monkeypatch):
     assert (text.count("<polyline"), text.count("<circle")) == (2, 3)
     assert ">stride 8 .. stride 2<" in text
     assert set(benchmark.pictures([record(curve=[])])) == {"time_against_error.svg"}
+
+
+def test_photographs_are_those_that_no_prior_has_seen_and_are_exposed_as_stated():
+    learned = {PHOTOGRAPHS[name] for name in training_textures() if name in PHOTOGRAPHS}
+    assert len(learned) > 5
+    assert not learned & set(photographs.NAMES)
+    measurement = photographs.photographed(2)
+    (film,), (frame,) = measurement.truth, measurement.frames
+    assert 0 <= film.min() < film.max() <= 255
+    # The ground moves by a fifth of a pixel a slot, some disc by one: still pictures lose to what moves.
+    assert 20 < quality.psnr_db(np.broadcast_to(film.mean(axis=0), film.shape) / 255, film / 255) < 30
+    sample, _ = take(measurement.calibration, frame, measurement.calibration.panel_at_rest(), "undone")
+    opened = sample.weights
+    np.testing.assert_array_equal(opened.sum(axis=0), 3)
+    error = sample.signal - np.einsum("tvu,tvu->vu", opened, film)
+    wanted = np.sqrt(1 + 1 / 12) / 255 * np.einsum("tvu,tvu->vu", opened, film).max()
+    # 16384 pixels tell a standard deviation within 0.55 %; clipped ones are fewer than 1 in a thousand.
+    assert np.std(error) == pytest.approx(wanted, rel=0.025)
+    assert abs(error.mean()) < 4 * wanted / 128
+
+
+def test_photographs_are_scored_in_the_mean_of_all_films(monkeypatch):
+    few = {"interpolation": Interpolation(), "mixture": GaussianMixture(stride_px=4)}
+    monkeypatch.setattr(photographs, "decoders", lambda: few)
+    monkeypatch.setattr(photographs, "NAMES", ("camera.png", "page.png"))
+    found = photographs.measure("reconstruct.photographs")
+    conditions = found["conditions"]
+    assert conditions["best"] == "mixture"
+    both = conditions["psnr_db"]["mixture"]
+    assert found["value"] == pytest.approx((both["camera.png"] + both["page.png"]) / 2)
+    assert found["value"] > found["peer_value"] + 1
+    measurement = photographs.photographed(1)
+    (video,) = few["mixture"].decode(measurement.frames, measurement.calibration)
+    (truth,) = measurement.truth
+    assert both["page.png"] == pytest.approx(quality.psnr_db(video.irradiance_w_m2 / 255, truth / 255))
 
 
 def test_psnr_is_of_a_white_of_one():

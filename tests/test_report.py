@@ -205,6 +205,18 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
         "coverage": board.coverage(tallies),
         "frame_series": board.frame_series([*tallies, *ceiling]),
         "slot_series": board.slot_series(tallies),
+        "uncertainty": [
+            {
+                "method": m,
+                "region": region,
+                "phase": "steady",
+                "n": n,
+                "within_one": 0.6125 if n else None,
+                "within_two": 0.93,
+                "rms": 1.2375,
+            }
+            for m, region, n in (("hdr_mosaic", "all", 100), ("normal", "moving", 0))
+        ],
         "masks": masks,
         "noise_ceiling": board.records(ceiling),
         "hypothesis": judge_hypothesis(scores),
@@ -387,6 +399,15 @@ def test_sections_come_in_order(run_folder: Path, results: dict[str, Any]) -> No
     assert "cannot be certified by this truth" in page
     assert "optsim run synthetic --seed 7" in page
     assert page.count("unvalidated") == 1
+
+
+def test_uncertainties_are_told_where_a_method_states_them(run_folder: Path, results: dict[str, Any]) -> None:
+    page = report.write_report(run_folder, results).read_text()
+    table = page.split('id="uncertainty"')[1].split("</table>")[0]
+    assert re.findall(r"<td[^>]*>([^<]*)</td>", table) == ["hdr_mosaic", "all", "61.3 %", "93.0 %", "1.238"]
+    # Runs from before this version say nothing of them.
+    older = {key: value for key, value in results.items() if key != "uncertainty"}
+    assert 'id="uncertainty"' not in report.write_report(run_folder, older).read_text()
 
 
 def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, Any]) -> None:

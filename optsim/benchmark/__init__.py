@@ -25,6 +25,7 @@ ALL: dict[str, str] = {
     "omp.k5000": "omp",
     "omp.k10000": "omp",
     "reconstruct.moving_share": "reconstruct",
+    "reconstruct.photographs": "photographs",
     "reconstruct.quality": "quality",
     "render.window_room": "render",
     "render.half_moving": "render",

@@ -11,7 +11,7 @@ are as sharp as the pixels.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import cast
 
 import numpy as np
@@ -19,6 +19,8 @@ from scipy import ndimage
 
 from optsim.calibrate.calibration import Calibration
 from optsim.quantities import CodedFrame, Doubles, ExposureCode, Floats, Words
+
+Textured = Callable[[int, np.random.Generator], Floats]
 
 # Samples of a pixel's side, and instants of a slot: what moves 1.5 px a slot moves 0.4 px in an instant.
 _FINE, _INSTANTS = 2, 4
@@ -31,8 +33,25 @@ _LEAST_LEAF = 3.0
 _EXPOSED = 2 / 3
 
 
-def made_film(rows: int, cols: int, slots: int, rng: np.random.Generator) -> Floats:
-    """Light of a film, from 0.05 to 1: slot means of shape (slot, v, u), float32.
+def dead_leaves(side: int, rng: np.random.Generator) -> Floats:
+    """Flat discs whose radii fall as the inverse cube, the later ones in front: (side, side), 0.05 .. 1."""
+    texture = np.full((side, side), 0.5, np.float32)
+    least, most = _LEAST_LEAF, side / 8
+    n = 20 * side
+    radii = (least**-2 - rng.random(n) * (least**-2 - most**-2)) ** -0.5
+    middles, values = rng.uniform(0, side, (n, 2)), rng.uniform(0.05, 1, n).astype(np.float32)
+    for radius, (v, u), value in zip(radii, middles, values, strict=True):
+        top, left = max(0, int(v - radius)), max(0, int(u - radius))
+        part = texture[top : int(v + radius) + 2, left : int(u + radius) + 2]
+        dv, du = np.arange(top, top + part.shape[0]) - v, np.arange(left, left + part.shape[1]) - u
+        part[dv[:, None] ** 2 + du**2 < radius**2] = value
+    return texture
+
+
+def made_film(
+    rows: int, cols: int, slots: int, rng: np.random.Generator, textured: Textured = dead_leaves
+) -> Floats:
+    """Light of a film: slot means of shape (slot, v, u), float32, from 0.05 to 1 with leaves for textures.
 
     Parameters
     ----------
@@ -40,10 +59,12 @@ def made_film(rows: int, cols: int, slots: int, rng: np.random.Generator) -> Flo
         Pixels and slots.
     rng : numpy.random.Generator
         Draws textures, places and velocities.
+    textured : callable
+        Makes a square texture of a side, in pixels: first that of the ground, then those of the discs.
     """
-    ground = dead_leaves(2 * max(rows, cols), rng)
+    ground = textured(2 * max(rows, cols), rng)
     radii = rng.uniform(0.08, 0.2, _DISCS) * min(rows, cols)
-    skins = [dead_leaves(int(4 * radius), rng) for radius in radii]
+    skins = [textured(int(4 * radius), rng) for radius in radii]
     start = rng.uniform(0.2, 0.8, (_DISCS, 2)) * (rows, cols)
     angle, speed = rng.uniform(0, 2 * np.pi, _DISCS), rng.uniform(0.2, 1, _DISCS) * _FASTEST
     velocity = speed[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
@@ -118,21 +139,6 @@ def _read_out(calibration: Calibration, above_black_dn: Floats, rng: np.random.G
     dn = np.zeros(shape, np.uint16)
     dn[calibration.pick_row, calibration.pick_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
     return dn
-
-
-def dead_leaves(side: int, rng: np.random.Generator) -> Floats:
-    """Flat discs whose radii fall as the inverse cube, the later ones in front: (side, side), 0.05 .. 1."""
-    texture = np.full((side, side), 0.5, np.float32)
-    least, most = _LEAST_LEAF, side / 8
-    n = 20 * side
-    radii = (least**-2 - rng.random(n) * (least**-2 - most**-2)) ** -0.5
-    middles, values = rng.uniform(0, side, (n, 2)), rng.uniform(0.05, 1, n).astype(np.float32)
-    for radius, (v, u), value in zip(radii, middles, values, strict=True):
-        top, left = max(0, int(v - radius)), max(0, int(u - radius))
-        part = texture[top : int(v + radius) + 2, left : int(u + radius) + 2]
-        dv, du = np.arange(top, top + part.shape[0]) - v, np.arange(left, left + part.shape[1]) - u
-        part[dv[:, None] ** 2 + du**2 < radius**2] = value
-    return texture
 
 
 def looked_up(texture: Floats, v: Doubles, u: Doubles) -> Floats:

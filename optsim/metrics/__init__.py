@@ -12,6 +12,7 @@ from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
 from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, phase_of
+from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, uncertainty_records
 
 ALL: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
 
@@ -26,9 +27,12 @@ __all__ = [
     "Psnr",
     "Pu21Psnr",
     "ScoreBoard",
+    "UncertaintyTally",
     "judge_hypothesis",
     "luminous_efficacy_lm_w",
     "mask_agreement",
     "oracle_moving",
     "phase_of",
+    "tally_uncertainty",
+    "uncertainty_records",
 ]

@@ -224,7 +224,7 @@ class ScoreBoard:
             for m, metric in enumerate(self.metrics):
                 for region in REGIONS:
                     value, flag, n = self._pooled(group, m, region, None)
-                    clamped = sum(int(t.clamped[m, _rows(region)].sum()) for t in group)
+                    clamped = sum(int(t.clamped[m, rows_of(region)].sum()) for t in group)
                     found.append(
                         {
                             "method": method,
@@ -246,7 +246,7 @@ class ScoreBoard:
         found: list[CoverageRecord] = []
         for (method, phase), group in self._by_method_and_phase(tallies).items():
             for region in REGIONS:
-                rows = _rows(region)
+                rows = rows_of(region)
                 samples, counts, filled = (
                     sum(int(getattr(t, name)[rows].sum()) for t in group)
                     for name in ("samples", "covered", "interpolated")
@@ -310,13 +310,13 @@ class ScoreBoard:
     def _pooled(
         self, group: Sequence[FrameTally], m: int, region: Region, slot: int | None
     ) -> tuple[float | None, str, int]:
-        rows, slots = _rows(region), slice(None) if slot is None else slice(slot, slot + 1)
+        rows, slots = rows_of(region), slice(None) if slot is None else slice(slot, slot + 1)
         total = math.fsum(float(x) for t in group for x in t.sums[m, rows, slots].flat)
         count = sum(int(t.counts[rows, slots].sum()) for t in group)
         flag = "empty" if not count else "identical" if total == 0 else ""
         return self.metrics[m].finish(total, count), flag, count
 
 
-def _rows(region: Region) -> slice:
+def rows_of(region: Region) -> slice:
     """Rows of a tally that make up a region: moving and static add up to all."""
     return {"all": slice(0, 2), "moving": slice(0, 1), "static": slice(1, 2)}[region]

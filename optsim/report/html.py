@@ -85,6 +85,7 @@ def _context(results: Results) -> dict[str, object]:
         "ceilings": {p: headline.ceilings(results, p) for p in reached},
         "coverage": {(c["phase"], c["region"], c["method"]): c for c in results["coverage"]},
         "regions": headline.REGIONS,
+        "uncertainty": [u for u in results.get("uncertainty", []) if u["phase"] == phase and u["n"]],
         "pictures": {section: _grouped(results, section) for section in ("crops", "capture", "errors")},
         "compare": [p for p in results["pictures"] if p["section"] == "compare"],
         "moving": [p for p in results["pictures"] if p["section"] == "moving"],

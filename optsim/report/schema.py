@@ -153,6 +153,19 @@ class Series(TypedDict):
 
 
 @with_config(_STRICT)
+class Uncertainty(TypedDict):
+    """Errors over the standard deviations that a method states: shares within one and two, and rms."""
+
+    method: str
+    region: Region
+    phase: Phase
+    n: int
+    within_one: float | None
+    within_two: float | None
+    rms: float | None
+
+
+@with_config(_STRICT)
 class MaskScore(TypedDict):
     """A method's motion mask against the oracle in one coded frame."""
 
@@ -248,6 +261,7 @@ class Results(TypedDict):
     coverage: list[Coverage]
     frame_series: list[Series]
     slot_series: list[Series]
+    uncertainty: NotRequired[list[Uncertainty]]
     masks: list[MaskScore]
     noise_ceiling: list[Score]
     hypothesis: list[Verdict]
