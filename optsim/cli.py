@@ -17,6 +17,7 @@ from optsim.cli_groups import cache_app, config_app
 from optsim.cli_options import (
     Backend,
     ExperimentName,
+    Footage,
     Json,
     Names,
     Seed,
@@ -272,7 +273,7 @@ def train(
     out: Annotated[Path | None, typer.Option(help="File to write; default the shipped one.")] = None,
     size: Annotated[int | None, typer.Option(min=1, max=20000, help="Atoms or Gaussians.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of footage, patches and start.")] = 1,
-    footage: Annotated[Literal["scene", "leaves", "both"], typer.Option(help="To learn from.")] = "scene",
+    footage: Footage = None,
     backend: Backend = None,
 ) -> None:
     """Learn a prior from renders of scenes/training_mix, moving leaves with its textures, or both."""

@@ -28,6 +28,8 @@ Footage = Literal["scene", "leaves", "both"]
 _VIEW = View(rows=120, cols=160, samples_per_pitch=1, tan_half_width=0.32)
 _TIMING = Timing(slot_s=1 / 180, slots_per_frame=36, n_frames=2)
 _SAMPLES = 64
+# What the shipped priors learned from: of these each is best on moving photographs (reconstruct.photographs).
+_SHIPPED: dict[Prior, Footage] = {"dictionary": "both", "mixture": "leaves"}
 # Clips of moving leaves, and how many are drawn and kept at a time: what a stop loses.
 _LEAVES, _BATCH = 400, 25
 
@@ -103,7 +105,7 @@ def train_shipped(
     *,
     size: int | None = None,
     seed: int = 1,
-    footage: Footage = "scene",
+    footage: Footage | None = None,
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Path:
@@ -120,7 +122,8 @@ def train_shipped(
     seed : int
         Of footage, patches and where learning begins.
     footage : {"scene", "leaves", "both"}
-        Renders of the training scene's variations, or clips of :mod:`optsim.scene.moving_leaves`.
+        Renders of the training scene's variations, clips of :mod:`optsim.scene.moving_leaves`, or both; by
+        default what the shipped prior learned from.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -139,6 +142,7 @@ def train_shipped(
     path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
     if path.suffix != ".npz":
         raise ConfigError(f"--out {path}: expected a name that ends in .npz")
+    footage = footage or _SHIPPED[prior]
     sized = "" if size is None else f" --size {size}"
     record: dict[str, Any] = {
         "command": f"optsim train {prior}{sized} --seed {seed} --footage {footage}",

@@ -38,7 +38,8 @@ from optsim.reconstruct import (
     shared_weights,
 )
 from optsim.reconstruct.coded_images import coded_images
-from optsim.reconstruct.dictionary import Dictionary, save_dictionary, unit
+from optsim.reconstruct.dictionary import Dictionary, save_dictionary, shipped_dictionary, unit
+from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix
 
 ROWS, COLS = 32, 40
 VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, MotionDeblurring)
@@ -310,6 +311,20 @@ def test_every_temporal_scheme_is_decoded(scheme, sparse, mixture, interpolated,
         found = last(decoder, frames, calibration)
         assert found.valid.all()
         assert np.square(found.irradiance_w_m2 - light)[scored].mean() < bound * blur, decoder.kind
+
+
+@pytest.mark.parametrize("scheme", [case[0] for case in CODED] + [RandomExposure(bump_slots=1)])
+def test_every_code_measures_the_constant_atom(scheme):
+    """The dictionary's first atom brings the light that everything else deviates from."""
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    (frame,) = film(calibration, scheme, [still_light(np.full((ROWS, COLS), 0.5))], None)
+    weights, _ = calibration.weights(frame.code, None)
+    coder = PatchCoder.of(shipped_dictionary())
+    matrix, lengths = np.empty(coder.sums.shape, np.float32), np.empty(coder.sums.shape[1], np.float32)
+    for v, u in ((0, 0), (8, 16), (3, 5)):
+        mine = weights[:, v : v + 8, u : u + 8].reshape(len(weights), -1).T
+        measurement_matrix(coder.by_pixel, coder.sums, np.ascontiguousarray(mine), matrix, lengths)
+        assert lengths[0] >= np.median(lengths), scheme.kind
 
 
 def test_no_temporal_scheme_is_forgotten():

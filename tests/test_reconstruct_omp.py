@@ -215,8 +215,31 @@ def test_measurement_matrix_is_the_weighted_sum_over_slots():
     matrix, lengths = np.empty((16, 20), np.float32), np.empty(20, np.float32)
     measurement_matrix(coder.by_pixel, coder.sums, weights, matrix, lengths)
     atoms = dictionary.atoms.reshape(20, 16, 6).astype(np.float64)
-    np.testing.assert_allclose(matrix * lengths, np.einsum("kmt,mt->mk", atoms, weights), atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(matrix, axis=0), 1, rtol=1e-5)
+    measured = np.einsum("kmt,mt->mk", atoms, weights)
+    long = np.linalg.norm(measured, axis=0)
+    used = long >= 0.6 * np.median(long)
+    assert used.sum() > 10
+    np.testing.assert_allclose((matrix * lengths)[:, used], measured[:, used], atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(matrix, axis=0), used, rtol=1e-5)
+
+
+def test_atoms_that_the_code_hardly_measures_are_left_out():
+    """0.6 of what the median atom has in open slots is enough."""
+    atoms = np.zeros((5, 4, 4, 6), np.float32)
+    open_share = np.array([1, 1, 1, 0.65, 0.55])
+    atoms[:, :, :, 0], atoms[:, :, :, 1] = (
+        share[:, None, None] / 4 for share in (open_share, np.sqrt(1 - open_share**2))
+    )
+    coder = PatchCoder.of(Dictionary(atoms))
+    weights = np.zeros((16, 6), np.float32)
+    weights[:, 0] = 1
+    matrix, lengths = np.empty((16, 5), np.float32), np.empty(5, np.float32)
+    measurement_matrix(coder.by_pixel, coder.sums, weights, matrix, lengths)
+    np.testing.assert_allclose(lengths, [1, 1, 1, 0.65, np.inf], rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(matrix, axis=0), [1, 1, 1, 1, 0], rtol=1e-6)
+    measurement_matrix(coder.by_pixel, coder.sums, np.zeros_like(weights), matrix, lengths)
+    assert np.isinf(lengths).all()
+    assert (matrix == 0).all()
 
 
 @settings(deadline=None)  # the first call compiles

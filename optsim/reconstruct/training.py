@@ -13,6 +13,7 @@ from optsim.reconstruct.dictionary import Dictionary, unit
 from optsim.reconstruct.gram_pursuit import pursue_products
 
 _BLOCK = 2048
+_PATCHES_AN_ATOM = 30
 # Patches darker than this, relative to the mean of their clip, hold only noise.
 _LEAST_MEAN = 1e-3
 
@@ -21,10 +22,10 @@ def train_dictionary(
     clips: Sequence[Floats],
     *,
     rng: np.random.Generator,
-    n_atoms: int = 1000,
+    n_atoms: int = 2000,
     patch: int = 8,
     slots: int = 36,
-    n_patches: int = 30_000,
+    n_patches: int | None = None,
     atoms_per_patch: int = 10,
     iterations: int = 12,
     provenance: Mapping[str, object] | None = None,
@@ -46,7 +47,7 @@ def train_dictionary(
     n_atoms, patch, slots : int
         Size of the dictionary.
     n_patches, atoms_per_patch, iterations : int
-        Effort: training patches, cap of the sparse codes, alternations.
+        Effort: training patches (30 an atom unless told), cap of the sparse codes, alternations.
     provenance : Mapping, optional
         What to remember about the clips.
     progress : Progress
@@ -57,7 +58,8 @@ def train_dictionary(
     ValueCheckError
         When a clip is too small, or there is too little to learn from.
     """
-    signals = training_patches(clips, rng, patch, slots, n_patches)
+    wanted = _PATCHES_AN_ATOM * n_atoms if n_patches is None else n_patches
+    signals = training_patches(clips, rng, patch, slots, wanted)
     if len(signals) < 2 * n_atoms:
         raise ValueCheckError(
             f"training: got {len(signals)} usable patches, expected at least {2 * n_atoms} "
