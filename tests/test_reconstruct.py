@@ -241,6 +241,25 @@ def test_separated_variance_is_the_variance_found():
         assert ratio == pytest.approx(1, abs=0.11)
 
 
+@pytest.mark.parametrize("share", [0.9, 0.55, 0.501, 0.5, 0.45, 0.36])
+def test_neighbours_light_is_taken_out_while_a_third_is_a_pixels_own(share):
+    """Where half is not its own, the plain iteration swings up: even light, bright and dark, mixed shares."""
+    beside, across = 0.175 * (1 - share), 0.075 * (1 - share)
+    kernel = np.array([[across, beside, across], [beside, share, beside], [across, beside, across]])
+    kernels = np.broadcast_to(kernel.astype(np.float32), (24, 30, 3, 3)).copy()
+    kernels[:, 15:] = np.array([[0, 0.02, 0], [0.02, 0.92, 0.02], [0, 0.02, 0]])
+    calibration = replace(ideal_calibration(24, 30), crosstalk=kernels)
+    frame = film(calibration, HdrMosaic(), [still_light(np.ones((24, 30)))], None)[0]
+    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "row_summed")
+    signal = np.random.default_rng(1).lognormal(0, 1, (24, 30)).astype(np.float32)
+    signal[4:20, 3:12] = 5
+    measured = calibration.mix(signal)
+    unknown = Brightness.unknown(calibration.shape)
+    found = separate(calibration, replace(sample, measured=measured, signal=measured), unknown).signal
+    # It ends where a step changes nothing by more than 1e-4 of the brightest.
+    np.testing.assert_allclose(found, signal, atol=1e-3 * signal.max())
+
+
 def test_wide_kernels_are_refused_with_a_cure():
     calibration = ideal_calibration(8, 8, crosstalk=np.full((3, 3), 1 / 9, np.float32))
     frame = film(calibration, HdrMosaic(), [still_light(np.ones((8, 8)))], None)[0]
