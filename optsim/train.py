@@ -28,7 +28,7 @@ Footage = Literal["scene", "leaves", "both"]
 _VIEW = View(rows=120, cols=160, samples_per_pitch=1, tan_half_width=0.32)
 _TIMING = Timing(slot_s=1 / 180, slots_per_frame=36, n_frames=2)
 _SAMPLES = 64
-# What the shipped priors learned from: of these each is best on moving photographs (reconstruct.photographs).
+# What the shipped priors learned from, chosen on moving photographs (benchmark reconstruct.photographs).
 _SHIPPED: dict[Prior, Footage] = {"dictionary": "both", "mixture": "leaves"}
 # Clips of moving leaves, and how many are drawn and kept at a time: what a stop loses.
 _LEAVES, _BATCH = 400, 25

@@ -5,8 +5,9 @@
 Eight films of :func:`optsim.benchmark.made_film.made_film`: a photograph that drifts, before it discs that
 carry another one. All come from the scikit-image wheel, none from ``scenes/training_mix``, and count as light
 just as they are stored, 8 bits and encoded, as published high-speed clips do. One coded image of each, 36
-slots in bumps of three, with a noise of one count of 8 bits. Photographs that move are no recordings: nothing
-here bends, and light follows nothing.
+slots in bumps of three, with a noise of one count of 8 bits. The shipped
+dictionary's size and footage were chosen on them. Photographs that move are no recordings: nothing bends,
+and nothing is lit anew.
 """
 
 from __future__ import annotations
