@@ -123,7 +123,7 @@ def _explain(part: type[BaseModel], item: dict[str, Any]) -> str:
     message = cast("str", item["msg"]).removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         paths = _field_paths(part)
-        near = difflib.get_close_matches(location[-1], sorted(paths), n=1, cutoff=0.5)
+        near = difflib.get_close_matches(location[-1], sorted(paths), n=1)
         # A right name in the wrong table: only the whole key says what to do.
         meant = paths[near[0]] if near and near[0] == location[-1] else near
         hint = f"did you mean {' or '.join(repr(m) for m in meant)}?" if near else "remove it."

@@ -91,7 +91,8 @@ class Scorer:
             self.tallies.append(self.board.tally(method, video, reference, moving, scored))
             slots = self.camera.coded_slots
             spread = metrics.tally_uncertainty(method, video, reference, moving, scored, slots)
-            self.spreads += [] if spread is None else [spread]
+            if spread is not None:
+                self.spreads.append(spread)
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypedDict
+from typing import Literal, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
@@ -95,6 +95,33 @@ class FrameTally:
     interpolated: Ints
     samples: Ints
     clamped: Ints
+
+
+class Tally(Protocol):
+    """Sums of one method over one coded frame, whatever they are of."""
+
+    @property
+    def method(self) -> str:
+        """Whose."""
+        ...
+
+    @property
+    def index(self) -> int:
+        """Coded frame."""
+        ...
+
+
+_Tally = TypeVar("_Tally", bound=Tally)
+
+
+def by_method_and_phase(
+    tallies: Iterable[_Tally], latency_frames: int
+) -> dict[tuple[str, Phase], list[_Tally]]:
+    """Group tallies, the phases in their order."""
+    groups: dict[tuple[str, Phase], list[_Tally]] = {}
+    for tally in tallies:
+        groups.setdefault((tally.method, phase_of(tally.index, latency_frames)), []).append(tally)
+    return dict(sorted(groups.items(), key=lambda item: PHASES.index(item[0][1])))
 
 
 @dataclass(frozen=True)
@@ -220,7 +247,7 @@ class ScoreBoard:
     def records(self, tallies: Iterable[FrameTally]) -> list[ScoreRecord]:
         """Scores by method, phase, metric and region, JSON-able; phases without frames are left out."""
         found: list[ScoreRecord] = []
-        for (method, phase), group in self._by_method_and_phase(tallies).items():
+        for (method, phase), group in by_method_and_phase(tallies, self.latency_frames).items():
             for m, metric in enumerate(self.metrics):
                 for region in REGIONS:
                     value, flag, n = self._pooled(group, m, region, None)
@@ -244,7 +271,7 @@ class ScoreBoard:
     def coverage(self, tallies: Iterable[FrameTally]) -> list[CoverageRecord]:
         """Share of each region that was scored, by method and phase."""
         found: list[CoverageRecord] = []
-        for (method, phase), group in self._by_method_and_phase(tallies).items():
+        for (method, phase), group in by_method_and_phase(tallies, self.latency_frames).items():
             for region in REGIONS:
                 rows = rows_of(region)
                 samples, counts, filled = (
@@ -293,19 +320,11 @@ class ScoreBoard:
                 "x": list(slots),
                 "values": [self._pooled(group, m, region, slot)[0] for slot in slots],
             }
-            for (method, found), group in self._by_method_and_phase(tallies).items()
+            for (method, found), group in by_method_and_phase(tallies, self.latency_frames).items()
             if found == phase
             for m, metric in enumerate(self.metrics)
             for region in REGIONS
         ]
-
-    def _by_method_and_phase(
-        self, tallies: Iterable[FrameTally]
-    ) -> dict[tuple[str, Phase], list[FrameTally]]:
-        groups: dict[tuple[str, Phase], list[FrameTally]] = {}
-        for tally in tallies:
-            groups.setdefault((tally.method, self.phase(tally.index)), []).append(tally)
-        return dict(sorted(groups.items(), key=lambda item: PHASES.index(item[0][1])))
 
     def _pooled(
         self, group: Sequence[FrameTally], m: int, region: Region, slot: int | None

@@ -13,7 +13,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from optsim.metrics.scoring import PHASES, REGIONS, Phase, Region, phase_of, rows_of
+from optsim.metrics.scoring import REGIONS, Phase, Region, by_method_and_phase, rows_of
 from optsim.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 
 _WITHIN = (1.0, 2.0)
@@ -91,11 +91,8 @@ def tally_uncertainty(
 
 def uncertainty_records(tallies: Iterable[UncertaintyTally], latency_frames: int) -> list[UncertaintyRecord]:
     """Pool tallies by method, phase and region; phases without frames are left out."""
-    groups: dict[tuple[Phase, str], list[UncertaintyTally]] = {}
-    for tally in tallies:
-        groups.setdefault((phase_of(tally.index, latency_frames), tally.method), []).append(tally)
     found: list[UncertaintyRecord] = []
-    for (phase, method), group in sorted(groups.items(), key=lambda item: PHASES.index(item[0][0])):
+    for (method, phase), group in by_method_and_phase(tallies, latency_frames).items():
         for region in REGIONS:
             rows = rows_of(region)
             n = sum(int(t.counts[rows].sum()) for t in group)

@@ -238,6 +238,8 @@ def _best(
                 continue
             for i in range(SHARING):
                 atom = atom_of(peak, i)
+                if atom == best:
+                    continue
                 product, distance = _bounds(state, slot, atom, c_error, n_error)
                 if product <= score * distance:
                     continue
