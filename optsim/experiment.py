@@ -9,14 +9,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, cast
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from optsim import hardware
+from optsim.calibrate import Calibration
 from optsim.camera import CodedCamera
 from optsim.coding import Scheme
 from optsim.config import Part, Table, build, override, read_toml
 from optsim.effects import switched
-from optsim.errors import ConfigError, unknown_name
+from optsim.errors import ConfigError, StorageError, unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
@@ -54,6 +56,21 @@ class Method(Part):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     scheme: Scheme
     decoder: Decoder
+
+    def check(self, calibration: Calibration) -> None:
+        """Refuse what this method cannot do with a camera, before there is a frame.
+
+        Raises
+        ------
+        ConfigError, StorageError
+            With the cure; for example of a prior for another number of slots.
+        """
+        try:
+            self.scheme.init(calibration, np.random.default_rng(0))
+            # Decoders get ready before they ask for the first frame.
+            list(self.decoder.decode((), calibration))
+        except (ConfigError, StorageError) as error:
+            raise type(error)(f"methods, {self.name!r}: {error}") from None
 
 
 class Experiment(Part):

@@ -1,4 +1,4 @@
-"""A whole experiment on disk: check, render, calibrate, capture, decode, score, report; one new folder a run.
+"""A whole experiment on disk: check, calibrate, render, capture, decode, score, report; one new folder a run.
 
 Streams frame by frame, so that memory does not grow with the length of the experiment.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from optsim import __version__, evidence
 from optsim.cache import Cache
 from optsim.camera import CodedCamera
-from optsim.errors import ConfigError, StorageError
+from optsim.errors import StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
 from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
@@ -87,10 +87,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
         check_panel(experiment.camera)
     ideal = ideal_calibration(experiment.camera)
     for method in experiment.methods:
-        try:
-            method.scheme.init(ideal, np.random.default_rng(0))
-        except ConfigError as error:
-            raise ConfigError(f"methods, {method.name!r}: {error}") from None
+        method.check(ideal)
     view, timing = experiment.camera.view, experiment.timing
     if experiment.source is not None:
         images = timing.n_slots
@@ -157,14 +154,18 @@ def execute(
     resolved = experiment.model_dump(mode="json")
     write_json(folder / "experiment.json", {"fingerprint": experiment.fingerprint(), "experiment": resolved})
     chosen, why = renderer(experiment, backend)
-    with watch.stage("render"):
-        radiance = render_truth(experiment, backend=backend, progress=progress)
+    # What a bench or a decoder refuses is said before the long work.
     with watch.stage("plan"):
-        experiment, plan = planned(experiment)
+        modelled, plan = planned(experiment)
     with watch.stage("calibrate"):
         progress("laboratory", 0, 1)
-        calibration = calibrate(experiment)
+        calibration = calibrate(modelled)
         progress("laboratory", 1, 1)
+    for method in experiment.methods:
+        method.check(calibration)
+    with watch.stage("render"):
+        radiance = render_truth(experiment, backend=backend, progress=progress)
+    experiment = modelled
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, calibration)
         truth = camera.form_image(radiance)

@@ -288,6 +288,8 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     """
     experiment, plan = planned(experiment)
     calibration = calibrate(experiment)
+    for method in experiment.methods:
+        method.check(calibration)
     camera, light = set_light(experiment, radiance, calibration)
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, calibration, progress)

@@ -234,9 +234,13 @@ def test_closed_slots_have_no_weight(camera: Camera, calibration: Calibration) -
     np.testing.assert_allclose(panel.retardance_rad, np.pi, rtol=1e-5)
 
 
-def test_spreading_gathers_and_keeps_uniform_light(calibration: Calibration) -> None:
+@pytest.mark.parametrize("few_pixels", [100_000, 0], ids=["at once", "in bands"])
+def test_spreading_gathers_and_keeps_uniform_light(
+    few_pixels: int, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from scipy.ndimage import correlate
 
+    monkeypatch.setattr("optsim.calibrate.calibration._FEW_PIXELS", few_pixels)
     rng = np.random.default_rng(1)
     skew = rng.random((3, 3)).astype(np.float32)
     skew /= skew.sum()

@@ -63,6 +63,9 @@ def test_slots_with_the_shutter_closed_show_no_errors():
     open_slots.weights[:, :, 28:] = 0
     video = errors(np.random.default_rng(5), 0.1)
     expected = layer_of(video.copy(), open_slots).irradiance_w_m2[:28]
+    known = positive_mean(np.moveaxis(video, -1, 0)[:28], np.full((ROWS, COLS), 0.01, np.float32))
+    # As above, from 28 slots.
+    assert (np.abs(expected - known) < 0.05 * 0.1 * np.sqrt(36 / 28)).mean() > 0.98
     video[:, :, 28:] = -100
     np.testing.assert_array_equal(layer_of(video, open_slots).irradiance_w_m2[:28], expected)
 

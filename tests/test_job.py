@@ -12,6 +12,7 @@ from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_exr, read_json, read_png16
 from optsim.measurement import decode_measurement
 from optsim.measurement.runs import read_run
+from optsim.reconstruct import GaussianMixture, SparseCoding, Union
 from optsim.report.schema import check_results
 
 SMALL = [
@@ -118,6 +119,32 @@ def test_not_enough_disk_is_said_before_anything_starts(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10, 10, 0))
     with pytest.raises(StorageError, match=r"needs about .* MB, free are 0 MB"):
         job.check(experiment, tmp_path / "new", None)
+
+
+def test_a_prior_that_is_missing_is_said_before_anything_starts(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    for decoder in (SparseCoding(dictionary="none.npz"), Union(moving=GaussianMixture(mixture="none.npz"))):
+        last = experiment.methods[-1].model_copy(update={"decoder": decoder})
+        wanted = experiment.model_copy(update={"methods": (*experiment.methods[:-1], last)})
+        with pytest.raises(StorageError, match=r"random.*none\.npz"):
+            job.check(wanted, tmp_path / "new", None)
+
+
+@pytest.mark.parametrize("name", ["adaptive", "normal", "random"])
+def test_a_relay_that_blurs_too_much_is_refused_before_the_render(
+    name: str, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Motion detection, HDR merging and patch decoders all take the neighbours' light out."""
+
+    def rendering(*_: object, **__: object) -> None:
+        pytest.fail("rendered for a camera that can't be decoded")
+
+    monkeypatch.setattr(job, "render_truth", rendering)
+    blurry = load_experiment("demo", [*SMALL, "camera.relay.aberration_m='15 um'"])
+    one = tuple(method for method in blurry.methods if method.name == name)
+    with pytest.raises(ConfigError, match=rf"{name}.*crosstalk: a pixel keeps only .*row_summed"):
+        job.execute(blurry.model_copy(update={"methods": one}), tmp_path / "new")
 
 
 def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:

@@ -265,6 +265,12 @@ def test_wide_kernels_are_refused_with_a_cure():
     frame = film(calibration, HdrMosaic(), [still_light(np.ones((8, 8)))], None)[0]
     with pytest.raises(ConfigError, match="row_summed"):
         next(HdrMerge().decode([frame], calibration))
+    for decoder in (HdrMerge(), TotalVariation(), Union(moving=Interpolation())):
+        with pytest.raises(ConfigError, match="row_summed"):
+            list(decoder.decode((), calibration))
+    with pytest.raises(ConfigError, match="row_summed"):
+        MotionAdaptive().init(calibration, np.random.default_rng(0))
+    MotionAdaptive(crosstalk="row_summed").init(calibration, np.random.default_rng(0))
     assert next(HdrMerge(crosstalk="row_summed").decode([frame], calibration)).valid.all()
 
 

@@ -8,12 +8,13 @@ import pytest
 from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
+from optsim.calibrate import sample
 from optsim.calibrate.sample import Brightness, take_next
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.known_calibration import true_calibration
 from optsim.loop import calibrate, capture, set_light
 from optsim.quantities import ExposureCode, PanelState
-from optsim.reconstruct import HdrMerge, SparseCoding, Union, coded_images, hdr_merge
+from optsim.reconstruct import HdrMerge, SparseCoding, Union
 from optsim.reconstruct.layer import Layer
 
 V, U = 24, 24
@@ -26,9 +27,9 @@ def scene(value: float, patch: float | None = None) -> np.ndarray:
     return still_light(image)
 
 
-@pytest.mark.parametrize("room", [hdr_merge, coded_images, motion_adaptive])
+@pytest.mark.parametrize("taker", [HdrMerge(), SparseCoding(stride_px=8), MotionAdaptive()])
 def test_the_panel_of_a_frame_is_what_the_frame_before_left(
-    room: Any, monkeypatch: pytest.MonkeyPatch
+    taker: HdrMerge | SparseCoding | MotionAdaptive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calibration = ideal_calibration(V, U, tau_s=2e-3)
     frames = film(calibration, RandomExposure(), [scene(0.2)] * 3, None)
@@ -38,16 +39,14 @@ def test_the_panel_of_a_frame_is_what_the_frame_before_left(
         panels.append(given[2])
         return take_next(*given)
 
-    monkeypatch.setattr(room, "take_next", spy)
-    if room is motion_adaptive:
-        scheme = MotionAdaptive()
-        state = scheme.init(calibration, np.random.default_rng(0))
-        scheme.next(3, frames[:2], state)
-        scheme.next(4, frames, scheme.next(3, frames[:2], state)[1])
+    monkeypatch.setattr(motion_adaptive if isinstance(taker, MotionAdaptive) else sample, "take_next", spy)
+    if isinstance(taker, MotionAdaptive):
+        state = taker.init(calibration, np.random.default_rng(0))
+        taker.next(3, frames[:2], state)
+        taker.next(4, frames, taker.next(3, frames[:2], state)[1])
         panels = panels[2:]
     else:
-        decoder = HdrMerge() if room is hdr_merge else SparseCoding(stride_px=8)
-        list(decoder.decode(frames, calibration))
+        list(taker.decode(frames, calibration))
     assert panels[0] is None, "an experiment begins with a cycle of its first code"
     _, panel = calibration.weights(frames[0].code, None)
     for frame, used in zip(frames[1:], panels[1:], strict=True):
@@ -108,7 +107,7 @@ def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: p
         given.append(taken[3])
         return take_next(*taken)
 
-    monkeypatch.setattr(coded_images, "take_next", spy)
+    monkeypatch.setattr(sample, "take_next", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))

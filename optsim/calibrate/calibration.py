@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from optsim.errors import ValueCheckError
+from optsim.forward.bands import in_bands
 from optsim.forward.compiled import compiled
 from optsim.forward.ghost import mirrored
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.quantities import Bools, CodedFrame, Doubles, ExposureCode, Floats, Ints, PanelState, checked
+
+# For smaller images starting threads takes longer than to gather.
+_FEW_PIXELS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,20 +229,28 @@ class Calibration:
 
     def spread(self, stack: Floats) -> Floats:
         """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
-        return self._gather(stack, self.crosstalk)
+        return self._gather(stack, self._planes)
 
     def spread_variance(self, variance: Floats) -> Floats:
         """Gather independent noise: an image of shape (v, u) by the squared kernels, own pixel left out."""
-        squared = self.crosstalk**2
-        centre = squared.shape[2] // 2
-        squared[:, :, centre, centre] = 0
-        return self._gather(variance[None], squared)[0]
+        return self._gather(variance[None], self._squared_planes)[0]
 
     @property
     def own_share(self) -> Floats:
         """What each pixel keeps of its own light: the centres of the kernels, array (v, u)."""
         centre = self.crosstalk.shape[2] // 2
         return self.crosstalk[:, :, centre, centre]
+
+    @cached_property
+    def _planes(self) -> Floats:
+        """The kernels as images, (ky, kx, v, u): so whole rows are weighted at once."""
+        return np.ascontiguousarray(self.crosstalk.transpose(2, 3, 0, 1))
+
+    @cached_property
+    def _squared_planes(self) -> Floats:
+        squared = self._planes**2
+        squared[squared.shape[0] // 2, squared.shape[1] // 2] = 0
+        return squared
 
     def observe(self, frame: CodedFrame) -> Observation:
         """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted."""
@@ -253,22 +265,24 @@ class Calibration:
         variance /= self.responsivity_dn
         return Observation(raw, variance, saturated, self.valid)
 
-    def _gather(self, stack: Floats, kernels: Floats) -> Floats:
-        reach = kernels.shape[2] // 2
+    def _gather(self, stack: Floats, planes: Floats) -> Floats:
         out = np.empty_like(stack)
         for image, target in zip(stack, out, strict=True):
-            _gather(np.pad(image, reach, mode="edge"), kernels, target)
+            padded = np.pad(image, len(planes) // 2, mode="edge")
+            few = _FEW_PIXELS // target.shape[1]
+            in_bands(len(target), partial(_gather, padded, planes, target), few=few)
         return out
 
 
 @compiled(fastmath=True)
-def _gather(padded: Floats, kernels: Floats, out: Floats) -> None:
-    size = kernels.shape[2]
-    rows, cols = out.shape
-    for v in range(rows):
-        for u in range(cols):
-            total = np.float32(0)
-            for i in range(size):
-                for j in range(size):
-                    total += kernels[v, u, i, j] * padded[v + i, u + j]
-            out[v, u] = total
+def _gather(padded: Floats, planes: Floats, out: Floats, first: int, end: int) -> None:
+    size = len(planes)
+    cols = out.shape[1]
+    for v in range(first, end):
+        row = out[v]
+        row[:] = 0
+        for i in range(size):
+            for j in range(size):
+                share, light = planes[i, j, v], padded[v + i, j : j + cols]
+                for u in range(len(row)):
+                    row[u] += share[u] * light[u]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
@@ -173,6 +173,36 @@ def take_next(
     if crosstalk == "undone":
         sample = separate(calibration, sample, seen)
     return sample, panel, seen.after(sample)
+
+
+def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
+    """Refuse to undo crosstalk that cannot be undone.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    if crosstalk == "undone":
+        _own_share(calibration)
+
+
+def sampled(
+    frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
+) -> Iterator[tuple[CodedFrame, Sample]]:
+    """Take the frames of a film: earlier ones say how bright saturated pixels are.
+
+    Raises
+    ------
+    ConfigError
+        When crosstalk cannot be undone, before the first frame is asked for.
+    """
+    check_crosstalk(calibration, crosstalk)
+    panel: PanelState | None = None
+    seen = Brightness.unknown(calibration.shape)
+    for frame in frames:
+        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        yield frame, sample
 
 
 def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:

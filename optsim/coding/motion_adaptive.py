@@ -10,7 +10,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Brightness, Crosstalk, Sample, sample_bounds, take_next
+from optsim.calibrate.sample import (
+    Brightness,
+    Crosstalk,
+    Sample,
+    check_crosstalk,
+    sample_bounds,
+    take_next,
+)
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.leaves import Leaf
@@ -114,7 +121,14 @@ class MotionAdaptive(Part):
         return self
 
     def init(self, calibration: Calibration, rng: np.random.Generator) -> Watch:
-        """Begin with nothing seen."""
+        """Begin with nothing seen.
+
+        Raises
+        ------
+        ConfigError
+            When crosstalk is to be undone and cannot be.
+        """
+        check_crosstalk(calibration, self.crosstalk)
         return Watch(
             calibration,
             self.static.init(calibration, rng),

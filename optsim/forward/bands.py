@@ -15,7 +15,7 @@ CORES = os.cpu_count() or 1
 _FEW = 64
 
 
-def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
+def in_bands(rows: int, work: Callable[[int, int], None], few: int = _FEW) -> None:
     """Call ``work(first, end)`` for bands that together cover all rows.
 
     Parameters
@@ -25,8 +25,10 @@ def in_bands(rows: int, work: Callable[[int, int], None]) -> None:
     work : callable
         Must let go of Python's lock to gain anything, and write to its own rows only: then results do
         not depend on the number of cores.
+    few : int
+        Fewer rows than these stay together.
     """
-    if rows < _FEW:
+    if rows < few:
         work(0, rows)
         return
     edges = [rows * band // CORES for band in range(CORES + 1)]

@@ -10,8 +10,8 @@ from typing import cast
 import numpy as np
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Brightness, Crosstalk, take_next
-from optsim.quantities import Bools, CodedFrame, Floats, PanelState
+from optsim.calibrate.sample import Crosstalk, sampled
+from optsim.quantities import Bools, CodedFrame, Floats
 from optsim.reconstruct.layer import Layer, positive_mean
 
 # Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
@@ -49,11 +49,8 @@ class CodedImage:
 def coded_images(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
-    """Frames with their pixels separated; earlier ones say how bright saturated pixels are."""
-    panel: PanelState | None = None
-    seen = Brightness.unknown(calibration.shape)
-    for frame in frames:
-        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+    """Frames with their pixels separated, as :func:`~optsim.calibrate.sample.sampled` takes them."""
+    for frame, sample in sampled(frames, calibration, crosstalk):
         usable = sample.valid
         yield (
             frame,
@@ -102,7 +99,10 @@ def covered(
         spread = np.ascontiguousarray(np.moveaxis(np.sqrt(variance, out=variance), -1, 0))
     video = np.ascontiguousarray(np.moveaxis(total, -1, 0))
     seen = count > 0
-    video[:, seen] = positive_mean(video[:, seen], _error_variance(image, video, seen)[seen])
+    error = _error_variance(image, video, seen)[seen]
+    # One slot at a time stays in the processor's cache.
+    for slot in video:
+        slot[seen] = positive_mean(slot[seen], error)
     moving = frame.code.moving
     return Layer(
         frame.index,
@@ -123,8 +123,11 @@ def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
     patch decoder know better than the noise of all that was gathered around a pixel.
     """
     # What is said of slots with the shutter closed is nobody's error.
-    negative = np.minimum(video[image.weights.any(axis=(0, 1))], 0)
-    squares = np.square(negative).sum(axis=0) / max(1, len(negative))
+    slots = np.flatnonzero(image.weights.any(axis=(0, 1)))
+    squares = np.zeros(seen.shape, np.float32)
+    for slot in slots:
+        squares += np.square(np.minimum(video[slot], 0))
+    squares /= max(1, len(slots))
     shown = box_mean(squares, _AROUND) / np.maximum(box_mean(seen, _AROUND), 1 / _AROUND**2)
     variance, exposure = box_mean(image.variance, _AROUND), box_mean(image.exposure, _AROUND)
     gathered = np.zeros_like(variance)

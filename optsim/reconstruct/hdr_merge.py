@@ -20,12 +20,12 @@ from optsim.calibrate.sample import (
     nearest,
     noise_variance,
     sample_bounds,
+    sampled,
     separate,
     separated_variance,
-    take_next,
 )
 from optsim.forward.motion import Bounds, changed, without_specks
-from optsim.quantities import Bools, CodedFrame, Doubles, Floats, PanelState
+from optsim.quantities import Bools, CodedFrame, Doubles, Floats
 from optsim.reconstruct.layer import Branch, Layer, positive_mean
 
 # Saturated neighbours and the dark samples between them are estimated from each other. Half of each change is
@@ -74,12 +74,9 @@ class HdrMerge(Branch):
 
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`: one image a frame."""
-        panel: PanelState | None = None
-        seen = Brightness.unknown(calibration.shape)
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
-        for frame in frames:
-            sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        for frame, sample in sampled(frames, calibration, crosstalk):
             recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
