@@ -38,9 +38,9 @@ _SLOTS = 8
 # Shares of a signal's energy below this are rounding of its float32 numbers.
 _NOTHING = 1e-12
 # Correlations are computed afresh where their bound exceeds this share of the residual.
-_STALE = 0.0015
+_STALE = 0.0012
 # Peaks looked through together.
-_CHUNK = 32
+_CHUNK = 16
 # Of float32 sums, relative to a signal.
 _ROUNDING = 1e-6
 
@@ -57,7 +57,8 @@ class _Atoms(NamedTuple):
 def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, amounts: Floats) -> None:
     """Sparse codes of signals over the columns of a matrix.
 
-    Atoms nearer than ``sqrt(1e-5)`` to the span of those picked count as copies and are never picked.
+    Atoms nearer than ``sqrt(1e-5)`` to the span of those picked count as copies and are never picked, nor
+    are those that take less than 1e-12 of a signal's energy: rounding of its float32 numbers.
 
     Parameters
     ----------
@@ -88,6 +89,8 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
     state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
     terms = np.zeros((slots, 4), np.float32)
     peaks = np.zeros((slots, peaks_of(packed.shape[0])), np.float32)
+    # Largest peak of each chunk, of one slot at a time.
+    heights = np.zeros(-(-peaks.shape[1] // _CHUNK), np.float32)
     # Of each slot: its signal and the length of that, to which all else relates; its number of atoms.
     owner, length, picked = np.full(slots, -1, np.int64), np.zeros(slots), np.zeros(slots, np.int64)
     # The residual, its energy, and that at which it is done.
@@ -126,7 +129,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
                 _look(slot, residual, energy, grid, state, moves, terms)
                 stale[slot] = False
                 continue
-            best = _best(slot, state, peaks, terms, atoms, residual, basis, triangle, parts, count)
+            best = _best(slot, state, peaks, heights, terms, atoms, residual, basis, triangle, parts, count)
             if best >= 0:
                 shares[slot, count], energy[slot] = _extend(
                     slot, best, atoms.columns, basis, triangle, residual, count
@@ -197,6 +200,7 @@ def _best(
     slot: int,
     state: Floats,
     peaks: Floats,
+    heights: Floats,
     terms: Floats,
     atoms: _Atoms,
     residual: Doubles,
@@ -214,6 +218,7 @@ def _best(
     highest, top = np.float32(-1), 0
     for chunk in range(0, n_peaks, _CHUNK):
         largest = _largest(peaks, slot, chunk)
+        heights[chunk // _CHUNK] = largest
         if largest > highest:
             highest, top = largest, chunk
     while peaks[slot, top] != highest:
@@ -231,7 +236,7 @@ def _best(
         for k in range(count):
             triangle[slot, count, k] = parts[k]
     for chunk in range(0, n_peaks, _CHUNK):
-        if _largest(peaks, slot, chunk) <= score:
+        if heights[chunk // _CHUNK] <= score:
             continue
         for peak in range(chunk, min(chunk + _CHUNK, n_peaks)):
             if peaks[slot, peak] <= score:
