@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from optsim.forward.field_blur import uniform
+from optsim.forward.field_blur import FieldPsf, make_field_blur, uniform
 from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image, integrate_exposure
+from optsim.forward.integrate import cell_means, fine_image, integrate_exposure
 from optsim.forward.psf import extend, make_blur, psf_kernel
-from optsim.forward.wings import coarse_kernel, far_light, line_ends, make_wings, moving_ends
+from optsim.forward.wings import Winged, coarse_kernel, far_light, line_ends, make_wings, moving_ends, winged
 from optsim.optics import Objective, form_image
 from optsim.quantities import Block, IrradianceVideo, RadianceVideo, Segment
 
@@ -96,6 +96,50 @@ def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
     np.testing.assert_allclose(far, means, rtol=0.02, atol=0.01 * means.max())
     fine = far.repeat(3, axis=1).repeat(3, axis=2)
     assert np.abs(fine - whole).max() < 0.15 * whole.max()
+
+
+def test_the_faintest_wing_of_a_very_bright_lamp_is_not_lost_in_single_precision():
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
+    wings = make_wings(kernel, 10, 3, (600, 900))
+    ends = np.zeros((2, 600, 900))
+    ends[:, 300, 450] = 1e9, 1e6
+    rows, cols = 200, 300
+    reach = (wings.shape[0] - rows) // 2
+    exact = wings.apply(np.stack([extend(cell_means(end, 3), reach) for end in ends]))
+    far, exact = far_light(ends, wings, 3), exact[:, reach : reach + rows, reach : reach + cols]
+    outside = exact > 1e-9 * exact.max(axis=(1, 2), keepdims=True)
+    assert outside.mean() > 0.99
+    assert exact[outside].min() < 1e-4 * exact.max()
+    np.testing.assert_allclose(far[outside], exact[outside], rtol=1e-2)
+
+
+@pytest.mark.parametrize("varies", [True, False])
+def test_a_blur_with_wings_on_panel_pixels_is_the_whole_blur_up_to_their_coarseness(varies):
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
+    cores = np.tile(uniform(kernel).middle(10).kernel, (2, 2, 1, 1))
+    psf = FieldPsf(kernel, cores) if varies else uniform(kernel)
+    near, shape = psf.middle(24), (60, 90)
+    blur = winged(make_field_blur(near, shape), kernel, near.half, 3)
+    assert isinstance(blur, Winged)
+    rng = np.random.default_rng(1)
+    image, other = rng.random((2, *shape)) ** 8
+    forth, back = (blur.apply(image) * other).sum(), (blur.adjoint(other) * image).sum()
+    assert forth == pytest.approx(back, rel=1e-12)
+    pair = blur.adjoint(np.stack([other, image]))
+    np.testing.assert_allclose(pair, [blur.adjoint(other), blur.adjoint(image)], rtol=1e-12)
+    whole = make_blur(kernel, shape)
+    # One point: less than a tenth of the wings lies elsewhere than it should.
+    point = np.zeros(shape)
+    point[31, 44] = 1.0
+    wings = kernel.sum() - near.kernel.sum()
+    wrong = np.abs(blur.apply(point) - whole.apply(point)).sum() / 2
+    assert 0.005 * wings < wrong < 0.1 * wings
+    # A panel pixel: its means over panel pixels are exact.
+    pixel = np.zeros(shape)
+    pixel[30:33, 42:45] = 1.0
+    means, exact = (cell_means(each.apply(pixel), 3) for each in (blur, whole))
+    np.testing.assert_allclose(means, exact, atol=1e-13)
+    assert winged(whole, kernel, len(kernel) // 2, 3) is whole
 
 
 def test_light_that_stands_still_in_a_block_is_imaged_as_in_the_base_wings_and_all():

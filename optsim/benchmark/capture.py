@@ -49,7 +49,7 @@ _MOVERS = 10
 # Share of the field that the patches sweep over.
 _SHARES = {"capture.paper_20_percent": 0.2, "capture.paper_all_moving": 1.0}
 _WHITE = 0.1  # W m^-2 sr^-1, about 68 cd/m^2 at 550 nm
-_ROUNDS = 3
+_ROUNDS = 5
 # An effect is negligible below this share of the predicted noise.
 _TOLERANCE, _FURTHER_TOLERANCES = 0.1, (0.0, 0.03, 0.3, 1.0)
 _WINDOW = 1000.0  # times as bright as the interior

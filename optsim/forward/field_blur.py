@@ -58,6 +58,14 @@ class FieldPsf:
         common[inner, inner] = 0
         return common
 
+    @property
+    def whole(self) -> Doubles:
+        """PSF of each node, (n, n, 2 h + 1, 2 h + 1)."""
+        whole = np.tile(self.common, (*self.cores.shape[:2], 1, 1))
+        inner = slice(self.half - self.core_half, self.half + self.core_half + 1)
+        whole[:, :, inner, inner] = self.cores
+        return whole
+
     def at(self, field_y: float, field_x: float) -> Doubles:
         """PSF of one point, (2 h + 1, 2 h + 1); its coordinates run from -1 to 1 over the field."""
         psf = self.common.copy()
@@ -98,8 +106,6 @@ class FieldBlur:
     ----------
     shape : tuple of int
         Rows and columns of the grid.
-    common : Blur or None
-        Part of the PSF that is the same everywhere.
     half : int
         Half width of the cores.
     rows, cols : _Cells
@@ -111,7 +117,6 @@ class FieldBlur:
     """
 
     shape: tuple[int, int]
-    common: Blur | None
     half: int
     rows: _Cells
     cols: _Cells
@@ -128,10 +133,12 @@ class FieldBlur:
         def spread(i: Ints, j: Ints) -> Doubles:
             windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
-            for transfers, hats in self._nodes(i, j):
+            for nodes, hats in self._nodes(i, j):
                 part = fft.rfft2(windows * hats, s=self.padded)
-                part *= transfers
-                spectrum += part
+                # One by one: to gather the transfer functions would take as long as to multiply with them.
+                for node, light, total in zip(nodes, part, spectrum, strict=True):
+                    light *= self.transfers[node]
+                    total += light
             return fft.irfft2(spectrum, s=self.padded, overwrite_x=True)
 
         # Added up one after the other: the sum must not depend on which is ready first.
@@ -140,19 +147,16 @@ class FieldBlur:
             for (y, x), light in zip(self._corners(i, j), batch, strict=True):
                 part = light[: height + 2 * reach, : width + 2 * reach]
                 wide[y : y + height + 2 * reach, x : x + width + 2 * reach] += part
-        direct = wide[reach : reach + rows, reach : reach + cols]
-        return direct if self.common is None else direct + self.common.apply(exact)
+        return wide[reach : reach + rows, reach : reach + cols]
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
         """Transpose of :meth:`apply`, for images (..., y, x)."""
         if image.ndim > 2:
             return np.stack([self.adjoint(each) for each in image])
-        exact = image.astype(np.float64, copy=False)
-        total = self.collect(np.pad(exact, self.half))
-        return total if self.common is None else total + self.common.adjoint(exact)
+        return self.collect(np.pad(image.astype(np.float64, copy=False), self.half))
 
     def collect(self, wide: Doubles) -> Doubles:
-        """Collect with the cores alone, from an image that has ``half`` more cells on every side: (y, x)."""
+        """As :meth:`adjoint`, from an image that has ``half`` more cells on every side: (y, x)."""
         reach = self.half
         total = np.zeros(self.shape)
         height, width = self.rows.side, self.cols.side
@@ -164,8 +168,11 @@ class FieldBlur:
             )
             spectrum = fft.rfft2(windows, s=self.padded)
             found = np.zeros((len(i), height, width))
-            for transfers, hats in self._nodes(i, j):
-                part = fft.irfft2(spectrum * transfers.conj(), s=self.padded, overwrite_x=True)
+            for nodes, hats in self._nodes(i, j):
+                product = np.empty_like(spectrum)
+                for node, light, target in zip(nodes, spectrum, product, strict=True):
+                    np.multiply(light, self.transfers[node].conj(), out=target)
+                part = fft.irfft2(product, s=self.padded, overwrite_x=True)
                 found += part[:, :height, :width] * hats
             return found
 
@@ -185,11 +192,12 @@ class FieldBlur:
         step = max(1, _BATCH_CELLS // (self.padded[0] * self.padded[1]))
         return [(i[k : k + step], j[k : k + step]) for k in range(0, len(i), step)]
 
-    def _nodes(self, i: Ints, j: Ints) -> Iterator[tuple[NDArray[np.complexfloating], Doubles]]:
-        """Transfer functions and hats of the four nodes around each cell."""
+    def _nodes(self, i: Ints, j: Ints) -> Iterator[tuple[list[tuple[int, int]], Doubles]]:
+        """Find the four nodes around each cell, and their hats there."""
         for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
             hats = self.rows.hats[i, a, :, None] * self.cols.hats[j, b, None, :]
-            yield self.transfers[self.rows.nodes[i] + a, self.cols.nodes[j] + b], hats
+            rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
+            yield list(zip(rows, cols, strict=True)), hats
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,22 +226,16 @@ def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
     """Prepare a PSF for images of its field, (y, x), in float64."""
     if not psf.cores.size:
         return make_blur(psf.kernel, shape)
-    return varying_blur(psf, shape, make_blur(psf.common, shape) if psf.common.any() else None)
+    return varying_blur(psf.whole, shape)
 
 
-def varying_blur(psf: FieldPsf, shape: tuple[int, int], common: Blur | None) -> FieldBlur:
-    """Prepare the cores of a PSF that has some, with or without the part that is the same everywhere."""
-    rows, cols = (_cells(size, len(psf.cores)) for size in shape)
-    sides = [int(fft.next_fast_len(cells.side + 2 * psf.core_half, real=True)) for cells in (rows, cols)]
-    return FieldBlur(
-        shape,
-        common,
-        psf.core_half,
-        rows,
-        cols,
-        (sides[0], sides[1]),
-        np.asarray(fft.rfft2(psf.cores, s=sides, workers=CORES)),
-    )
+def varying_blur(cores: Doubles, shape: tuple[int, int]) -> FieldBlur:
+    """Prepare the PSFs of nodes, (n, n, 2 m + 1, 2 m + 1), or middles of them."""
+    half = cores.shape[2] // 2
+    rows, cols = (_cells(size, len(cores)) for size in shape)
+    sides = [int(fft.next_fast_len(cells.side + 2 * half, real=True)) for cells in (rows, cols)]
+    transfers = np.asarray(fft.rfft2(cores, s=sides, workers=CORES))
+    return FieldBlur(shape, half, rows, cols, (sides[0], sides[1]), transfers)
 
 
 def _cells(size: int, nodes: int) -> _Cells:

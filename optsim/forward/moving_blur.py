@@ -15,6 +15,7 @@ from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optsim.forward.bands import side_by_side
 from optsim.forward.field_blur import FieldPsf, hats
@@ -86,15 +87,21 @@ def _blurred(
         around = _around(
             block, shape, (ends_y[0] - half, ends_y[1] + half), (ends_x[0] - half, ends_x[1] + half)
         )
-        lit = np.flatnonzero(around.any(axis=(1, 2)))
+        brightest = np.maximum(around.max(axis=(1, 2)), -around.min(axis=(1, 2)))
+        lit = np.flatnonzero(brightest)
         if not lit.size:
             return
-        light = around if lit.size == n else around[lit]
-        most = error.of(float(max(light.max(), -light.min())))
-        kernels, shares = _kernels_and_shares(psf, shape, ends_y, ends_x, most)
-        found = _collected(light, kernels, shares)
-        found *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]]
-        image[lit, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left] = found
+        transfers, shares = _transfers_and_shares(
+            psf, shape, ends_y, ends_x, error.of(float(brightest.max())), around.shape[1:]
+        )
+        shares *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]]
+        target = image[:, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left]
+        if lit.size == n:
+            _collect(around, transfers, shares, target)
+        else:
+            part = np.empty((lit.size, *target.shape[1:]), np.float32)
+            _collect(around[lit], transfers, shares, part)
+            target[lit] = part
 
     return Block(top, left, image), [partial(tile, y, x) for y in tiles_y for x in tiles_x]
 
@@ -133,27 +140,41 @@ def _around(block: Block, shape: tuple[int, int], rows: tuple[int, int], cols: t
     return window
 
 
-def _collected(light: Floats, kernels: Floats, shares: Floats) -> Floats:
-    """Light that the middle of windows collects with kernels of which each point has its shares."""
-    padded = [int(fft.next_fast_len(side, real=True)) for side in light.shape[1:]]
+def _collect(
+    light: Floats, transfers: NDArray[np.complex64], shares: Floats, found: NDArray[np.float32]
+) -> None:
+    """Find what the middle of windows collects with kernels of which each point has its shares."""
+    padded = _padded(light.shape[1:])
     spectrum = fft.rfft2(light, s=padded)
     rows, cols = shares.shape[1:]
-    total = np.zeros((len(light), rows, cols), np.float32)
-    for transfer, share in zip(fft.rfft2(kernels, s=padded).conj(), shares, strict=True):
+    for k, (transfer, share) in enumerate(zip(transfers, shares, strict=True)):
         # The first row of a window is where that of its tile begins to collect; the last ones aren't wanted.
         some = fft.ifft(spectrum * transfer, axis=1, overwrite_x=True)[:, :rows]
         part = fft.irfft(some, n=padded[1], axis=2)[:, :, :cols]
-        part *= share
-        total += part
-    return total
+        if k == 0:
+            np.multiply(part, share, out=found)
+        else:
+            part *= share
+            found += part
 
 
-def _kernels_and_shares(
-    psf: FieldPsf, field: tuple[int, int], rows: tuple[int, int], cols: tuple[int, int], error: float
-) -> tuple[Floats, Floats]:
-    """Mean PSF and modes of a tile, (k, 2 h + 1, 2 h + 1), and how much of each a point has, (k, y, x)."""
+def _padded(window: tuple[int, ...]) -> tuple[int, int]:
+    """Size of a window's transforms."""
+    rows, cols = (int(fft.next_fast_len(side, real=True)) for side in window)
+    return rows, cols
+
+
+def _transfers_and_shares(
+    psf: FieldPsf,
+    field: tuple[int, int],
+    rows: tuple[int, int],
+    cols: tuple[int, int],
+    error: float,
+    window: tuple[int, ...],
+) -> tuple[NDArray[np.complex64], Floats]:
+    """Transfer functions of a tile's mean PSF and modes, and how much of each a point has, (k, y, x)."""
     if not psf.cores.size:
-        return psf.kernel.astype(np.float32)[None], np.ones(
+        return _transfers(psf, None, error, _padded(window)), np.ones(
             (1, rows[1] - rows[0], cols[1] - cols[0]), np.float32
         )
     hats_y, hats_x = (
@@ -162,13 +183,24 @@ def _kernels_and_shares(
     )
     on_y, on_x = (np.flatnonzero(each.any(axis=1)) for each in (hats_y, hats_x))
     region = (int(on_y[0]), int(on_y[-1]) + 1, int(on_x[0]), int(on_x[-1]) + 1)
-    kernels, at_nodes = _modes(psf, region, error)
     # The mean has a share of one everywhere, since hats add up to one.
-    shares = [hats_y[region[0] : region[1]].T @ each @ hats_x[region[2] : region[3]] for each in at_nodes]
-    return kernels, np.array(shares, np.float32)
+    shares = [
+        hats_y[region[0] : region[1]].T @ each @ hats_x[region[2] : region[3]]
+        for each in _modes(psf, region, error)[1]
+    ]
+    return _transfers(psf, region, error, _padded(window)), np.array(shares, np.float32)
 
 
-# Movers pass the same tiles again and again.
+# Movers pass the same tiles again and again; a tile's take about 0.4 MB.
+@lru_cache(maxsize=256)
+def _transfers(
+    psf: FieldPsf, region: _Region | None, error: float, padded: tuple[int, int]
+) -> NDArray[np.complex64]:
+    """Transfer functions that collect with a region's mean PSF and modes; without one, with the kernel."""
+    kernels = psf.kernel.astype(np.float32)[None] if region is None else _modes(psf, region, error)[0]
+    return np.asarray(fft.rfft2(kernels, s=padded).conj())
+
+
 @lru_cache(maxsize=1024)
 def _modes(psf: FieldPsf, region: _Region, error: float) -> tuple[Floats, Doubles]:
     """Mean and modes of a region's nodes, and the share (k, i, j) that each node has of them."""

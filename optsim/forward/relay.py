@@ -273,7 +273,7 @@ class RelayOperator:
 
     Parameters
     ----------
-    blur : Blur or FieldBlur
+    blur : Blur, FieldBlur or Winged
         PSF on the fine panel grid.
     overlap : sparse.csc_array
         From :func:`overlap_operator`.

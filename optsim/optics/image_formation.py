@@ -89,7 +89,8 @@ def form_image(
             return Segment(early, late, (), segment.n_instants)
         moving = moving_ends(segment)
         fluxes = [
-            float(key.mean()) + float((line * factor).mean()) for key, line in zip(keys, moving, strict=True)
+            float(key.mean()) + float(line.ravel() @ factor.ravel()) / key.size
+            for key, line in zip(keys, moving, strict=True)
         ]
         if blurs.wings is None:
             ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
@@ -163,7 +164,7 @@ def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) ->
         make_wings(turned.kernel, core.half, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
-        varying_blur(turned, shape, None) if psf.cores.size else None,
+        varying_blur(turned.cores, shape) if psf.cores.size else None,
     )
 
 
@@ -172,7 +173,7 @@ def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
     return ((1 - share) * image + share * flux).astype(np.float32)
 
 
-def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
+def _with_far_light(key: Doubles, far: Floats, factor: Floats, evenly: float, kept: float) -> Floats:
     """Keep a share of a key's image; add far light, given on panel pixels, and glare."""
     if key.size < FEW:
         pitch = len(key) // len(far)
@@ -185,7 +186,7 @@ def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, k
 
 @compiled()
 def _add_far(
-    key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
+    key: Doubles, far: Floats, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
 ) -> None:
     pitch = key.shape[0] // far.shape[0]
     for y in range(top, bottom):

@@ -8,11 +8,16 @@ from functools import lru_cache
 from pydantic import Field
 from scipy import sparse
 
-from optsim.forward.field_blur import FieldBlur, FieldPsf, make_field_blur
-from optsim.forward.psf import Blur
+from optsim.forward.field_blur import FieldPsf, make_field_blur
+from optsim.forward.psf import SomeBlur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
+from optsim.forward.wings import winged
 from optsim.optics.lens import LensGroup
+
+# As far from a PSF's middle its wings work on panel pixels: of the prototype's light 0.4 % lies beyond, and
+# 0.02 % comes to lie up to two fine cells off.
+_NEAR_PIXELS = 8
 
 
 class Relay(LensGroup):
@@ -115,7 +120,7 @@ class Relay(LensGroup):
         if self.ghost_share:
             ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)
         return RelayOperator(
-            _blur(psf, shape),
+            _blur(psf, shape, samples_per_pitch),
             _overlap(geometry, transmission),
             self.glare_share,
             (geometry.ccd_rows, geometry.ccd_cols),
@@ -130,5 +135,6 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
 
 
 @lru_cache(maxsize=4)
-def _blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
-    return make_field_blur(psf, shape)
+def _blur(psf: FieldPsf, shape: tuple[int, int], pitch: int) -> SomeBlur:
+    near = psf.middle(_NEAR_PIXELS * pitch)
+    return winged(make_field_blur(near, shape), psf.kernel, near.half, pitch)
