@@ -396,4 +396,5 @@ class CodedCamera(Part):
             cells=(self.panel_rows * samples_per_pitch, self.panel_cols * samples_per_pitch),
             ccd=(self.sensor.rows, self.sensor.cols),
             cell_px=self.ratio / samples_per_pitch,
+            wavelength_m=self.wavelength_m,
         )

@@ -136,6 +136,11 @@ ALL: dict[str, Effect] = {
         {"relay": {"distortion": 0.0, "keystone_y": 0.0, "keystone_x": 0.0}},
         {"relay": {"distortion": -0.01, "keystone_y": 0.002}},
     ),
+    "lateral_colour": Effect(
+        "image of the relay that is larger in red light than in blue; nothing in 550 nm",
+        {"relay": {"lateral_colour": 0.0}},
+        {"relay": {"lateral_colour": 1.2e-3}},
+    ),
     "pixel_response": Effect(
         "CCD pixels that respond differently, in light and in the dark",
         {"sensor": {"prnu": 0.0, "dsnu_e": 0.0}},

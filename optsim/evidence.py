@@ -58,7 +58,7 @@ EFFECTS: dict[str, str] = {
 
 # What no part of the camera does; every report prints it.
 NOT_MODELLED: tuple[str, ...] = (
-    "aberrations beyond the third order; distortion of the objective beyond it; lateral colour",
+    "aberrations beyond the third order; distortion of the objective beyond it, and its lateral colour",
     "pupils cut off by the objective's edges; change of scale and f-number with focus",
     "ghosts of the objective; glare is uniform",
     "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",

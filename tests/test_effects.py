@@ -69,6 +69,7 @@ MEASURES = {
     "relay_glare": (lambda c: frame(c)[1, 1] / frame(c)[80, 96], 0.0015, 0.003),
     "ghost": (lambda c: frame(c, corner(c))[-30:-10, -30:-10].mean() / mean(c), 1e-4, 2e-3),
     "distortion": (lambda c: width(IDEAL) - width(c), 0.9, 1.5),
+    "lateral_colour": (lambda c: width(red(c)) / width(red(IDEAL)) - 1, 1.9e-4, 2e-4),
     "smear": (lambda c: mean(c) / mean(IDEAL) - 1, 1.8e-4, 2.1e-4),
     "pixel_response": (lambda c: frame(c)[20:-20, 20:-20].std() / frame(c).mean(), 0.006, 0.012),
     "dark_current": (lambda c: frame(c, 0).mean(), 0.25, 0.26),
@@ -87,6 +88,10 @@ def width(camera):
     """Light of the middle row over its brightest: 0.3 pixels narrower, and by 0.5 % brighter at the ends."""
     row = frame(camera)[80]
     return row.sum() / row.max()
+
+
+def red(camera):
+    return camera.model_copy(update={"wavelength_m": 650e-9})
 
 
 def blinking(camera):
@@ -121,6 +126,7 @@ def test_states_go_from_better_to_worse(name):
     sizes = {}
     for state in STATES:
         camera = with_effects(shrunk(prototype(), 32), {name: state})
+        camera = red(camera) if name == "lateral_colour" else camera
         type(camera).model_validate(camera.model_dump())
         found = effect_sizes(near_probe(camera, ROOM))
         sizes[state] = next(each.size for each in found if each.effect == name)

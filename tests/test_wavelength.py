@@ -17,7 +17,7 @@ from optsim.explain import explanation
 from optsim.forward.aberrations import Wavefront
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.forward.radiometry import photons_per_joule
-from optsim.hardware import demo, icx674, imx174, lcr720
+from optsim.hardware import demo, icx674, imx174, lcr720, prototype
 from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.metrics import PhotometricScale, luminous_efficacy_lm_w
@@ -54,6 +54,30 @@ def test_at_550_nm_nothing_is_scaled():
     assert camera.sensor.efficiency_at(GREEN) == camera.sensor.quantum_efficiency
     waves = Wavefront(spherical_waves=0.07, coma_waves=0.139, curvature_waves=-0.3)
     assert waves.in_light_of(GREEN) == waves
+
+
+def test_from_blue_to_red_the_prototypes_corners_move_outwards_by_2_um_and_no_light_is_lost():
+    camera = prototype()
+    corners = np.array([[0.0, 0.0], [0.0, 1800.0], [1500.0, 0.0], [1500.0, 1800.0]])
+    places = {}
+    for wavelength_m in (450e-9, GREEN, 650e-9):
+        there = camera.model_copy(update={"wavelength_m": wavelength_m}).relay_geometry()
+        places[wavelength_m] = np.stack(there.place(*corners.T), axis=1)
+        assert there.cell_px / there.magnification == pytest.approx(20e-6 / 4.54e-6 / 3)
+    assert changed(camera, {"relay": {"lateral_colour": 0.0}}).relay_geometry() == camera.relay_geometry()
+    middle = places[GREEN].mean(axis=0)
+    outwards = np.linalg.norm(places[650e-9] - middle, axis=1) - np.linalg.norm(
+        places[450e-9] - middle, axis=1
+    )
+    np.testing.assert_allclose(outwards * camera.sensor.pitch_m, 2e-6, rtol=0.05)
+    np.testing.assert_allclose(places[GREEN], (places[450e-9] + places[650e-9]) / 2, atol=1e-9)
+    # The image is larger, and as much darker: as much light lands on the CCD, all of which it holds.
+    red = small(650e-9, relay={"ghost_share": 0.0})
+    sums = [
+        changed(red, {"relay": {"lateral_colour": share}}).relay_operator().apply(np.ones((120, 144))).sum()
+        for share in (0.0, 2e-2)
+    ]
+    assert sums[1] == pytest.approx(sums[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("wavelength_m", [BLUE, RED])

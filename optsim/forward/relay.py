@@ -14,7 +14,7 @@ Under a rotation phi its corners are off by up to half a cell times phi: under 0
 with no energy gained or lost. Images are stored upright: the inversion by the relay and the mirror flip by
 the splitter are undone by the order of readout, so panel row and CCD row increase together.
 
-Not modelled: lateral colour, shading of the relay.
+Not modelled: shading of the relay. Light is of one wavelength, and the geometry is that wavelength's.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from optsim.optics.lens import LensGroup
 # As far from a PSF's middle its wings work on panel pixels: of the prototype's light 0.4 % lies beyond, and
 # 0.02 % comes to lie up to two fine cells off.
 _NEAR_PIXELS = 8
+_COLOURS_M = 200e-9  # of which lateral colour is told
 
 
 class Relay(LensGroup):
@@ -47,6 +48,9 @@ class Relay(LensGroup):
     distortion : float
         Relative change of the distance from the centre at the corners of the used panel; positive is a
         pincushion.
+    lateral_colour : float
+        Relative growth of the image from light of 450 nm to light of 650 nm, even in wavelength; in 550 nm it
+        is as large as ``magnification`` says.
     """
 
     magnification: float = Field(gt=0)
@@ -61,6 +65,7 @@ class Relay(LensGroup):
     keystone_y: float = Field(default=0.0, ge=-0.2, le=0.2)
     keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
     distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
+    lateral_colour: float = Field(default=0.0, ge=-0.02, le=0.02)
 
     def image_f_number(self, panel_f_number: float) -> float:
         """f-number of the cone on the CCD: the panel's, demagnified, or the relay's own if that is slower."""
@@ -70,15 +75,22 @@ class Relay(LensGroup):
         """Share of the panel's cone that passes the relay's stop, in a uniformly filled cone."""
         return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
 
-    def geometry(self, cells: tuple[int, int], ccd: tuple[int, int], cell_px: float) -> RelayGeometry:
-        """Where (y, x) cells on the panel, each of so many CCD pixels, land on a CCD of (y, x) pixels."""
+    def geometry(
+        self,
+        cells: tuple[int, int],
+        ccd: tuple[int, int],
+        cell_px: float,
+        wavelength_m: float = MONO_WAVELENGTH_M,
+    ) -> RelayGeometry:
+        """Where (y, x) cells on the panel, each of so many CCD pixels in 550 nm, land on a CCD of (y, x)."""
+        larger = 1 + self.lateral_colour * (wavelength_m - MONO_WAVELENGTH_M) / _COLOURS_M
         return RelayGeometry(
             rows=cells[0],
             cols=cells[1],
             ccd_rows=ccd[0],
             ccd_cols=ccd[1],
-            cell_px=cell_px,
-            magnification=self.magnification,
+            cell_px=cell_px * larger,
+            magnification=self.magnification * larger,
             shift_y_px=self.shift_y_px,
             shift_x_px=self.shift_x_px,
             rotation_rad=self.rotation_rad,
