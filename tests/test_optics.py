@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from optsim.forward.integrate import cell_means
 from optsim.hardware import lcr720, prototype_relay
 from optsim.optics import Objective, Splitter, form_image, leak, stage_transmissions, throughput
 from optsim.quantities import Block, RadianceVideo, Segment
@@ -131,6 +132,27 @@ def test_negative_monte_carlo_light_stays_in_the_sums():
     video, other = imaged(Objective(), image), imaged(Objective(), -image)
     assert video.load(0).start.min() < 0
     np.testing.assert_allclose(video.load(0).start, -other.load(0).start, atol=1e-9)
+
+
+@pytest.mark.parametrize("field_error", [0.02, 1.0])
+def test_what_a_panel_pixel_sends_through_the_relay_has_its_whole_psf_wings_and_all(field_error):
+    """In panel pixels, on which the wings work: each mean is that of the pixel's own cells' PSFs."""
+    relay = prototype_relay().model_copy(update={"field_error": field_error, "ghost_share": 0.0})
+    rows, cols, pitch, cell_m = 240, 300, 3, 20e-6 / 3
+    geometry = relay.geometry((rows, cols), (240, 300), 0.96)
+    blur = relay.operator(geometry, 6.0, cell_m, 0.9, pitch).blur
+    psf = relay.psf(relay.image_f_number(6.0), cell_m * relay.magnification, (rows, cols), 0.0)
+    assert psf.half > 8 * pitch
+    pixel, exact = np.zeros((rows, cols)), np.zeros((rows + 2 * psf.half, cols + 2 * psf.half))
+    for y in range(90, 93):
+        for x in range(171, 174):
+            pixel[y, x] = 1.0
+            own = psf.at((y + 0.5) / rows * 2 - 1, (x + 0.5) / cols * 2 - 1)
+            exact[y : y + len(own), x : x + len(own)] += own
+    inside = exact[psf.half : psf.half + rows, psf.half : psf.half + cols]
+    np.testing.assert_allclose(
+        cell_means(blur.apply(pixel), pitch), cell_means(inside, pitch), rtol=1e-6, atol=1e-12
+    )
 
 
 def test_fixed_patterns_of_the_panel():
