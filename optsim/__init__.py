@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
 """optsim: validate an adaptive pixel-wise coded-exposure camera before its hardware exists.
 
 The four verbs, in the order of use::
@@ -10,31 +11,8 @@ The four verbs, in the order of use::
     print(score(result))
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+import lazy_loader
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "load_experiment", "render_truth", "run", "score"]
-
-if TYPE_CHECKING:
-    from optsim.experiment import load_experiment
-    from optsim.loop import run
-    from optsim.scoring import score
-    from optsim.truth import render_truth
-
-_HOME = {
-    "load_experiment": "experiment",
-    "render_truth": "truth",
-    "run": "loop",
-    "score": "scoring",
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used, so that the command line starts quickly."""
-    import importlib
-
-    if name in _HOME:
-        return getattr(importlib.import_module(f"optsim.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'optsim' has no attribute {name!r}")
+# What __init__.pyi names is imported when it is first used, so that the command line starts quickly.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
