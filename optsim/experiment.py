@@ -29,7 +29,7 @@ class SceneChoice(Part):
     """Which scene, which of its variations, and in which of its bands (default the one nearest to 550 nm)."""
 
     name: str
-    variation: str = "main"
+    variation: str = Field(default="main", coerce_numbers_to_str=True)
     band: str | None = None
 
 

@@ -19,12 +19,13 @@ MID_GREY = 0.18
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
-    """Band, geometry, focus, photons, latency, effects, plan of an experiment, also of one that doesn't fit.
+    """Band, geometry, focus, photons, latency, effects and plan of an experiment.
 
     Returns
     -------
     dict
-        JSON-able; ``geometry.fits`` says whether it can be run.
+        JSON-able; ``geometry.fits`` says whether it can be run. If not, ``misfit`` says why and what helps,
+        and effects and plan, which are found by taking pictures, are left out.
     """
     from optsim.camera_plan import plan_camera
     from optsim.effect_sizes import effect_sizes
@@ -32,14 +33,15 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     from optsim.experiment import load_experiment
     from optsim.truth import describe_truth, illumination, scene_light
 
+    misfit = None
     try:
         experiment = load_experiment(name_or_path, assignments)
-    except GeometryError:
+    except GeometryError as error:
+        misfit = str(error)
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
     truth = describe_truth(experiment)
-    light = illumination(experiment)
-    plan = plan_camera(camera, light, experiment.tolerance)
+    plan = None if misfit else plan_camera(camera, illumination(experiment), experiment.tolerance)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -48,6 +50,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "light": scene_light(experiment).why,
         "band": band_record(camera),
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
+        "misfit": misfit,
         "focus": None if truth.focus is None else truth.focus.record(),
         "latency": {
             **asdict(latency),
@@ -59,8 +62,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             for name, level in levels.items()
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
-        "effects": [asdict(each) for each in effect_sizes(plan.near)],
-        "plan": plan_record(plan),
+        "effects": [asdict(each) for each in effect_sizes(plan.near)] if plan else [],
+        "plan": plan_record(plan) if plan else None,
     }
 
 
@@ -111,26 +114,29 @@ def show(record: dict[str, Any]) -> list[object]:
                 [tuple(row.values()) for row in rows],
             )
         )
-    effects = cast("list[dict[str, Any]]", record["effects"])
-    items.append(
+    contrast = "infinite" if record["contrast"] is None else f"{record['contrast']:.3g}"
+    items.append(f"contrast of splitter, polarisers and panel, on axis: {contrast}")
+    if record["plan"]:
+        items += _what_matters(record)
+    else:
+        items.append(f"the geometry does not fit, so this experiment cannot be run: {record['misfit']}")
+    return items
+
+
+def _what_matters(record: dict[str, Any]) -> list[object]:
+    """Table of effects and plan."""
+    effects, plan = cast("list[dict[str, Any]]", record["effects"]), cast("dict[str, Any]", record["plan"])
+    return [
         table(
             "what each imperfection changes in a frame of a small probe, rms, in units of the noise "
             "(depth of field and distortion of the objective need the scene: see the first lines)",
             ("effect", "size", "what it is"),
             [(row["effect"], row["size"], row["what"]) for row in effects],
-        )
-    )
-    plan = cast("dict[str, Any]", record["plan"])
-    items.append(
+        ),
         table(
             f"plan: what is left out adds up to {plan['predicted']:.2g} of a frame's noise at most "
             f"(tolerance {plan['tolerance']:g})",
             ("what", "choice", "error", "what it is"),
             [(c["short_cut"], c["choice"], c["size"], c["what"]) for c in plan["choices"]],
-        )
-    )
-    contrast = "infinite" if record["contrast"] is None else f"{record['contrast']:.3g}"
-    items.append(f"contrast of splitter, polarisers and panel, on axis: {contrast}")
-    if not geometry["fits"]:
-        items.append("the geometry does not fit: this experiment cannot be run")
-    return items
+        ),
+    ]

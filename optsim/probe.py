@@ -221,14 +221,15 @@ def _scene(camera: CodedCamera, light: Illumination) -> RadianceVideo:
         row, col = (view.rows - height) // 3, (view.cols - width) // 4
         base[row : row + height, col : col + width] *= over * WHITE_OVER_INTERIOR
     height, width = view.rows // 3, view.cols // 3
-    reach = int(np.ceil(_STEP_PX * n_slots))
+    # A panel of a few pixels leaves less way to go.
+    reach = min(int(np.ceil(_STEP_PX * n_slots)), view.cols // 3)
     row, col = view.rows * 5 // 12, max(0, (view.cols - width - reach) // 2)
     width = min(width, view.cols - col - reach)
     patch = white_w_m2_sr * _reflectances(rng, height, width)
     under = base[row : row + height, col : col + width + reach]
     excess = np.zeros((n_slots, *under.shape), np.float32)
     for slot in range(0, n_slots, _SEEN):
-        left = round(slot * _STEP_PX)
+        left = min(round(slot * _STEP_PX), reach)
         excess[slot, :, left : left + width] = patch - under[:, left : left + width]
     segment = Segment(base, base, (Block(row, col, excess),), n_slots)
     return made_radiance(

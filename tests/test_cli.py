@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from optsim.cli import main
+from optsim.experiment import load_experiment
+from optsim.explain import explanation, show
 
 
 def optsim(
@@ -88,6 +90,31 @@ def test_explain_shows_what_does_not_fit(cli) -> None:
     code, out, _ = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
     assert code == 2
     assert "does not fit" in out
+
+
+def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def planning(*_: object) -> None:
+        pytest.fail("took pictures with a camera of 23 GB")
+
+    monkeypatch.setattr("optsim.camera_plan.plan_camera", planning)
+    found = explanation("demo", ["camera.relay.magnification=100"])
+    assert not found["geometry"]["fits"]
+    assert found["plan"] is None
+    assert "lower camera.relay.magnification" in found["misfit"]
+    assert any("lower camera.relay.magnification" in str(item) for item in show(found))
+
+
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_a_panel_of_a_few_pixels_has_a_plan_too(side: int) -> None:
+    found = explanation("demo", [f"camera.panel_rows={side}", f"camera.panel_cols={side}"])
+    assert found["geometry"]["fits"]
+    assert len(found["plan"]["choices"]) == 9
+
+
+def test_a_variation_may_be_a_number() -> None:
+    scene = load_experiment("demo", ["scene.name=wheel", "scene.variation=7"]).scene
+    assert scene is not None
+    assert scene.variation == "7"
 
 
 def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def test_every_point_spreads_with_its_own_psf_and_the_adjoint_is_exact():
     shape = (50, 60)
     blur = make_field_blur(found, shape)
     assert isinstance(blur, FieldBlur)
-    points = rng.integers(0, 1, shape).astype(float)
+    points = np.zeros(shape)
     places = [(0, 0), (3, 55), (25, 30), (44, 11), (49, 59)]
     expected = np.zeros((50 + 2 * found.half, 60 + 2 * found.half))
     for k, (row, col) in enumerate(places):

@@ -324,8 +324,11 @@ def _own_share(calibration: Calibration) -> Floats:
     share = calibration.own_share
     least = float(share.min())
     if least <= _LEAST_SHARE:
+        kept = (
+            f"keeps only {least:.2f} of its light" if least > 0 else "keeps none of its light that was found"
+        )
         raise ConfigError(
-            f"crosstalk: a pixel keeps only {least:.2f} of its light; expected more than a third to undo it; "
+            f"crosstalk: a pixel {kept}; expected more than a third to undo it; "
             "cure: a sharper relay, or crosstalk = 'row_summed'"
         )
     return share

@@ -191,8 +191,6 @@ def _transfers_and_shares(
     return _transfers(psf, region, error, _padded(window)), np.array(shares, np.float32)
 
 
-# Movers pass the same tiles again and again; a tile's take about 0.4 MB.
-@lru_cache(maxsize=256)
 def _transfers(
     psf: FieldPsf, region: _Region | None, error: float, padded: tuple[int, int]
 ) -> NDArray[np.complex64]:
@@ -201,6 +199,7 @@ def _transfers(
     return np.asarray(fft.rfft2(kernels, s=padded).conj())
 
 
+# Movers pass the same tiles again and again.
 @lru_cache(maxsize=1024)
 def _modes(psf: FieldPsf, region: _Region, error: float) -> tuple[Floats, Doubles]:
     """Mean and modes of a region's nodes, and the share (k, i, j) that each node has of them."""

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.forward.bands import CORES
 from optsim.forward.integrate import cell_means
-from optsim.forward.psf import Blur, SomeBlur, extend, fft, make_blur
-from optsim.quantities import Doubles, Floats, Segment
+from optsim.forward.psf import Blur, SomeBlur, extend, make_blur
+from optsim.quantities import Doubles, Segment
 
 
 def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
@@ -85,10 +84,8 @@ def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None
     return coarse_kernel(wings, pitch) if wings.any() else None
 
 
-def far_light(ends: Doubles, wings: Blur, pitch: int) -> Floats:
-    """Light in the wings of the moving light's straight lines, on panel pixels: array (2, v, u), float32.
-
-    In single precision: its noise, 1e-7 of the wings' rms, is below 1 % of the faintest wing of a lamp.
+def far_light(ends: Doubles, wings: Blur, pitch: int) -> Doubles:
+    """Light in the wings of the moving light's straight lines, on panel pixels: array (2, v, u).
 
     Parameters
     ----------
@@ -101,11 +98,9 @@ def far_light(ends: Doubles, wings: Blur, pitch: int) -> Floats:
     """
     rows, cols = ends.shape[1] // pitch, ends.shape[2] // pitch
     reach = (wings.shape[0] - rows) // 2
-    coarse = [extend(cell_means(end, pitch).astype(np.float32), reach) for end in ends]
-    spectrum = fft.rfft2(np.stack(coarse), s=wings.padded, workers=CORES)
-    spectrum *= wings.transfer
-    far = fft.irfft2(spectrum, s=wings.padded, workers=CORES, overwrite_x=True)
-    return far[:, reach : reach + rows, reach : reach + cols]
+    coarse = [extend(cell_means(end, pitch), reach) for end in ends]
+    # In double precision: the noise of single one would be negative light far from a very bright lamp.
+    return wings.apply(np.stack(coarse))[:, reach : reach + rows, reach : reach + cols]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +143,20 @@ class Winged:
         far = self.far.apply(cell_means(image, self.pitch)).repeat(self.pitch, axis=1)
         for y in range(self.pitch):
             light[y :: self.pitch] += far
+
+
+def near_half(kernel: Doubles, least: int, share: float) -> int:
+    """Half width, ``least`` or more, of a kernel's middle that all but a share of its light lies in."""
+    half = len(kernel) // 2
+    near = min(least, half)
+
+    def within(reach: int) -> float:
+        inner = slice(half - reach, half + reach + 1)
+        return float(kernel[inner, inner].sum())
+
+    while near < half and within(near) < 1 - share:
+        near = min(half, near + max(1, near // 4))
+    return near
 
 
 def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:

@@ -173,7 +173,7 @@ def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
     return ((1 - share) * image + share * flux).astype(np.float32)
 
 
-def _with_far_light(key: Doubles, far: Floats, factor: Floats, evenly: float, kept: float) -> Floats:
+def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
     """Keep a share of a key's image; add far light, given on panel pixels, and glare."""
     if key.size < FEW:
         pitch = len(key) // len(far)
@@ -186,7 +186,7 @@ def _with_far_light(key: Doubles, far: Floats, factor: Floats, evenly: float, ke
 
 @compiled()
 def _add_far(
-    key: Doubles, far: Floats, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
+    key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
 ) -> None:
     pitch = key.shape[0] // far.shape[0]
     for y in range(top, bottom):

@@ -12,12 +12,12 @@ from optsim.forward.field_blur import FieldPsf, make_field_blur
 from optsim.forward.psf import SomeBlur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
-from optsim.forward.wings import winged
+from optsim.forward.wings import near_half, winged
 from optsim.optics.lens import LensGroup
 
-# As far from a PSF's middle its wings work on panel pixels: of the prototype's light 0.4 % lies beyond, and
-# 0.02 % comes to lie up to two fine cells off.
-_NEAR_PIXELS = 8
+# A PSF's wings, which work on panel pixels, begin so far from its middle or farther, and have at most so much
+# of its light: of the prototype's 0.4 %, and 0.02 % comes to lie up to two fine cells off.
+_NEAR_PIXELS, _WINGS_SHARE = 8, 5e-3
 _COLOURS_M = 200e-9  # of which lateral colour is told
 
 
@@ -49,8 +49,8 @@ class Relay(LensGroup):
         Relative change of the distance from the centre at the corners of the used panel; positive is a
         pincushion.
     lateral_colour : float
-        Relative growth of the image from light of 450 nm to light of 650 nm, even in wavelength; in 550 nm it
-        is as large as ``magnification`` says.
+        Relative growth of the image, about its centre, from light of 450 nm to light of 650 nm, even in
+        wavelength; in 550 nm it is as large as ``magnification`` says.
     """
 
     magnification: float = Field(gt=0)
@@ -148,5 +148,5 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
 
 @lru_cache(maxsize=4)
 def _blur(psf: FieldPsf, shape: tuple[int, int], pitch: int) -> SomeBlur:
-    near = psf.middle(_NEAR_PIXELS * pitch)
+    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _WINGS_SHARE))
     return winged(make_field_blur(near, shape), psf.kernel, near.half, pitch)
