@@ -98,11 +98,15 @@ def test_rows_that_turn_late_are_found() -> None:
         update={"stuck_share": 0.0, "delay_s": 0.3e-3, "scan_s": 2e-3, "rows": 48}
     )
     camera = small(modulator=panel)
-    response = calibrate_from(measure_bench(camera, np.random.default_rng(12))).response
-    true = camera.panel_response
-    error = response.row_delays_s(48) - true.row_delays_s(48)
-    assert np.abs(error).max() < 0.005 * camera.slot_s
-    assert response.tau_on_s == pytest.approx(true.tau_on_s, rel=0.01)
+    true, found = camera.panel_response, []
+    for seed in range(12, 16):
+        response = calibrate_from(measure_bench(camera, np.random.default_rng(seed))).response
+        error = response.row_delays_s(48) - true.row_delays_s(48)
+        assert np.abs(error).max() < 0.005 * camera.slot_s
+        found.append(response.tau_on_s)
+    # A bench finds 0.7 % too much, give or take 0.2 % (13 to 15 seeds): the mean of four is right to 1 % but
+    # once in 700 times, a single one would not be in 1 of 12.
+    assert np.mean(found) == pytest.approx(true.tau_on_s, rel=0.01)
 
 
 def test_flashes_that_do_not_show_every_field_are_refused(bench: Bench) -> None:
