@@ -143,7 +143,7 @@ def test_a_relay_that_blurs_too_much_is_refused_before_the_render(
     monkeypatch.setattr(job, "render_truth", rendering)
     blurry = load_experiment("demo", [*SMALL, "camera.relay.aberration_m='15 um'"])
     one = tuple(method for method in blurry.methods if method.name == name)
-    with pytest.raises(ConfigError, match=rf"{name}.*crosstalk: a pixel keeps .*row_summed"):
+    with pytest.raises(ConfigError, match=rf"{name}.*crosstalk: a pixel keeps only .*row_summed"):
         job.execute(blurry.model_copy(update={"methods": one}), tmp_path / "new")
 
 

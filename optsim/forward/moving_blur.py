@@ -15,7 +15,6 @@ from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optsim.forward.bands import side_by_side
 from optsim.forward.field_blur import FieldPsf, hats
@@ -91,16 +90,15 @@ def _blurred(
         lit = np.flatnonzero(brightest)
         if not lit.size:
             return
-        transfers, shares = _transfers_and_shares(
-            psf, shape, ends_y, ends_x, error.of(float(brightest.max())), around.shape[1:]
-        )
+        most = error.of(float(brightest.max()))
+        kernels, shares = _kernels_and_shares(psf, shape, ends_y, ends_x, most)
         shares *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]]
         target = image[:, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left]
         if lit.size == n:
-            _collect(around, transfers, shares, target)
+            _collect(around, kernels, shares, target)
         else:
             part = np.empty((lit.size, *target.shape[1:]), np.float32)
-            _collect(around[lit], transfers, shares, part)
+            _collect(around[lit], kernels, shares, part)
             target[lit] = part
 
     return Block(top, left, image), [partial(tile, y, x) for y in tiles_y for x in tiles_x]
@@ -140,14 +138,12 @@ def _around(block: Block, shape: tuple[int, int], rows: tuple[int, int], cols: t
     return window
 
 
-def _collect(
-    light: Floats, transfers: NDArray[np.complex64], shares: Floats, found: NDArray[np.float32]
-) -> None:
+def _collect(light: Floats, kernels: Floats, shares: Floats, found: Floats) -> None:
     """Find what the middle of windows collects with kernels of which each point has its shares."""
-    padded = _padded(light.shape[1:])
+    padded = [int(fft.next_fast_len(side, real=True)) for side in light.shape[1:]]
     spectrum = fft.rfft2(light, s=padded)
     rows, cols = shares.shape[1:]
-    for k, (transfer, share) in enumerate(zip(transfers, shares, strict=True)):
+    for k, (transfer, share) in enumerate(zip(fft.rfft2(kernels, s=padded).conj(), shares, strict=True)):
         # The first row of a window is where that of its tile begins to collect; the last ones aren't wanted.
         some = fft.ifft(spectrum * transfer, axis=1, overwrite_x=True)[:, :rows]
         part = fft.irfft(some, n=padded[1], axis=2)[:, :, :cols]
@@ -158,23 +154,12 @@ def _collect(
             found += part
 
 
-def _padded(window: tuple[int, ...]) -> tuple[int, int]:
-    """Size of a window's transforms."""
-    rows, cols = (int(fft.next_fast_len(side, real=True)) for side in window)
-    return rows, cols
-
-
-def _transfers_and_shares(
-    psf: FieldPsf,
-    field: tuple[int, int],
-    rows: tuple[int, int],
-    cols: tuple[int, int],
-    error: float,
-    window: tuple[int, ...],
-) -> tuple[NDArray[np.complex64], Floats]:
-    """Transfer functions of a tile's mean PSF and modes, and how much of each a point has, (k, y, x)."""
+def _kernels_and_shares(
+    psf: FieldPsf, field: tuple[int, int], rows: tuple[int, int], cols: tuple[int, int], error: float
+) -> tuple[Floats, Floats]:
+    """Mean PSF and modes of a tile, (k, 2 h + 1, 2 h + 1), and how much of each a point has, (k, y, x)."""
     if not psf.cores.size:
-        return _transfers(psf, None, error, _padded(window)), np.ones(
+        return psf.kernel.astype(np.float32)[None], np.ones(
             (1, rows[1] - rows[0], cols[1] - cols[0]), np.float32
         )
     hats_y, hats_x = (
@@ -183,20 +168,10 @@ def _transfers_and_shares(
     )
     on_y, on_x = (np.flatnonzero(each.any(axis=1)) for each in (hats_y, hats_x))
     region = (int(on_y[0]), int(on_y[-1]) + 1, int(on_x[0]), int(on_x[-1]) + 1)
+    kernels, at_nodes = _modes(psf, region, error)
     # The mean has a share of one everywhere, since hats add up to one.
-    shares = [
-        hats_y[region[0] : region[1]].T @ each @ hats_x[region[2] : region[3]]
-        for each in _modes(psf, region, error)[1]
-    ]
-    return _transfers(psf, region, error, _padded(window)), np.array(shares, np.float32)
-
-
-def _transfers(
-    psf: FieldPsf, region: _Region | None, error: float, padded: tuple[int, int]
-) -> NDArray[np.complex64]:
-    """Transfer functions that collect with a region's mean PSF and modes; without one, with the kernel."""
-    kernels = psf.kernel.astype(np.float32)[None] if region is None else _modes(psf, region, error)[0]
-    return np.asarray(fft.rfft2(kernels, s=padded).conj())
+    shares = [hats_y[region[0] : region[1]].T @ each @ hats_x[region[2] : region[3]] for each in at_nodes]
+    return kernels, np.array(shares, np.float32)
 
 
 # Movers pass the same tiles again and again.
