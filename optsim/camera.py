@@ -68,7 +68,7 @@ class CodedCamera(Part):
     latency_frames: int = Field(default=3, ge=1)
     overlap: bool = True
     serial_number: int = Field(default=1, ge=0)
-    wavelength_m: float = Field(default=MONO_WAVELENGTH_M, gt=0)
+    wavelength_m: float = Field(default=MONO_WAVELENGTH_M, ge=1e-7, le=1e-4)
 
     @model_validator(mode="after")
     def _parts_work_together(self) -> CodedCamera:

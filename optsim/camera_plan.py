@@ -49,7 +49,7 @@ class Coarser:
     @property
     def steps(self) -> tuple[tuple[str, Changes], ...]:
         """From the full model to the cheapest, with the words that name each."""
-        return tuple((f"{value:g}", {self.part: {self.field: value}}) for value in self.values)
+        return tuple((f"within {100 * value:g} %", {self.part: {self.field: value}}) for value in self.values)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ _WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 # Those first that save most time at the prototype's scale.
 SHORT_CUTS: dict[str, Coarser | LeftOut] = {
     "objective_field": Coarser(
-        "PSF of the objective that varies: share of a point's light that may be misplaced",
+        "PSF of the objective over the field: share of a point's light that may be misplaced",
         "objective",
         "field_error",
         _FIELD,
@@ -92,7 +92,7 @@ SHORT_CUTS: dict[str, Coarser | LeftOut] = {
         _WINGS,
     ),
     "relay_field": Coarser(
-        "PSF of the relay that varies: share of a point's light that may be misplaced",
+        "PSF of the relay over the field: share of a point's light that may be misplaced",
         "relay",
         "field_error",
         _FIELD,
@@ -120,7 +120,7 @@ class Choice:
     short_cut, what : str
         Name and a few words.
     choice : str
-        ``modelled``, ``skipped``, or the number chosen.
+        ``modelled``, ``skipped``, or within what share of the light.
     full : bool
         Whether that is the full model.
     size : float

@@ -1,4 +1,4 @@
-"""What is shipped, one line each: scenes, presets, schemes, decoders, metrics."""
+"""What is shipped, one line each: scenes, presets, schemes, decoders, metrics, effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def catalogue(what: str) -> list[tuple[str, str]]:
     Parameters
     ----------
     what : str
-        One of scenes, presets, schemes, decoders, metrics.
+        One of scenes, presets, schemes, decoders, metrics, effects.
     """
     if what == "presets":
         from optsim.experiment import experiment_path, preset_names
@@ -25,6 +25,10 @@ def catalogue(what: str) -> list[tuple[str, str]]:
         from optsim import metrics
 
         return [(metric.name, _first_line(type(metric))) for metric in metrics.ALL]
+    if what == "effects":
+        from optsim import effects
+
+        return [(name, effect.what) for name, effect in effects.ALL.items()]
     if what == "schemes":
         from optsim import coding
 

@@ -323,7 +323,7 @@ def validate(
     as_json: Json = False,
     write: Annotated[bool, typer.Option(help="Keep the records in optsim/evidence.json.")] = False,
 ) -> None:
-    """Measure the model against oracles that aren't our code; needs the repository."""
+    """Measure the model against oracles that aren't our code; a NAME is a folder of validation/."""
     from dataclasses import asdict
 
     from optsim import evidence
@@ -340,7 +340,7 @@ def validate(
         raise typer.Exit(1)
 
 
-LISTS = ("scenes", "presets", "schemes", "decoders", "metrics")
+LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")
 
 
 @app.command("list")

@@ -1,68 +1,20 @@
-"""Parts (everything configurable), quantity strings at the edge, TOML, overrides, and their errors."""
+"""Parts (everything configurable), the tables they are built from, and overrides of these."""
 
 from __future__ import annotations
 
-import difflib
-import re
+import contextlib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from optsim.errors import ConfigError
+from optsim.problems import problems
+from optsim.units import parse_quantity
 
 Table = dict[str, Any]
-
-# SI suffix of a field name -> (unit in words, factors of the strings accepted there).
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9}
-_UNITS: dict[str, dict[str, float]] = {
-    "_m": _LENGTH,
-    "_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
-    "_hz": {"hz": 1.0, "khz": 1e3, "fps": 1.0},
-    "_rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
-    "_e": {"e": 1.0, "e-": 1.0, "ke-": 1e3},
-    "_c": {"c": 1.0, "°c": 1.0},
-}
-_QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°]*)\s*$")
-
-
-def parse_quantity(key: str, text: str) -> float:
-    """Turn a quantity string such as ``"25 mm"`` into SI, by the unit suffix of its key.
-
-    Parameters
-    ----------
-    key : str
-        Field name; its suffix (``_m``, ``_s``, ...) says the dimension.
-    text : str
-        Number and unit.
-
-    Returns
-    -------
-    float
-        The value in SI.
-
-    Raises
-    ------
-    ConfigError
-        When the text is no quantity or its unit is of another dimension.
-    """
-    suffix = next((s for s in _UNITS if key.endswith(s)), None)
-    if suffix is None:
-        raise ConfigError(f"{key}: got {text!r}, expected a plain number (this key has no unit)")
-    match = _QUANTITY.match(text)
-    units = _UNITS[suffix]
-    cure = f"write for example \"{key} = '1 {next(iter(units))}'\"; units accepted: {', '.join(units)}"
-    if not match:
-        raise ConfigError(f"{key}: got {text!r}, expected a number with a unit; {cure}")
-    number, unit = match.groups()
-    if unit.lower() not in units:
-        raise ConfigError(f"{key}: unit {unit!r} in {text!r} is not of this key's dimension; {cure}")
-    try:
-        return float(number) * units[unit.lower()]
-    except ValueError:
-        raise ConfigError(f"{key}: {number!r} in {text!r} is not a number; {cure}") from None
 
 
 class Part(BaseModel):
@@ -72,18 +24,25 @@ class Part(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _quantities(cls, values: object) -> object:
+    def _numbers(cls, values: object) -> object:
+        """Read the texts of numbers; what can't be read stays a text, which validation then refuses."""
         if not isinstance(values, Mapping):
             return values
         table = dict(cast("Mapping[str, object]", values))
-        for key, value in table.items():
-            info = cls.model_fields.get(key)
-            if isinstance(value, str) and info is not None and info.annotation is float:
-                try:
-                    table[key] = parse_quantity(key, value)
-                except ConfigError as error:
-                    raise ValueError(str(error)) from None
+        for key in table.keys() & cls.model_fields.keys():
+            table[key] = _number(key, table[key], cls.model_fields[key].annotation)
         return table
+
+
+def _number(key: str, value: object, annotation: object) -> object:
+    allowed = {annotation} if isinstance(annotation, type) else set(get_args(annotation))
+    if isinstance(value, bool) and allowed & {int, float} and bool not in allowed:
+        # Python counts true and false as 1 and 0; a user doesn't.
+        return str(value).lower()
+    if isinstance(value, str) and float in allowed and not allowed - {float, type(None)}:
+        with contextlib.suppress(ValueError):
+            return parse_quantity(key, value)
+    return value
 
 
 PartT = TypeVar("PartT", bound=BaseModel)
@@ -109,54 +68,9 @@ def build(part: type[PartT], table: Mapping[str, object], *, where: str) -> Part
     try:
         return part.model_validate(table)
     except ValidationError as error:
-        items = cast("list[dict[str, Any]]", error.errors())
-        # A list whose items are wrong is also called too short: that is no problem of its own.
-        inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
-        lines = [_explain(part, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
-        problems = f"{len(lines)} problem{'s' if len(lines) > 1 else ''}"
-        raise ConfigError(f"{where}: {problems}\n" + "\n".join(f"  {line}" for line in lines)) from None
-
-
-def _explain(part: type[BaseModel], item: dict[str, Any]) -> str:
-    location = [str(step) for step in cast("tuple[object, ...]", item["loc"])]
-    key = ".".join(location)
-    message = cast("str", item["msg"]).removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        paths = _field_paths(part)
-        near = difflib.get_close_matches(location[-1], sorted(paths), n=1)
-        # A right name in the wrong table: only the whole key says what to do.
-        meant = paths[near[0]] if near and near[0] == location[-1] else near
-        hint = f"did you mean {' or '.join(repr(m) for m in meant)}?" if near else "remove it."
-        return f"{key}: unknown key; {hint}"
-    if item["type"] == "missing":
-        return f"{key}: missing; every experiment needs it"
-    if isinstance(item["input"], Mapping) and item["type"] == "value_error":
-        # The message names the key inside the table and what it got; the whole table only hides it.
-        return f"{key}: {message}" if key else message
-    got = repr(cast("object", item["input"]))
-    got = got if len(got) < 80 else got[:77] + "..."
-    return f"{key}: got {got}; {message}"
-
-
-def _field_paths(part: type[BaseModel]) -> dict[str, list[str]]:
-    """Whole keys by field name, of a part and the parts inside it, for hints."""
-    paths: dict[str, list[str]] = {}
-    todo: list[tuple[str, object]] = [("", part)]
-    seen: set[tuple[str, object]] = set()
-    while todo:
-        prefix, item = todo.pop()
-        if (prefix, item) in seen:
-            continue
-        seen.add((prefix, item))
-        if isinstance(item, type) and issubclass(item, BaseModel):
-            for name, info in item.model_fields.items():
-                if prefix + name not in paths.setdefault(name, []):
-                    paths[name].append(prefix + name)
-                todo.append((f"{prefix}{name}.", info.annotation))
-        else:
-            inside = cast("tuple[object, ...]", getattr(item, "__args__", ()))  # pyright: ignore[reportUnknownArgumentType]
-            todo += [(prefix, one) for one in inside]
-    return paths
+        lines = problems(part, table, error)
+        count = f"{len(lines)} problem{'s' if len(lines) > 1 else ''}"
+        raise ConfigError(f"{where}: {count}\n" + "\n".join(f"  {line}" for line in lines)) from None
 
 
 def read_toml(path: Path) -> Table:
@@ -197,19 +111,31 @@ def override(table: Table, assignments: list[str]) -> Table:
             value: object = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             value = text.strip()
-        steps = path.strip().split(".")
-        target: Any = result
-        for step in steps[:-1]:
-            if isinstance(target, list) and step.isdigit() and int(step) < len(cast("list[Any]", target)):
-                target = cast("list[Any]", target)[int(step)]
-            elif isinstance(target, dict):
-                target = cast("Table", target).setdefault(step, {})
-            else:
-                raise ConfigError(f"--set {assignment!r}: {step!r} is not a table that can be set into")
+        *tables, key = path.strip().split(".")
+        target: object = result
+        for step in tables:
+            target = _inside(target, step, assignment)
         if not isinstance(target, dict):
-            raise ConfigError(f"--set {assignment!r}: {steps[-1]!r} has no table to be set in")
-        cast("Table", target)[steps[-1]] = value
+            raise ConfigError(f"--set {assignment!r}: {key!r} has no table to be set in")
+        cast("Table", target)[key] = value
     return result
+
+
+def _inside(table: object, step: str, assignment: str) -> object:
+    """Return the table in a table by its key, or in a list by its place or its ``name``."""
+    if isinstance(table, dict):
+        return cast("Table", table).setdefault(step, {})
+    if not isinstance(table, list):
+        raise ConfigError(f"--set {assignment!r}: {step!r} is not a table that can be set into")
+    rows = cast("list[object]", table)
+    names = [cast("Table", row).get("name", "") if isinstance(row, dict) else "" for row in rows]
+    place = int(step) if step.isdigit() else names.index(step) if step in names else len(rows)
+    if place >= len(rows):
+        raise ConfigError(
+            f"--set {assignment!r}: got {step!r}, expected "
+            f"{', '.join([*filter(None, names), ''])}or a place from 0 to {len(rows) - 1}"
+        )
+    return rows[place]
 
 
 def _copy(value: object) -> object:

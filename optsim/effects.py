@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from optsim.camera import CodedCamera
 from optsim.config import Part
-from optsim.errors import ConfigError, unknown_name
+from optsim.errors import unknown_name
 
 _SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
 _TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
@@ -178,13 +178,13 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
         For an unknown effect or state.
     """
     changes: dict[str, dict[str, Any]] = {}
-    for name in switches:
+    for name, state in switches.items():
         if name != "all" and name not in ALL:
             raise unknown_name("camera.effects", name, ["all", *ALL])
+        if state not in STATES:
+            raise unknown_name(f"state of camera.effects.{name}", str(state), STATES)
     for name, effect in ALL.items():
         state = switches.get(name, switches.get("all", "nominal"))
-        if state not in STATES:
-            raise ConfigError(f"camera.effects.{name}: got {state!r}, expected one of {', '.join(STATES)}")
         chosen = {"ideal": effect.ideal, "pessimistic": effect.pessimistic}.get(str(state), {})
         for part, fields in chosen.items():
             changes.setdefault(part, {}).update(fields)

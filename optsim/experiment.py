@@ -200,7 +200,8 @@ def load_experiment(
     by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)
     table["camera"] = _on_hardware(cast("object", camera))
     _find_footage(table, path.parent)
-    experiment = _in_band(build(Experiment, table, where=path.name), by_hand, path.name)
+    where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name
+    experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
     if check_geometry:
         experiment.camera.geometry().check()
     return experiment

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from optsim.camera import CodedCamera
     from optsim.camera_plan import CameraPlan
 
+Row = tuple[str, object, str]
+_QUANTITY = ("quantity", "value", "unit")
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
 
@@ -91,14 +93,14 @@ def plan_record(plan: CameraPlan) -> dict[str, Any]:
 
 def show(record: dict[str, Any]) -> list[object]:
     """Turn an explanation into tables for a terminal."""
-    geometry = cast("dict[str, Any]", record["geometry"])
     latency = cast("dict[str, Any]", record["latency"])
     items: list[object] = [
-        record["truth"],
+        cast("str", record["truth"]).replace("; ", "\n  "),
         f"light of the scene: {record['light']}",
-        table("band", ("quantity", "value"), list(cast("dict[str, float]", record["band"]).items())),
-        table("geometry", ("quantity", "value"), [(k, v) for k, v in geometry.items()]),
-        table("latency", ("quantity", "value"), [(k, v) for k, v in latency.items()]),
+        table("band", _QUANTITY, _band_rows(record["band"])),
+        table("geometry", _QUANTITY, _geometry_rows(record["geometry"])),
+        table("latency", _QUANTITY, _latency_rows(latency)),
+        f"  ({latency['sources']})",
     ]
     if latency["hypothetical"]:
         items.append(
@@ -123,6 +125,44 @@ def show(record: dict[str, Any]) -> list[object]:
     return items
 
 
+def _band_rows(band: dict[str, float]) -> list[Row]:
+    return [
+        ("wavelength", band["wavelength_nm"], "nm"),
+        ("photons a joule", band["photons_per_joule"], "J^-1"),
+        ("quantum efficiency", band["quantum_efficiency"], "e- a photon"),
+        ("retardance of the panel's white", band["white_retardance_in_half_waves"], "half waves"),
+        ("light of this white", band["white_over_that_of_a_half_wave"], "of that at half a wave"),
+        ("leak of the splitter", band["splitter_leak_over_that_at_550_nm"], "of that at 550 nm"),
+    ]
+
+
+def _geometry_rows(geometry: dict[str, Any]) -> list[Row]:
+    def both(name: str) -> str:
+        return f"{geometry[name.format('rows')]:.4g} x {geometry[name.format('cols')]:.4g}"
+
+    return [
+        ("panel pixels used", both("panel_{}"), "rows x columns"),
+        ("panel pixels there are", both("modulator_{}"), "rows x columns"),
+        ("most that would fit", both("largest_panel_{}"), "rows x columns"),
+        ("CCD pixels", both("ccd_{}"), "rows x columns"),
+        ("image of the used panel", both("footprint_{}_px"), "CCD pixels"),
+        ("margin on the narrower side", both("margin_{}_px"), "CCD pixels"),
+        ("ratio", f"{geometry['ratio']:.4g}", "CCD pixels a panel pixel"),
+        ("pick error repeats after", f"{geometry['moire_period_px'] or 0:.4g}", "panel pixels (0: aligned)"),
+        ("cone that the relay's stop passes", f"{geometry['relay_accepts']:.4g}", "share"),
+        ("fits", "yes" if geometry["fits"] else "no", ""),
+    ]
+
+
+def _latency_rows(latency: dict[str, Any]) -> list[Row]:
+    steps = ("readout", "transfer", "computation", "display", "slack", "period")
+    return [
+        ("chosen", latency["chosen_frames"], "coded frames"),
+        ("smallest physical one", latency["frames"], "coded frames"),
+        *((step, latency[f"{step}_s"], "s") for step in steps),
+    ]
+
+
 def _what_matters(record: dict[str, Any]) -> list[object]:
     """Table of effects and plan."""
     effects, plan = cast("list[dict[str, Any]]", record["effects"]), cast("dict[str, Any]", record["plan"])
@@ -130,13 +170,13 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
         table(
             "what each imperfection changes in a frame of a small probe, rms, in units of the noise "
             "(depth of field and distortion of the objective need the scene: see the first lines)",
-            ("effect", "size", "what it is"),
+            ("effect", "size in noise", "what it is"),
             [(row["effect"], row["size"], row["what"]) for row in effects],
         ),
         table(
-            f"plan: what is left out adds up to {plan['predicted']:.2g} of a frame's noise at most "
-            f"(tolerance {plan['tolerance']:g})",
-            ("what", "choice", "error", "what it is"),
+            f"plan: what is left out, or coarser, adds up to {plan['predicted']:.2g} of a frame's noise "
+            f"at most (tolerance {plan['tolerance']:g})",
+            ("what", "modelled how", "error in noise", "what it is"),
             [(c["short_cut"], c["choice"], c["size"], c["what"]) for c in plan["choices"]],
         ),
     ]

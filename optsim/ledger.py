@@ -66,7 +66,12 @@ def photon_ledger(
     rows = [LedgerRow("scene radiance", None, radiance_w_m2_sr, "W m^-2 sr^-1")]
     cone = math.pi / (4 * objective.working_f_number**2)
     rows.append(
-        LedgerRow(f"cone of f/{objective.working_f_number:g}", cone, cone * radiance_w_m2_sr, "W m^-2")
+        LedgerRow(
+            f"cone of f/{objective.f_number:g}, f/{objective.working_f_number:g} on the panel",
+            cone,
+            cone * radiance_w_m2_sr,
+            "W m^-2",
+        )
     )
     on_axis = np.zeros(1)
     into, panel, out = stage_transmissions(
@@ -96,13 +101,14 @@ def photon_ledger(
     per_slot = electrons / coded_slots
     dark = sensor.dark_current_e_s * exposure_s
     ratio = modulator.pitch_m * relay.magnification / sensor.pitch_m
+    clips = ": clips" if electrons > sensor.full_well_e else ""
     rows += [
         LedgerRow(f"photons a pixel in {exposure_s * 1e3:.1f} ms", None, photons, "photons"),
         LedgerRow("electrons a frame", efficiency, electrons, "e-"),
-        LedgerRow("of the full well", None, electrons / sensor.full_well_e, "1"),
+        LedgerRow(f"of the full well{clips}", None, electrons / sensor.full_well_e, "1"),
         LedgerRow("electrons a slot", 1 / coded_slots, per_slot, "e-"),
-        LedgerRow("SNR of a frame, centre pixel", None, _snr(electrons, dark, sensor, 1), "1"),
-        LedgerRow("SNR of a frame, all nine pixels", None, _snr(electrons, dark, sensor, 9), "1"),
+        LedgerRow(f"SNR of a frame, centre pixel{clips}", None, _snr(electrons, dark, sensor, 1), "1"),
+        LedgerRow(f"SNR of a frame, all nine pixels{clips}", None, _snr(electrons, dark, sensor, 9), "1"),
         LedgerRow("SNR of a single slot, centre pixel", None, _snr(per_slot, dark, sensor, 1), "1"),
         LedgerRow("SNR of a single slot, all nine pixels", None, _snr(per_slot, dark, sensor, 9), "1"),
         LedgerRow("share of a panel pixel's light in its centre pixel", None, ratio**-2, "1"),

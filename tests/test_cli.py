@@ -3,9 +3,11 @@
 import json
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from optsim.cli import main
 from optsim.experiment import load_experiment
@@ -90,6 +92,7 @@ def test_explain_shows_what_does_not_fit(cli) -> None:
     code, out, _ = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
     assert code == 2
     assert "does not fit" in out
+    assert "camera.relay.magnification" in out
 
 
 def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,3 +191,17 @@ def test_a_tolerance_is_an_override_like_any_other(cli) -> None:
     code, _, err = cli("explain", "demo", "--tolerance", "-1")
     assert code == 2
     assert "tolerance" in err
+
+
+def test_an_explanation_for_people_has_units_and_says_what_clips() -> None:
+    text = StringIO()
+    page = Console(width=200, file=text)
+    for item in show(explanation("demo", [])):
+        page.print(item)
+    said = text.getvalue()
+    assert "120 x 160" in said
+    assert "CCD pixels a panel pixel" in said
+    assert "cone of f/4, f/6 on the panel" in said
+    # White is 1.9 times the full well without the light rule's density, mid-grey a third.
+    assert "of the full well: clips" in said.split("photon ledger, white")[1]
+    assert "clips" not in said.split("photon ledger, white")[0]

@@ -7,8 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from optsim.config import Part, build, override, parse_quantity
+from optsim.config import Part, build, override
 from optsim.errors import ConfigError
+from optsim.experiment import load_experiment
+from optsim.units import parse_quantity
 
 
 class Lens(Part):
@@ -44,8 +46,10 @@ def test_any_number_of_millimetres(number: float) -> None:
 
 @pytest.mark.parametrize("text", ["12.5 s", "mm", "12,5 mm", "", "1 2 mm", "e mm"])
 def test_wrong_quantities_name_key_and_cure(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"focal_length_m.*write for example"):
+    with pytest.raises(ValueError, match=r"write for example focal_length_m"):
         parse_quantity("focal_length_m", text)
+    with pytest.raises(ConfigError, match=rf"lens\.focal_length_m: got {text!r}, .*write for example"):
+        build(Camera, {"lens": {"focal_length_m": text}}, where="x")
 
 
 def test_unknown_key_names_the_nearest() -> None:
@@ -59,7 +63,8 @@ def test_all_problems_are_listed_at_once() -> None:
     with pytest.raises(ConfigError) as caught:
         build(Camera, {"lens": {"focal_length_m": "1 s", "count": "many"}, "lnes": 3}, where="test.toml")
     message = str(caught.value)
-    assert "unit 's'" in message
+    assert "lens.focal_length_m: got '1 s', the unit 's' is of another dimension" in message
+    assert "lens.count: got 'many', expected a whole number" in message
     assert "lnes: unknown key" in message
 
 
@@ -75,10 +80,73 @@ def test_override_sets_nested_keys_without_touching_the_source() -> None:
     assert table == {"lens": {"count": 1}, "methods": [{"name": "a"}]}
 
 
-@pytest.mark.parametrize("bad", ["lens.count", "=3", "lens.count.deep=3"])
+@pytest.mark.parametrize("bad", ["lens.count", "=3", "lens.count.deep=3", "lens.count.deep.er=3"])
 def test_bad_overrides(bad: str) -> None:
     with pytest.raises(ConfigError, match="--set"):
         override({"lens": {"count": 1}}, [bad])
+
+
+def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
+    table = {"methods": [{"name": "a", "x": 1}, {"name": "b", "x": 1}]}
+    changed = override(table, ["methods.b.x=2", "methods.0.x=3"])
+    assert [row["x"] for row in changed["methods"]] == [3, 2]
+    for wrong in ("c", "2"):
+        with pytest.raises(ConfigError, match=f"got '{wrong}', expected a, b, or a place from 0 to 1"):
+            override(table, [f"methods.{wrong}.x=2"])
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        (
+            "camera.objective.f_number=-1",
+            "camera.objective.f_number: got -1, expected at least 0.7 and at most 64",
+        ),
+        ("seed=-1", "seed: got -1, expected at least 0 and less than 4294967296"),
+        ("camera.wavelength_m=550", "(in m; a text such as '1 mm' works too)"),
+        ("camera.relay.magnification=big", "expected a plain number (this key has no unit)"),
+        ("camera.objective.focal_length_m='3 parsec'", "the unit 'parsec' is unknown"),
+        ("n_frames=true", "n_frames: got 'true', expected a whole number"),
+        ("camera.wavelength_m=true", "camera.wavelength_m: got 'true', expected a number with a unit"),
+        ("camera.objective.focus_m=true", "or one of the words target, everywhere"),
+        ("n_frames=1.5", "n_frames: got 1.5, expected a whole number"),
+        ("camera.overlap=3", "camera.overlap: got 3, expected true or false"),
+        ("calibration=tru", "did you mean 'true'?"),
+        ("scene=3", "scene: got 3, expected a table with some of: name, variation, band"),
+        ("scene.band=red", "'window_room' has no bands; leave scene.band out"),
+        ("methods=3", "methods: got 3, expected a list"),
+        ("foo=1", "foo: unknown key; keys here are: name, description, seed,"),
+        ("camera.modulator.kind=x", "camera.modulator.kind: unknown key; keys here are: pitch_m,"),
+        ("camera.modulator.field_drive=[1, 1]", "camera.modulator.field_drive.2: missing"),
+        (
+            "methods.0.scheme.kind=randm",
+            "methods.0.scheme.kind: got 'randm', expected one of: normal_photography,",
+        ),
+        (
+            "methods.0.scheme=3",
+            "methods.0.scheme: got 3, expected a table whose kind is one of: normal_photography,",
+        ),
+        (
+            "methods.normal.scheme.open_slot=3",
+            "methods.1.scheme.open_slot: unknown key; did you mean 'open_slots'?",
+        ),
+        (
+            "methods.normal.scheme.growth=1",
+            "methods.1.scheme.growth: unknown key; keys here are: kind, open_slots",
+        ),
+        ("methods.normal.scheme.open_slots=0", "methods.1.scheme.open_slots: got 0, expected at least 1"),
+        (
+            "camera.effects.all=idael",
+            "camera.effects.all 'idael'; expected one of: ideal, nominal, pessimistic; did",
+        ),
+    ],
+)
+def test_a_wrong_value_says_where_what_and_the_cure(assignment: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("demo", [assignment])
+    assert message in str(caught.value)
+    # The file is right: what was set on the command line isn't.
+    assert "demo.toml: " not in str(caught.value)
 
 
 class Shelf(Part):

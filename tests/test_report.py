@@ -251,7 +251,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
                 {
                     "short_cut": "relay_wings",
                     "what": "far wings of the relay's PSF",
-                    "choice": "0.003",
+                    "choice": "within 0.3 %",
                     "full": False,
                     "size": 0.0321,
                 },

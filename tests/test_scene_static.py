@@ -155,7 +155,7 @@ def test_a_material_without_kind_is_diffuse(folder):
         ('kind = "rod"\nstart_m = [0, 0, 1]\nstop_m = [0, 0, 1]\nradius_m = 0.1', "use a globe"),
         ('kind = "globe"\ncenter_m = [0, 0, 1]\nradius_m = 0', "radius_m"),
         ('kind = "globe"\ncenter_m = [0, 0, inf]\nradius_m = 1', "center_m.2.*finite"),
-        ('kind = "pyramid"', "'quad', 'box'"),
+        ('kind = "pyramid"', "kind: got 'pyramid', expected one of: quad, box"),
     ],
 )
 def test_objects_without_extent_are_refused(folder, keys, message):

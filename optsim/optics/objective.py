@@ -7,12 +7,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from optsim.config import parse_quantity
-from optsim.errors import ConfigError
 from optsim.forward.lens import STRONGEST_DISTORTION
 from optsim.forward.radiometry import cos4, irradiance_factor
 from optsim.optics.lens import LensGroup
 from optsim.quantities import Doubles
+from optsim.units import parse_quantity
 
 _FOCUS_WORDS = ("target", "everywhere")
 # Beyond this share of the PSF's energy, moving light gets its wings coarser (see forward/wings.py). Where all
@@ -76,7 +75,7 @@ class Objective(LensGroup):
             return value
         try:
             return parse_quantity("focus_m", value)
-        except ConfigError as error:
+        except ValueError as error:
             raise ValueError(f"{error}; or one of the words {', '.join(_FOCUS_WORDS)}") from None
 
     @model_validator(mode="after")

@@ -203,13 +203,16 @@ class Scene(Part):
         ConfigError
             For a band that the scene doesn't have.
         """
-        if name is None and not self.bands:
+        if not self.bands:
+            if name is not None:
+                raise ConfigError(
+                    f"scene.band: got {name!r}, but {self.name!r} has no bands; leave scene.band out"
+                )
             return self
         if name is None:
             band = min(self.bands, key=lambda band: abs(band.wavelength_nm - MONO_NM))
         elif not (found := [band for band in self.bands if band.name == name]):
-            known = [band.name for band in self.bands] or ["(none declared)"]
-            raise unknown_name(f"band of scene {self.name}", name, known)
+            raise unknown_name(f"scene.band of {self.name}", name, [band.name for band in self.bands])
         else:
             band = found[0]
         return self.model_copy(

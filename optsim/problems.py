@@ -1,0 +1,191 @@
+"""What is wrong with a table, in a user's words: the key, what was got, what was expected, and the cure."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, cast, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from optsim.units import parse_quantity, units_of
+
+# Beyond this many places where a name is a right one, a list of them helps nobody.
+_PLACES = 3
+# What pydantic calls a field's type, and what somebody who writes TOML calls it.
+_WORDS = {
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "string": "a text",
+    "tuple": "a list",
+}
+
+
+def problems(part: type[BaseModel], table: Mapping[str, object], error: ValidationError) -> list[str]:
+    """One line for each thing that is wrong with a table.
+
+    Parameters
+    ----------
+    part : type
+        What the table was to become.
+    table : Mapping
+        As it was read.
+    error : pydantic.ValidationError
+        What validation said.
+    """
+    items = cast("list[dict[str, Any]]", error.errors())
+    # A list whose items are wrong is also called too short: that is no problem of its own.
+    inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
+    return [_line(part, table, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
+
+
+class _Place(NamedTuple):
+    """Where in a table something is wrong: its key, the parts it may belong to, and what they say of it."""
+
+    key: str
+    owners: list[type[BaseModel]]
+    field: FieldInfo | None
+
+
+def _line(part: type[BaseModel], table: Mapping[str, object], item: dict[str, Any]) -> str:
+    kind, context = cast("str", item["type"]), cast("dict[str, Any]", item.get("ctx", {}))
+    message = cast("str", item["msg"]).removeprefix("Value error, ")
+    got = cast("object", item["input"])
+    place = _place(part, table, item["loc"])
+    if kind == "extra_forbidden":
+        return f"{place.key}: unknown key; {_right_key(part, place)}"
+    if kind == "missing":
+        return f"{place.key}: missing, and it has no default"
+    if kind == "value_error" and isinstance(got, dict):
+        # The message names the key inside the table and what it got; the whole table only hides it.
+        return f"{place.key}: {message}" if place.key else message
+    if kind.startswith("union_tag"):
+        return f"{place.key}.kind: {_found(context.get('tag'))}, {_one_of(_kinds(place), context.get('tag'))}"
+    return f"{place.key}: {_found(got)}, {_expected(kind, message, context, place, got)}"
+
+
+def _expected(kind: str, message: str, context: dict[str, Any], place: _Place, got: object) -> str:
+    what, *how = kind.split("_")
+    if what in ("greater", "less"):
+        return f"expected {_range(place.field, context)}{_unit(place.key)}"
+    if kind == "float_parsing":
+        try:
+            parse_quantity(place.key.rsplit(".", 1)[-1], str(got))
+        except ValueError as why:
+            return str(why)
+    if kind == "literal_error":
+        words = cast("str", context["expected"]).replace("'", "").replace(" or ", ", ")
+        return _one_of(words.split(", "), got)
+    if what == "model" and len(place.owners) > 1:
+        return f"expected a table whose kind is one of: {', '.join(_kinds(place))}"
+    if what == "model":
+        return f"expected a table with some of: {', '.join(place.owners[0].model_fields)}"
+    if what in _WORDS and how[0] in ("type", "parsing", "from"):
+        return f"expected {_WORDS[what]}"
+    return message.replace("Input should be", "expected")
+
+
+def _kinds(place: _Place) -> list[str]:
+    return [str(part.model_fields["kind"].default) for part in place.owners]
+
+
+def _one_of(names: Sequence[str], got: object) -> str:
+    near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
+    return f"expected one of: {', '.join(names)}" + (f"; did you mean {near[0]!r}?" if near else "")
+
+
+def _found(value: object) -> str:
+    text = "nothing" if value is None else repr(value)
+    return f"got {text if len(text) < 80 else text[:77] + '...'}"
+
+
+def _unit(key: str) -> str:
+    """Say what a plain number at a key counts, and that a text may say it otherwise."""
+    units = list(units_of(key))
+    return f" (in {units[0]}; a text such as '1 {units[1]}' works too)" if len(units) > 1 else ""
+
+
+def _range(field: FieldInfo | None, context: dict[str, Any]) -> str:
+    """Both ends of the range that a field's own limits, or else those of its items, leave."""
+    limits: dict[str, Any] = {}
+    for limit in field.metadata if field else ():
+        limits |= {end: getattr(limit, end) for end in ("ge", "gt", "le", "lt") if hasattr(limit, end)}
+    limits |= context
+    words = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
+    return " and ".join(f"{words[end]} {value:.12g}" for end, value in limits.items() if end in words)
+
+
+def _right_key(part: type[BaseModel], place: _Place) -> str:
+    """Nearest key, or the whole key of a right name in the wrong table; else what the table may hold."""
+    name, own = place.key.rsplit(".", 1)[-1], [key for p in place.owners for key in p.model_fields]
+    here = ".".join(step for step in place.key.split(".") if not step.isdigit())
+    # A key that another kind would have here isn't what this one should have.
+    paths = {key: found for key, found in _field_paths(part).items() if here not in found}
+    # Nearer ones first: a key of this very table before one elsewhere.
+    near = difflib.get_close_matches(name, own, n=1, cutoff=0.7) or difflib.get_close_matches(
+        name, sorted(paths), n=1, cutoff=0.7
+    )
+    if not near or (near[0] == name and len(paths[name]) > _PLACES):
+        return f"keys here are: {', '.join(dict.fromkeys(own))}"
+    meant = paths[name] if near[0] == name else near
+    return f"did you mean {' or '.join(repr(m) for m in meant)}?"
+
+
+def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) -> _Place:
+    """Follow an error's location, which names chosen kinds too, through the table and its parts."""
+    inside, owners, field = [part], [part], None
+    keys: list[str] = []
+    value = table
+    for step in location:
+        if _inside(value, "kind") == step and _inside(value, step) is None:
+            continue
+        value = _inside(value, step)
+        keys.append(str(step))
+        if isinstance(step, str):
+            owners = inside
+            fields = [p.model_fields[step] for p in owners if step in p.model_fields]
+            field = fields[0] if fields else None
+            inside = [p for info in fields for p in _parts(info.annotation)]
+        inside = _of_its_kind(inside, value)
+    # What is wrong with a table is the table's; what is wrong with a number is its owner's.
+    return _Place(".".join(keys), inside or owners, field)
+
+
+def _inside(value: Any, step: int | str) -> Any:
+    try:
+        return value[step]
+    except (LookupError, TypeError):
+        # The place of something that is missing.
+        return None
+
+
+def _of_its_kind(parts: list[type[BaseModel]], value: object) -> list[type[BaseModel]]:
+    """Those of several parts that a table's ``kind`` chooses; all of them if it chooses none."""
+    kind = _inside(value, "kind")
+    return [p for p in parts if "kind" in p.model_fields and p.model_fields["kind"].default == kind] or parts
+
+
+def _parts(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Parts that an annotation holds, through unions, tuples and the like, but not inside other parts."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inside in get_args(annotation):
+        yield from _parts(inside)
+
+
+def _field_paths(part: type[BaseModel]) -> dict[str, list[str]]:
+    """Whole keys by field name, of a part and the parts inside it, for hints."""
+    paths: dict[str, list[str]] = {}
+    todo, seen = [("", part)], set[tuple[str, type[BaseModel]]]()
+    while todo:
+        prefix, item = todo.pop()
+        if (prefix, item) in seen:
+            continue
+        seen.add((prefix, item))
+        for name, info in item.model_fields.items():
+            if prefix + name not in paths.setdefault(name, []):
+                paths[name].append(prefix + name)
+            todo += [(f"{prefix}{name}.", inner) for inner in _parts(info.annotation)]
+    return paths

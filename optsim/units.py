@@ -1,0 +1,62 @@
+"""Quantity strings such as ``"12.5 mm"``, read by the unit that a key's name ends in."""
+
+from __future__ import annotations
+
+import re
+
+# SI suffix of a field name -> factors of the units accepted there, its own first.
+_UNITS: dict[str, dict[str, float]] = {
+    "_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
+    "_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
+    "_hz": {"hz": 1.0, "khz": 1e3, "fps": 1.0},
+    "_rad": {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3},
+    "_e": {"e": 1.0, "ke-": 1e3, "e-": 1.0},
+    "_c": {"c": 1.0, "°c": 1.0},
+}
+_QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°]*)\s*$")
+
+
+def units_of(key: str) -> dict[str, float]:
+    """Units accepted at a key and what they are in SI; none for a key without a unit."""
+    suffix = next((s for s in _UNITS if key.endswith(s)), None)
+    return _UNITS[suffix] if suffix else {}
+
+
+def parse_quantity(key: str, text: str) -> float:
+    """Turn a quantity string into SI.
+
+    Parameters
+    ----------
+    key : str
+        Field name; its suffix (``_m``, ``_s``, ...) says the dimension.
+    text : str
+        Number and unit.
+
+    Returns
+    -------
+    float
+        The value in SI.
+
+    Raises
+    ------
+    ValueError
+        When the text is no quantity or its unit is unknown or of another dimension; without the key, which
+        whoever asked knows in full.
+    """
+    units = units_of(key)
+    if not units:
+        raise ValueError("expected a plain number (this key has no unit)")
+    match = _QUANTITY.match(text)
+    cure = f"write for example {key} = '1 {next(iter(units))}'; units accepted: {', '.join(units)}"
+    if not match:
+        raise ValueError(f"expected a number with a unit; {cure}")
+    number, unit = match.groups()
+    if unit.lower() not in units:
+        known = any(unit.lower() in other for other in _UNITS.values())
+        raise ValueError(
+            f"the unit {unit!r} is {'of another dimension than this key' if known else 'unknown'}; {cure}"
+        )
+    try:
+        return float(number) * units[unit.lower()]
+    except ValueError:
+        raise ValueError(f"{number!r} is not a number; {cure}") from None
