@@ -11,6 +11,7 @@ from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import cell_means, fine_image, integrate_exposure
 from optsim.forward.psf import extend, make_blur, psf_kernel
 from optsim.forward.wings import (
+    Ring,
     Winged,
     coarse_kernel,
     far_light,
@@ -80,7 +81,7 @@ def test_core_and_wings_add_up_and_the_coarse_kernel_keeps_the_light():
         assert coarse.sum() == pytest.approx(wings.sum(), rel=1e-9)
         np.testing.assert_allclose(coarse, coarse[::-1, ::-1], atol=1e-12)
     np.testing.assert_allclose(coarse_kernel(wings, 1), wings)
-    assert make_wings(kernel, kernel.shape[0] // 2, 3, (30, 30)) is None
+    assert make_wings(kernel, kernel.shape[0] // 2, 3, (30, 30)) == ()
 
 
 def test_lines_in_time_are_least_squares():
@@ -107,6 +108,37 @@ def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
     np.testing.assert_allclose(far, means, rtol=0.02, atol=0.01 * means.max())
     fine = far.repeat(3, axis=1).repeat(3, axis=2)
     assert np.abs(fine - whole).max() < 0.15 * whole.max()
+
+
+def test_the_outer_ring_of_the_wings_is_coarser_but_no_less_light_nor_elsewhere():
+    """Lamps of a panel pixel at several places of a coarse cell; a panel that is no whole number of cells."""
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
+    assert kernel.shape[0] // 2 > 450
+    wings = kernel - np.pad(uniform(kernel).middle(17).kernel, kernel.shape[0] // 2 - 17)
+    rings = make_wings(kernel, 17, 3, (450, 609))
+    assert [ring.cell for ring in rings] == [1, 4]
+    assert sum(total_of(ring) for ring in rings) == pytest.approx(wings.sum(), rel=1e-9)
+    for row, col in ((14, 17), (13, 102), (91, 191)):
+        ends = np.zeros((2, 450, 609))
+        ends[:, 3 * row : 3 * row + 3, 3 * col : 3 * col + 3] = [[[1.0]], [[2.0]]]
+        far = far_light(ends, rings, 3)
+        np.testing.assert_allclose(far[1], 2 * far[0], rtol=1e-9, atol=1e-15)
+        whole = make_blur(wings, (450, 609)).apply(ends[0])
+        # Whole cells alone: of 148 x 200 panel pixels.
+        means, found = (
+            image[: 148 * 3, : 200 * 3].reshape(37, 12, 50, 12).mean(axis=(1, 3))
+            for image in (whole, far[0].repeat(3, axis=0).repeat(3, axis=1))
+        )
+        distance = np.hypot(*np.ogrid[-row + 1.5 : 148 - row : 4, -col + 1.5 : 200 - col : 4])
+        outer = (distance > 64) & (distance < 140)
+        # A lamp is up to 1.5 pixels from the middle of its cell, along both axes, and light falls with the
+        # third power of the distance: off by at most 3 * 1.5 * sqrt(2) / 64, and a tenth of that by its bend.
+        np.testing.assert_allclose(found[outer], means[outer], rtol=0.11)
+
+
+def total_of(ring: Ring) -> float:
+    """Sum of a ring's kernel: what a flat sees of itself."""
+    return float(ring.light(np.ones((1, 8, 8))).mean())
 
 
 def test_a_lamp_a_million_billion_times_as_bright_as_the_rest_leaves_no_negative_light():

@@ -8,7 +8,8 @@ misplaces a share of them by less than two pixels, the smaller the farther from 
 Such a window is also far larger than the movers that cross it, and would be paid for in every instant. So
 moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
 block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
-for light that comes and goes evenly, and nothing at all in the mean over the segment.
+for light that comes and goes evenly, and nothing at all in the mean over the segment. These wings are two
+rings, the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from numpy.typing import NDArray
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur, SomeBlur, extend, make_blur
 from optsim.quantities import Doubles, Segment
+
+# Where the outer ring of moving light's wings begins, and the side of its cells, panel pixels.
+_RING_HALF, _CELL = 40, 4
 
 
 def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
@@ -56,8 +60,37 @@ def moving_ends(segment: Segment) -> Doubles:
     return ends
 
 
-def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, int]) -> Blur | None:
-    """Prepare a PSF's wings for moving light on a fine grid of one shape; None if there are none.
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """A ring of a PSF's wings, made ready for moving light that does not end where the panel does.
+
+    Parameters
+    ----------
+    blur : Blur
+        On cells, of the field and ``reach`` around it.
+    reach : int
+        Half width of the ring, cells.
+    cell : int
+        Panel pixels to the side of a cell.
+    """
+
+    blur: Blur
+    reach: int
+    cell: int
+
+    def light(self, images: Doubles) -> Doubles:
+        """Light in this ring of images on panel pixels, (n, v, u)."""
+        rows, cols = images.shape[1:]
+        whole = np.pad(images, ((0, 0), (0, -rows % self.cell), (0, -cols % self.cell)), mode="edge")
+        cells = np.stack([extend(cell_means(image, self.cell), self.reach) for image in whole])
+        # In double precision: the noise of single one would be negative light far from a very bright lamp.
+        inner = slice(self.reach, -self.reach)
+        found = self.blur.apply(cells)[:, inner, inner]
+        return found.repeat(self.cell, axis=1)[:, :rows].repeat(self.cell, axis=2)[:, :, :cols]
+
+
+def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
+    """Prepare a PSF's wings for moving light on a fine grid of one shape; none if there are none.
 
     Parameters
     ----------
@@ -72,10 +105,18 @@ def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, in
     """
     coarse = _coarse_wings(kernel, core_half, pitch)
     if coarse is None:
-        return None
-    reach = coarse.shape[0] // 2
-    wide = (shape[0] // pitch + 2 * reach, shape[1] // pitch + 2 * reach)
-    return make_blur(coarse, wide, wraps=True)
+        return ()
+    half = min(_RING_HALF, len(coarse) // 2)
+    middle = slice(len(coarse) // 2 - half, len(coarse) // 2 + half + 1)
+    parts = [(coarse[middle, middle], 1)]
+    if (outer := _coarse_wings(coarse, half, _CELL)) is not None:
+        parts.append((outer, _CELL))
+    rings: list[Ring] = []
+    for part, cell in parts:
+        reach = len(part) // 2
+        rows, cols = (-(-side // pitch // cell) + 2 * reach for side in shape)
+        rings.append(Ring(make_blur(part, (rows, cols), wraps=True), reach, cell))
+    return tuple(rings)
 
 
 def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
@@ -84,23 +125,20 @@ def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None
     return coarse_kernel(wings, pitch) if wings.any() else None
 
 
-def far_light(ends: Doubles, wings: Blur, pitch: int) -> Doubles:
+def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
     """Light in the wings of the moving light's straight lines, on panel pixels: array (2, v, u).
 
     Parameters
     ----------
     ends : ndarray of shape (2, y, x), float64
         From :func:`moving_ends`.
-    wings : Blur
-        From :func:`make_wings`.
+    wings : tuple of Ring
+        From :func:`make_wings`, at least one.
     pitch : int
         Fine samples to a panel pixel.
     """
-    rows, cols = ends.shape[1] // pitch, ends.shape[2] // pitch
-    reach = (wings.shape[0] - rows) // 2
-    coarse = [extend(cell_means(end, pitch), reach) for end in ends]
-    # In double precision: the noise of single one would be negative light far from a very bright lamp.
-    return wings.apply(np.stack(coarse))[:, reach : reach + rows, reach : reach + cols]
+    panel = np.stack([cell_means(end, pitch) for end in ends])
+    return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import ModesError, blur_moving
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.forward.wings import far_light, make_wings, moving_ends
+from optsim.forward.wings import Ring, far_light, make_wings, moving_ends
 from optsim.optics.objective import CORE_SHARE, Objective
 from optsim.quantities import Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
@@ -92,7 +92,7 @@ def form_image(
             float(key.mean()) + float(line.ravel() @ factor.ravel()) / key.size
             for key, line in zip(keys, moving, strict=True)
         ]
-        if blurs.wings is None:
+        if not blurs.wings:
             ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
         else:
             far = far_light(moving, blurs.wings, pitch)
@@ -126,7 +126,7 @@ class _Blurs:
     ----------
     core : FieldPsf
         What moving light gets in each instant.
-    wings : Blur or None
+    wings : tuple of Ring
         What it gets as a straight line in time.
     reach : int
         Half width of the whole.
@@ -137,7 +137,7 @@ class _Blurs:
     """
 
     core: FieldPsf
-    wings: Blur | None
+    wings: tuple[Ring, ...]
     reach: int
     common: Blur
     varying: FieldBlur | None
