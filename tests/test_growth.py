@@ -129,6 +129,7 @@ def labels(release_sigma, levels):
         moving=NormalPhotography(open_slots=36),
         dilation_px=0,
         release_sigma=release_sigma,
+        least_change=10.0,  # single pixels alone
     )
     lights = []
     for level in levels:

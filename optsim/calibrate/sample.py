@@ -38,7 +38,9 @@ class Sample:
     signal : ndarray of shape (v, u), float32
         The signal of each pixel by itself (or ``measured``, with row-summed weights).
     variance : ndarray of shape (v, u), float32
-        Noise variance of ``signal``.
+        Variance of ``signal`` by noise and by attribution.
+    attribution : ndarray of shape (v, u), float32
+        Part of it that is :func:`attribution_variance`.
     saturated, valid : ndarray of shape (v, u), bool
         As in :class:`~optsim.calibrate.calibration.Observation`.
     tainted : ndarray of shape (v, u), bool
@@ -50,6 +52,7 @@ class Sample:
     measured: Floats
     signal: Floats
     variance: Floats
+    attribution: Floats
     saturated: Bools
     valid: Bools
     tainted: Bools
@@ -129,6 +132,7 @@ def take(
         seen.signal,
         seen.signal,
         seen.variance,
+        np.zeros_like(seen.variance),
         seen.saturated,
         seen.valid,
         np.zeros_like(seen.valid),
@@ -141,7 +145,7 @@ def take(
         error = attribution_variance(
             calibration, sample.exposure, rough, (noise / opened**2).astype(np.float32)
         )
-        sample = replace(sample, variance=noise + error)
+        sample = replace(sample, variance=noise + error, attribution=error)
     return sample, panel
 
 
@@ -301,6 +305,7 @@ def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
         sample.signal,
         sample.exposure,
         sample.variance,
+        sample.attribution,
         (calibration.dn_per_e / calibration.responsivity_dn).astype(np.float32),
         sample.saturated,
         sample.tainted,

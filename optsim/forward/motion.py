@@ -4,18 +4,23 @@
 The paper subtracts two frames compensated with their codes, thresholds and dilates (section 3.1). Two
 exposures of one pixel differ even where nothing moves: by noise, and by what the calibration does not
 know. So the difference is compared with its own standard deviation, and a saturated sample is what it
-is: a lower bound.
+is: a lower bound. In the dark a pixel's own noise hides all but the strongest change, and the mean over its
+surroundings, in which noise averages out, is compared too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optsim.quantities import Bools, Floats, Ints
+
+Reals = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +34,8 @@ class Bounds:
         saturated, ``low`` is minus infinite where a saturated neighbour's light could not be removed.
     variance : ndarray of shape (v, u), float32
         Variance of a finite bound by noise and model error, (W m^-2)^2.
+    shared : ndarray of shape (v, u), float32
+        Part of it that may be the same in neighbouring pixels, so that their mean has it too: model error.
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     shot : ndarray of shape (v, u), float32
@@ -40,6 +47,7 @@ class Bounds:
     low: Floats
     high: Floats
     variance: Floats
+    shared: Floats
     exposure: Floats
     shot: Floats
     valid: Bools
@@ -49,6 +57,7 @@ def bounds(
     signal: Floats,
     exposure: Floats,
     variance: Floats,
+    attribution: Floats,
     electron: Floats,
     saturated: Bools,
     tainted: Bools,
@@ -70,7 +79,9 @@ def bounds(
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     variance : ndarray of shape (v, u), float32
-        Noise variance of the signal, its unit squared.
+        Variance of the signal by noise and by attribution, its unit squared.
+    attribution : ndarray of shape (v, u), float32
+        Part of it by not knowing whose light crosstalk brings.
     electron : ndarray of shape (v, u), float32
         Signal of one electron, W m^-2 slots: its shot noise per unit of signal.
     saturated, tainted, valid : ndarray of shape (v, u), bool
@@ -85,14 +96,15 @@ def bounds(
     usable = valid & (exposure > 1e-6)
     per_slot = np.where(usable, exposure, np.float32(1))
     mean = np.where(usable, signal / per_slot, 0).astype(np.float32)
-    error = variance / per_slot**2
-    error += (gain_uncertainty * mean) ** 2 + (exposure_uncertainty * mean / per_slot) ** 2
-    error += (map_residual_px * _slope(signal) / per_slot) ** 2
+    shared = attribution / per_slot**2
+    shared += (gain_uncertainty * mean) ** 2 + (exposure_uncertainty * mean / per_slot) ** 2
+    shared += (map_residual_px * _slope(signal) / per_slot) ** 2
+    whole = (variance - attribution) / per_slot**2 + shared
     infinite = np.float32(np.inf)
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
-    return Bounds(low, high, error.astype(np.float32), per_slot, shot, usable)
+    return Bounds(low, high, whole.astype(np.float32), shared.astype(np.float32), per_slot, shot, usable)
 
 
 def _slope(image: Floats) -> Floats:
@@ -109,11 +121,22 @@ def _slope(image: Floats) -> Floats:
     return np.sqrt(squared)
 
 
-def changed(first: Bounds, second: Bounds, threshold_sigma: float) -> tuple[Bools, Bools]:
-    """Compare two frames: motion only where their intervals lie apart.
+def changed(
+    first: Bounds,
+    second: Bounds,
+    threshold_sigma: float,
+    *,
+    reaches_px: Sequence[int] = (1, 2),
+    least_change: float = 0.0,
+) -> tuple[Bools, Bools]:
+    """Compare two frames: motion only where their intervals lie apart, of pixels or of their surroundings.
 
     If nothing moved, both frames saw the same light; so the shot noise of two measured samples is that of
     their pooled estimate. That of each by itself is too small wherever noise made the sample small.
+
+    What is too dark for a single pixel's noise shows in the mean over its surroundings: of the differences
+    there, weighted by how well each is known. Noise averages out; model error doesn't (it counts as the
+    same in all of them).
 
     Parameters
     ----------
@@ -121,7 +144,11 @@ def changed(first: Bounds, second: Bounds, threshold_sigma: float) -> tuple[Bool
         Two frames.
     threshold_sigma : float
         Gap that counts, in standard deviations of the difference. For two measured samples of a static
-        pixel with Gaussian noise the false-alarm rate is ``erfc(threshold_sigma / sqrt 2)``.
+        pixel with Gaussian noise the false-alarm rate of each test is ``erfc(threshold_sigma / sqrt 2)``.
+    reaches_px : sequence of int
+        Half sides of the squares around a pixel that are compared too.
+    least_change : float
+        Change of such a square that counts, relative to its light. Of a single pixel every change counts.
 
     Returns
     -------
@@ -134,19 +161,82 @@ def changed(first: Bounds, second: Bounds, threshold_sigma: float) -> tuple[Bool
     undecided |= np.isinf(first.high) & np.isinf(second.high)
     undecided |= np.isinf(first.low) & np.isinf(second.low)
     gap = np.maximum(first.low - second.high, second.low - first.high)
-    sigma = np.sqrt(np.maximum(_pooled_variance(first, second), 1e-30))
-    return (gap > threshold_sigma * sigma) & ~undecided, undecided
+    pair = _pair(first, second)
+    sigma = np.sqrt(np.maximum(pair.noise + pair.shared, 1e-30))
+    moved = (gap > threshold_sigma * sigma) & ~undecided
+    for reach_px in reaches_px:
+        # What is known to have changed would be seen again in all squares around it.
+        rest = replace(pair, measured=pair.measured & ~moved)
+        together = _changed_together(rest, threshold_sigma, least_change, reach_px)
+        moved |= together
+        undecided &= ~together
+    return moved, undecided
 
 
-def _pooled_variance(first: Bounds, second: Bounds) -> Floats:
-    measured = np.isfinite(first.low) & np.isfinite(first.high)
-    measured &= np.isfinite(second.low) & np.isfinite(second.high)
-    means = [np.where(measured, frame.high, 0) for frame in (first, second)]
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two samples of each pixel, as far as both were measured.
+
+    Parameters
+    ----------
+    measured : ndarray of shape (v, u), bool
+        Whether they were.
+    difference : ndarray of shape (v, u)
+        First less second; 0 elsewhere.
+    mean : ndarray of shape (v, u)
+        Their pooled estimate, no less than dark.
+    noise, shared : ndarray of shape (v, u)
+        Variance of the difference, by noise if both saw the mean, and by model error.
+    read, shot : ndarray of shape (v, u)
+        The noise's part without light, and its growth with the irradiance.
+    """
+
+    measured: Bools
+    difference: Reals
+    mean: Reals
+    noise: Reals
+    shared: Reals
+    read: Reals
+    shot: Reals
+
+
+def _pair(first: Bounds, second: Bounds) -> _Pair:
+    frames = (first, second)
+    measured = np.logical_and.reduce([f.valid & np.isfinite(f.low) & np.isfinite(f.high) for f in frames])
+    means = [np.where(measured, frame.high, 0) for frame in frames]
     pooled = (means[0] * first.exposure + means[1] * second.exposure) / (first.exposure + second.exposure)
-    total = first.variance + second.variance
-    for frame, mean in zip((first, second), means, strict=True):
-        total = total + frame.shot * (np.maximum(pooled, 0) - np.maximum(mean, 0))
-    return total
+    mean = np.maximum(pooled, 0)
+    shared = first.shared + second.shared
+    shot = first.shot + second.shot
+    reads = [
+        np.maximum(f.variance - f.shared - f.shot * np.maximum(own, 0), 0)
+        for f, own in zip(frames, means, strict=True)
+    ]
+    read = reads[0] + reads[1]
+    return _Pair(measured, means[0] - means[1], mean, read + shot * mean, shared, read, shot)
+
+
+def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, reach_px: int) -> Bools:
+    """Whether the weighted mean difference of the pixels around is more than its error."""
+    around = partial(_sum_around, reach_px=reach_px)
+    light = around(pair.mean * pair.measured) / np.maximum(around(pair.measured.astype(np.float32)), 1)
+    # Weights know no pixel's own noise: it would pull the mean towards what chance made certain.
+    even = (pair.read + pair.shot * light + pair.shared).astype(np.float64)
+    weights = np.where(pair.measured, 1 / np.maximum(even, 1e-30), 0)
+    noise = around(weights**2 * pair.noise)
+    shared = around(weights * np.sqrt(pair.shared))
+    change = np.abs(around(weights * pair.difference))
+    enough = change > least_change * around(weights * pair.mean)
+    return enough & (change > threshold_sigma * np.sqrt(noise + shared**2))
+
+
+def _sum_around(image: Reals, reach_px: int) -> Reals:
+    from scipy import ndimage
+
+    line = np.ones(2 * reach_px + 1)
+    for axis in (0, 1):
+        image = cast("Callable[..., Reals]", ndimage.correlate1d)(image, line, axis=axis, mode="constant")
+    return image
 
 
 def without_specks(mask: Bools, least_px: int) -> Bools:
