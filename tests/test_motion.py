@@ -32,8 +32,8 @@ def certain(value, *, saturated=False, tainted=False, variance=0.0, attribution=
     return bounds(
         image,
         np.ones_like(image),
-        np.full_like(image, variance),
-        np.full_like(image, attribution),
+        np.broadcast_to(np.float32(variance), image.shape),
+        np.broadcast_to(np.float32(attribution), image.shape),
         np.zeros_like(image),
         flag & saturated,
         flag & tainted,
@@ -163,6 +163,22 @@ def test_noise_averages_out_over_a_square_and_model_error_does_not():
     assert not changed(certain(one, variance=1e-4), certain(more, variance=1e-4), 4.0, least_change=0.1)[
         0
     ].any()
+
+
+def test_model_error_is_a_part_of_the_variance_and_is_counted_once():
+    both = certain(1.0, variance=2.0, attribution=0.5)
+    assert (both.variance[0, 0], both.shared[0, 0]) == (2.0, 0.5)
+
+
+def test_squares_reach_as_far_to_all_sides_and_find_nothing_twice():
+    variance, light = np.full((9, 11), 1e8), np.ones((9, 11))
+    variance[4, 4:6], light[4, 4:6] = 0.5, 4.5
+    pair = certain(np.ones((9, 11)), variance=variance), certain(light, variance=variance)
+    # 3.5 standard deviations each, 4.9 together: where a square has both.
+    three, five = np.zeros((2, 9, 11), np.bool_)
+    three[3:6, 4:6] = five[2:7, 3:7] = True
+    np.testing.assert_array_equal(changed(*pair, 4.0)[0], three)
+    np.testing.assert_array_equal(changed(*pair, 4.0, reaches_px=(2,))[0], five)
 
 
 def test_a_pixel_that_says_nothing_moves_with_its_surroundings():
