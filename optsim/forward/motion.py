@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from optsim.quantities import Bools, Floats, Ints
 
 Reals = NDArray[np.floating]
+# Half side of the squares in which stray light counts as even, pixels; what counts, in standard deviations.
+_STRAY_REACH_PX, _STRAY_SIGMA = 7, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,9 @@ class Bounds:
         Variance of a finite bound by noise and model error, (W m^-2)^2.
     shared : ndarray of shape (v, u), float32
         Part of it that may be the same in neighbouring pixels, so that their mean has it too: model error.
+    stray : ndarray of shape (v, u)
+        Variance, beside the other, by light that doesn't depend on the pixels' own codes. Squares count it; a
+        pixel's own change is so much greater where it is seen at all.
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     shot : ndarray of shape (v, u), float32
@@ -48,6 +53,7 @@ class Bounds:
     high: Floats
     variance: Floats
     shared: Floats
+    stray: Reals
     exposure: Floats
     shot: Floats
     valid: Bools
@@ -104,7 +110,10 @@ def bounds(
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
-    return Bounds(low, high, whole.astype(np.float32), shared.astype(np.float32), per_slot, shot, usable)
+    stray = _stray(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
+    return Bounds(
+        low, high, whole.astype(np.float32), shared.astype(np.float32), stray**2, per_slot, shot, usable
+    )
 
 
 def _slope(image: Floats) -> Floats:
@@ -119,6 +128,43 @@ def _slope(image: Floats) -> Floats:
         before, after = (steps[:-1], steps[1:]) if axis == 0 else (steps[:, :-1], steps[:, 1:])
         squared += (before + after) / 2
     return np.sqrt(squared)
+
+
+def _stray(signal: Floats, exposure: Floats, variance: Floats, electron: Floats, known: Bools) -> Reals:
+    """Light around each pixel that does not depend on the pixels' own codes, beyond what noise explains.
+
+    How much of a saturated lamp's light arrives far from it, and for how many slots, nobody can tell. But it
+    adds as much to short exposures as to long ones: it is the intercept of a line through signals against
+    exposures. Textures make the pixels differ; they count as differing by half.
+
+    Returns
+    -------
+    ndarray of shape (v, u)
+        In the unit of the signal.
+
+    Parameters
+    ----------
+    signal, exposure, variance : ndarray of shape (v, u), float32
+        As of :func:`bounds`.
+    electron : ndarray of shape (v, u), float32
+        Of the signal.
+    known : ndarray of shape (v, u), bool
+        Pixels whose signal is measured.
+    """
+    around = partial(_sum_around, reach_px=_STRAY_REACH_PX)
+    own = np.where(known, signal, 0).astype(np.float64)
+    opened = np.where(known, exposure, 0).astype(np.float64)
+    mean = np.maximum(around(own) / np.maximum(around(opened), 1e-30), 0)
+    read = np.maximum(variance - electron * np.maximum(own, 0), 0)
+    weights = known / np.maximum(read + electron * opened * mean + (opened * mean / 2) ** 2, 1e-30)
+    n, x, xx = around(weights), around(weights * opened), around(weights * opened**2)
+    y, xy = around(weights * own), around(weights * opened * own)
+    spread = n * xx - x**2
+    # Where all are open alike, nothing tells the two apart.
+    told = spread > 1e-6 * n * xx
+    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=told)
+    noise = np.divide(xx, spread, out=np.zeros_like(y), where=told)
+    return np.sqrt(np.maximum(intercept**2 - _STRAY_SIGMA**2 * noise, 0))
 
 
 def changed(
@@ -185,8 +231,8 @@ class _Pair:
         First less second; 0 elsewhere.
     mean : ndarray of shape (v, u)
         Their pooled estimate, no less than dark.
-    noise, shared : ndarray of shape (v, u)
-        Variance of the difference, by noise if both saw the mean, and by model error.
+    noise, shared, stray : ndarray of shape (v, u)
+        Variance of the difference, by noise if both saw the mean, by model error, and by stray light.
     read, shot : ndarray of shape (v, u)
         The noise's part without light, and its growth with the irradiance.
     """
@@ -196,6 +242,7 @@ class _Pair:
     mean: Reals
     noise: Reals
     shared: Reals
+    stray: Reals
     read: Reals
     shot: Reals
 
@@ -213,7 +260,16 @@ def _pair(first: Bounds, second: Bounds) -> _Pair:
         for f, own in zip(frames, means, strict=True)
     ]
     read = reads[0] + reads[1]
-    return _Pair(measured, means[0] - means[1], mean, read + shot * mean, shared, read, shot)
+    return _Pair(
+        measured,
+        means[0] - means[1],
+        mean,
+        read + shot * mean,
+        shared,
+        first.stray + second.stray,
+        read,
+        shot,
+    )
 
 
 def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, reach_px: int) -> Bools:
@@ -221,10 +277,11 @@ def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, 
     around = partial(_sum_around, reach_px=reach_px)
     light = around(pair.mean * pair.measured) / np.maximum(around(pair.measured.astype(np.float32)), 1)
     # Weights know no pixel's own noise: it would pull the mean towards what chance made certain.
-    even = (pair.read + pair.shot * light + pair.shared).astype(np.float64)
+    common = pair.shared + pair.stray
+    even = (pair.read + pair.shot * light + common).astype(np.float64)
     weights = np.where(pair.measured, 1 / np.maximum(even, 1e-30), 0)
     noise = around(weights**2 * pair.noise)
-    shared = around(weights * np.sqrt(pair.shared))
+    shared = around(weights * np.sqrt(common))
     change = np.abs(around(weights * pair.difference))
     enough = change > least_change * around(weights * pair.mean)
     return enough & (change > threshold_sigma * np.sqrt(noise + shared**2))

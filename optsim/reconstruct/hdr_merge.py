@@ -125,6 +125,7 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
             np.where(better, older.high, newest.high),
             np.where(better, older.variance, newest.variance),
             np.where(better, older.shared, newest.shared),
+            np.where(better, older.stray, newest.stray),
             np.where(better, older.exposure, newest.exposure),
             np.where(better, older.shot, newest.shot),
             newest.valid | better,
