@@ -25,7 +25,7 @@ from optsim.coding.flutter_shutter import flutter_code
 from optsim.coding.leaves import LEAVES, AnyLeaf
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
-from optsim.forward.motion import grown
+from optsim.forward.neighbourhoods import grown
 
 ROWS, COLS = 24, 32
 # Chops published by Raskar, Agrawal and Tumblin (2006).

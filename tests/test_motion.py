@@ -12,7 +12,8 @@ from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, st
 
 from optsim.calibrate.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
-from optsim.forward.motion import Bounds, _changed_together, _pair, bounds, changed, grown, without_specks
+from optsim.forward.motion import Bounds, _changed_together, _pair, bounds, changed
+from optsim.forward.neighbourhoods import grown, without_specks
 
 ROWS, COLS = 96, 128
 

@@ -23,7 +23,7 @@ from optsim.benchmark.made_film import exposed
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import noise_variance
 from optsim.coding import MotionAdaptive, RandomExposure
-from optsim.forward.motion import grown
+from optsim.forward.neighbourhoods import grown
 from optsim.hardware import prototype
 from optsim.known_calibration import ideal_calibration
 from optsim.metrics import MaskAgreement, mask_agreement, oracle_moving

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.forward.motion import regions
+from optsim.forward.neighbourhoods import regions
 from optsim.quantities import Bools, Doubles, Ints
 
 # What jumps further than this many times its own length is taken for something else: a sensible default,

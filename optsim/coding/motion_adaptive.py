@@ -24,7 +24,8 @@ from optsim.coding.leaves import Leaf
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.tiles import TiledCode
 from optsim.config import Part
-from optsim.forward.motion import changed, grown, without_specks
+from optsim.forward.motion import changed
+from optsim.forward.neighbourhoods import grown, without_specks
 from optsim.quantities import Bools, CodedFrame, ExposureCode, PanelState
 
 

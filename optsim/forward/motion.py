@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Has a pixel changed between two coded frames? Frame subtraction after the codes are divided out.
 
 The paper subtracts two frames compensated with their codes, thresholds and dilates (section 3.1). Two
@@ -10,19 +9,15 @@ surroundings, in which noise averages out, is compared too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from optsim.quantities import Bools, Floats, Ints
-
-Reals = NDArray[np.floating]
-# Half side of the squares in which stray light counts as even, pixels; what counts, in standard deviations.
-_STRAY_REACH_PX, _STRAY_SIGMA = 7, 3.0
+from optsim.forward.neighbourhoods import Reals, sum_around
+from optsim.forward.stray_light import stray_light
+from optsim.quantities import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +105,7 @@ def bounds(
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
-    stray = _stray(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
+    stray = stray_light(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
     return Bounds(
         low, high, whole.astype(np.float32), shared.astype(np.float32), stray**2, per_slot, shot, usable
     )
@@ -128,43 +123,6 @@ def _slope(image: Floats) -> Floats:
         before, after = (steps[:-1], steps[1:]) if axis == 0 else (steps[:, :-1], steps[:, 1:])
         squared += (before + after) / 2
     return np.sqrt(squared)
-
-
-def _stray(signal: Floats, exposure: Floats, variance: Floats, electron: Floats, known: Bools) -> Reals:
-    """Light around each pixel that does not depend on the pixels' own codes, beyond what noise explains.
-
-    How much of a saturated lamp's light arrives far from it, and for how many slots, nobody can tell. But it
-    adds as much to short exposures as to long ones: it is the intercept of a line through signals against
-    exposures. Textures make the pixels differ; they count as differing by half.
-
-    Returns
-    -------
-    ndarray of shape (v, u)
-        In the unit of the signal.
-
-    Parameters
-    ----------
-    signal, exposure, variance : ndarray of shape (v, u), float32
-        As of :func:`bounds`.
-    electron : ndarray of shape (v, u), float32
-        Of the signal.
-    known : ndarray of shape (v, u), bool
-        Pixels whose signal is measured.
-    """
-    around = partial(_sum_around, reach_px=_STRAY_REACH_PX)
-    own = np.where(known, signal, 0).astype(np.float64)
-    opened = np.where(known, exposure, 0).astype(np.float64)
-    mean = np.maximum(around(own) / np.maximum(around(opened), 1e-30), 0)
-    read = np.maximum(variance - electron * np.maximum(own, 0), 0)
-    weights = known / np.maximum(read + electron * opened * mean + (opened * mean / 2) ** 2, 1e-30)
-    n, x, xx = around(weights), around(weights * opened), around(weights * opened**2)
-    y, xy = around(weights * own), around(weights * opened * own)
-    spread = n * xx - x**2
-    # Where all are open alike, nothing tells the two apart.
-    told = spread > 1e-6 * n * xx
-    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=told)
-    noise = np.divide(xx, spread, out=np.zeros_like(y), where=told)
-    return np.sqrt(np.maximum(intercept**2 - _STRAY_SIGMA**2 * noise, 0))
 
 
 def changed(
@@ -274,7 +232,7 @@ def _pair(first: Bounds, second: Bounds) -> _Pair:
 
 def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, reach_px: int) -> Bools:
     """Whether the weighted mean difference of the pixels around is more than its error."""
-    around = partial(_sum_around, reach_px=reach_px)
+    around = partial(sum_around, reach_px=reach_px)
     light = around(pair.mean * pair.measured) / np.maximum(around(pair.measured.astype(np.float32)), 1)
     # Weights know no pixel's own noise: it would pull the mean towards what chance made certain.
     common = pair.shared + pair.stray
@@ -285,39 +243,3 @@ def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, 
     change = np.abs(around(weights * pair.difference))
     enough = change > least_change * around(weights * pair.mean)
     return enough & (change > threshold_sigma * np.sqrt(noise + shared**2))
-
-
-def _sum_around(image: Reals, reach_px: int) -> Reals:
-    from scipy import ndimage
-
-    line = np.ones(2 * reach_px + 1)
-    for axis in (0, 1):
-        image = cast("Callable[..., Reals]", ndimage.correlate1d)(image, line, axis=axis, mode="constant")
-    return image
-
-
-def without_specks(mask: Bools, least_px: int) -> Bools:
-    """Remove connected regions (8 neighbours) of fewer than ``least_px`` pixels."""
-    if least_px <= 1:
-        return mask
-    labels, n = regions(mask)
-    sizes = np.bincount(labels.ravel(), minlength=n + 1)
-    keep = sizes >= least_px
-    keep[0] = False
-    return keep[labels]
-
-
-def regions(mask: Bools) -> tuple[Ints, int]:
-    """Label connected regions (8 neighbours) from 1 in an array (v, u), 0 elsewhere; and count them."""
-    from scipy import ndimage
-
-    return cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
-
-
-def grown(mask: Bools, reach_px: int) -> Bools:
-    """Dilate by a square: every pixel within ``reach_px`` rows and columns of the mask."""
-    if reach_px == 0:
-        return mask
-    from scipy import ndimage
-
-    return cast("Callable[..., Bools]", ndimage.maximum_filter)(mask, size=2 * reach_px + 1)

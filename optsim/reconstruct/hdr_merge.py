@@ -24,7 +24,8 @@ from optsim.calibrate.sample import (
     separate,
     separated_variance,
 )
-from optsim.forward.motion import Bounds, changed, without_specks
+from optsim.forward.motion import Bounds, changed
+from optsim.forward.neighbourhoods import without_specks
 from optsim.quantities import Bools, CodedFrame, Doubles, Floats
 from optsim.reconstruct.layer import Branch, Layer, positive_mean
 

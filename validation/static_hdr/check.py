@@ -52,6 +52,8 @@ FILES = (
     "optsim/calibrate/calibration.py",
     "optsim/calibrate/sample.py",
     "optsim/forward/motion.py",
+    "optsim/forward/neighbourhoods.py",
+    "optsim/forward/stray_light.py",
     "optsim/forward/panel.py",
     "optsim/forward/relaxation.py",
 )
