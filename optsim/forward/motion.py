@@ -58,7 +58,7 @@ def bounds(
     signal: Floats,
     exposure: Floats,
     variance: Floats,
-    attribution: Floats,
+    alike: Floats,
     electron: Floats,
     saturated: Bools,
     tainted: Bools,
@@ -80,9 +80,9 @@ def bounds(
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     variance : ndarray of shape (v, u), float32
-        Variance of the signal by noise and by attribution, its unit squared.
-    attribution : ndarray of shape (v, u), float32
-        Part of it by not knowing whose light crosstalk brings.
+        Variance of the signal by noise and what pixels have in common, its unit squared.
+    alike : ndarray of shape (v, u), float32
+        Part of it that pixels may have in common: rounding, and not knowing whose light crosstalk brings.
     electron : ndarray of shape (v, u), float32
         Signal of one electron, W m^-2 slots: its shot noise per unit of signal.
     saturated, tainted, valid : ndarray of shape (v, u), bool
@@ -97,17 +97,24 @@ def bounds(
     usable = valid & (exposure > 1e-6)
     per_slot = np.where(usable, exposure, np.float32(1))
     mean = np.where(usable, signal / per_slot, 0).astype(np.float32)
-    shared = attribution / per_slot**2
+    shared = alike / per_slot**2
     shared += (gain_uncertainty * mean) ** 2 + (exposure_uncertainty * mean / per_slot) ** 2
     shared += (map_residual_px * _slope(signal) / per_slot) ** 2
-    whole = (variance - attribution) / per_slot**2 + shared
+    whole = (variance - alike) / per_slot**2 + shared
     infinite = np.float32(np.inf)
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
     stray = stray_light(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
     return Bounds(
-        low, high, whole.astype(np.float32), shared.astype(np.float32), stray**2, per_slot, shot, usable
+        low,
+        high,
+        whole.astype(np.float32),
+        shared.astype(np.float32),
+        stray**2,
+        per_slot,
+        shot,
+        usable,
     )
 
 
