@@ -140,7 +140,7 @@ def test_states_go_from_better_to_worse(name):
 def test_unknown_effects_and_states_are_named_with_the_cure():
     with pytest.raises(ConfigError, match=r"camera\.effects.*fringing"):
         switched({"fringe": "ideal"})
-    with pytest.raises(ConfigError, match=r"camera\.effects\.response: got 'off', expected one of ideal"):
+    with pytest.raises(ConfigError, match=r"camera\.effects\.response 'off'; expected one of: ideal"):
         switched({"response": "off"})
     with pytest.raises(ConfigError, match=r"camera\.effects: got 'ideal'"):
         load_experiment("demo", ["camera.effects=ideal"])
