@@ -17,7 +17,7 @@ A message says what is wrong, what was got, what was expected and the cure, and 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class OptsimError(Exception):
@@ -51,6 +51,11 @@ class StorageError(OptsimError):
 def unknown_name(what: str, got: str, valid: Iterable[str]) -> ConfigError:
     """Error for a name that is not in a list, with the nearest valid one as the cure."""
     names = sorted(valid)
-    near = difflib.get_close_matches(got, names, n=1, cutoff=0.4)
-    cure = f"did you mean {near[0]!r}?" if near else "choose one of the names listed."
+    near = nearest_name(names, got)
+    cure = f"did you mean {near!r}?" if near else "choose one of the names listed."
     return ConfigError(f"unknown {what} {got!r}; expected one of: {', '.join(names)}; {cure}")
+
+
+def nearest_name(names: Sequence[str], got: str) -> str | None:
+    """Name that was probably meant; None if none is near."""
+    return next(iter(difflib.get_close_matches(got, names, n=1, cutoff=0.4)), None)

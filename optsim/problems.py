@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from optsim.errors import nearest_name
 from optsim.units import parse_quantity, units_of
 
 # Beyond this many places where a name is a right one, a list of them helps nobody.
@@ -92,8 +93,8 @@ def _kinds(place: _Place) -> list[str]:
 
 
 def _one_of(names: Sequence[str], got: object) -> str:
-    near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
-    return f"expected one of: {', '.join(names)}" + (f"; did you mean {near[0]!r}?" if near else "")
+    near = nearest_name(names, str(got))
+    return f"expected one of: {', '.join(names)}" + (f"; did you mean {near!r}?" if near else "")
 
 
 def _found(value: object) -> str:

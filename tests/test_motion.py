@@ -12,7 +12,7 @@ from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, st
 
 from optsim.calibrate.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
-from optsim.forward.motion import Bounds, _changed_together, _pair, bounds, changed
+from optsim.forward.motion import _changed_together, _pair, bounds, changed
 from optsim.forward.neighbourhoods import grown, without_specks
 from optsim.quantities import CodedFrame
 
@@ -184,7 +184,7 @@ def test_squares_reach_as_far_to_all_sides_and_find_nothing_twice():
 
 
 def test_stray_light_of_a_lamp_is_no_motion_and_hides_no_motion_elsewhere():
-    """A lamp's light spreads over a dark field behind the panel: for 36 slots in one frame, 1 in the next."""
+    """A lamp's light spreads over a dark field behind the panel, in one of two frames."""
     calibration = ideal_calibration(ROWS, COLS, leak=0.01)
     light = np.full((ROWS, COLS), 0.02)
     after = light.copy()
@@ -279,17 +279,20 @@ def test_saturated_samples_are_bounds():
     assert verdict(certain(1.0, tainted=True), certain(1.5)) == (True, False)
     assert verdict(certain(1.0, tainted=True), certain(5.0, saturated=True)) == (True, False)
     blind = certain(1.0)
-    blind = Bounds(
-        blind.low,
-        blind.high,
-        blind.variance,
-        blind.shared,
-        blind.stray,
-        blind.exposure,
-        blind.shot,
-        ~blind.valid,
-    )
+    blind = replace(blind, valid=~blind.valid)
     assert verdict(blind, certain(9.0)) == (False, True)
+
+
+def test_a_sample_takes_the_place_of_a_bound_with_all_that_is_known_of_it():
+    bound = certain([[1.0, 3.0]], saturated=np.array([[True, False]]), variance=1.0)
+    sample = certain([[2.0, 5.0]], variance=0.5, attribution=0.25)
+    np.testing.assert_array_equal(bound.measured, [[False, True]])
+    found = bound.replaced(~bound.measured, sample)
+    np.testing.assert_array_equal(found.low, [[2.0, 3.0]])
+    np.testing.assert_array_equal(found.high, [[2.0, 3.0]])
+    np.testing.assert_array_equal(found.variance, [[0.5, 1.0]])
+    np.testing.assert_array_equal(found.shared, [[0.25, 0.0]])
+    assert found.measured.all()
 
 
 positive = st.floats(1e-3, 1e3)

@@ -10,8 +10,9 @@ surroundings, in which noise averages out, is compared too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,18 @@ class Bounds:
     exposure: Floats
     shot: Floats
     valid: Bools
+
+    @property
+    def measured(self) -> Bools:
+        """Where there is a sample, and it is more than a bound."""
+        return self.valid & np.isfinite(self.low) & np.isfinite(self.high)
+
+    def replaced(self, where: Bools, by: Bounds) -> Bounds:
+        """With what another frame says of some pixels."""
+        mixed: dict[str, Any] = {
+            f.name: np.where(where, getattr(by, f.name), getattr(self, f.name)) for f in fields(self)
+        }
+        return Bounds(**mixed)
 
 
 def bounds(
@@ -196,44 +209,43 @@ class _Pair:
         First less second; 0 elsewhere.
     mean : ndarray of shape (v, u)
         Their pooled estimate, no less than dark.
-    noise, shared, stray : ndarray of shape (v, u)
-        Variance of the difference, by noise if both saw the mean, by model error, and by stray light.
+    shared, stray : ndarray of shape (v, u)
+        Variance of the difference by model error, and by stray light.
     read, shot : ndarray of shape (v, u)
-        The noise's part without light, and its growth with the irradiance.
+        Variance of the difference by noise without light, and its growth with the irradiance.
     """
 
     measured: Bools
     difference: Reals
     mean: Reals
-    noise: Reals
     shared: Reals
     stray: Reals
     read: Reals
     shot: Reals
 
+    @property
+    def noise(self) -> Reals:
+        """Variance of the difference by noise, if both saw the mean."""
+        return self.read + self.shot * self.mean
+
 
 def _pair(first: Bounds, second: Bounds) -> _Pair:
     frames = (first, second)
-    measured = np.logical_and.reduce([f.valid & np.isfinite(f.low) & np.isfinite(f.high) for f in frames])
+    measured = first.measured & second.measured
     means = [np.where(measured, frame.high, 0) for frame in frames]
     pooled = (means[0] * first.exposure + means[1] * second.exposure) / (first.exposure + second.exposure)
-    mean = np.maximum(pooled, 0)
-    shared = first.shared + second.shared
-    shot = first.shot + second.shot
     reads = [
         np.maximum(f.variance - f.shared - f.shot * np.maximum(own, 0), 0)
         for f, own in zip(frames, means, strict=True)
     ]
-    read = reads[0] + reads[1]
     return _Pair(
         measured,
         means[0] - means[1],
-        mean,
-        read + shot * mean,
-        shared,
+        np.maximum(pooled, 0),
+        first.shared + second.shared,
         first.stray + second.stray,
-        read,
-        shot,
+        reads[0] + reads[1],
+        first.shot + second.shot,
     )
 
 

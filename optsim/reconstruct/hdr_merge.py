@@ -119,18 +119,7 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
         alive = alive & ~without_specks(moved, speck_px)
         result.append(alive)
         # Where the newest is only a bound, the newest real sample is the better judge of older ones.
-        better = alive & older.valid & np.isfinite(older.high) & np.isfinite(older.low)
-        better &= ~(newest.valid & np.isfinite(newest.high) & np.isfinite(newest.low))
-        newest = Bounds(
-            np.where(better, older.low, newest.low),
-            np.where(better, older.high, newest.high),
-            np.where(better, older.variance, newest.variance),
-            np.where(better, older.shared, newest.shared),
-            np.where(better, older.stray, newest.stray),
-            np.where(better, older.exposure, newest.exposure),
-            np.where(better, older.shot, newest.shot),
-            newest.valid | better,
-        )
+        newest = newest.replaced(alive & older.measured & ~newest.measured, older)
     return result
 
 
