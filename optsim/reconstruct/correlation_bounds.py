@@ -21,7 +21,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from optsim.quantities import Doubles, Floats
+from optsim.quantities import Floats
 
 _LANES = 16 if binding.get_host_cpu_features().get("avx512bw") else 8
 # Atoms of a panel: two vectors of sums for each of four patches are what 16 registers hold.
@@ -32,7 +32,7 @@ _TILE, _TURNS = 4, 2
 _SPAN = 8
 SHARING = 2 * _SPAN
 # Scale of a unit vector: products of two such vectors stay below 2**31, rounding included.
-_SCALE = 46_000.0
+SCALE = 46_000.0
 LARGEST = 32_767.0
 # Squared distance of an atom from the span of those picked below which it is a copy, in float32.
 COPY = 1e-5
@@ -71,7 +71,7 @@ def pack(matrix: Floats, packed: Pairs) -> tuple[float, float]:
         for k in range(width):
             highest = max(highest, row[k] & np.int32(0x7FFFFFFF))
     top = np.array([highest], np.int32).view(np.float32)[0]
-    scale = np.float32(min(_SCALE, LARGEST / max(float(top), 1e-30)))
+    scale = np.float32(min(SCALE, LARGEST / max(float(top), 1e-30)))
     numbers = packed.reshape(packed.shape[0], packed.shape[1], 2 * PANEL).view(np.int32)
     numbers[:] = 0
     errors = np.zeros(packed.shape[0] * PANEL, np.float32)
@@ -87,29 +87,6 @@ def pack(matrix: Floats, packed: Pairs) -> tuple[float, float]:
                 error[k] += (value - nearest) ** 2
                 target[k] |= (np.int32(nearest) & mask) << shift
     return 1 / float(scale), float(np.sqrt(errors.max())) / float(scale)
-
-
-@njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nnan", "nsz"})
-def round_unit(vectors: Doubles, which: int, length: float, moves: Pairs, slot: int) -> tuple[float, float]:
-    """Round one of several vectors, divided by its length, to 16 bits, into a slot's moves.
-
-    Returns
-    -------
-    step, error : float
-        As :func:`pack`, of the vector divided by its length.
-    """
-    rows = np.uint64(vectors.shape[1])
-    top = 0.0
-    for m in range(rows):
-        top = max(top, abs(vectors[which, m]))
-    scale = min(_SCALE, LARGEST * length / top) / length
-    square = 0.0
-    for m in range(rows):
-        value = vectors[which, m] * scale
-        nearest = np.rint(value)
-        square += (value - nearest) ** 2
-        moves[slot, m] = np.int16(np.int32(nearest))
-    return 1 / (scale * length), np.sqrt(square) / (scale * length)
 
 
 def _tile(slots: int) -> Callable[..., None]:

@@ -24,14 +24,13 @@ from optsim.reconstruct.correlation_bounds import (
     COPY,
     PANEL,
     SHARING,
-    Pairs,
     atom_of,
     correlate,
     pack,
     packed_shape,
     peaks_of,
-    round_unit,
 )
+from optsim.reconstruct.rounded_steps import Steps, follow, look, make_steps
 
 # Signals in work together: their states fit into a second-level cache beside the matrix up to 2000 atoms.
 _SLOTS = 8
@@ -41,8 +40,6 @@ _NOTHING = 1e-12
 _STALE = 0.0012
 # Peaks looked through together.
 _CHUNK = 16
-# Of float32 sums, relative to a signal.
-_ROUNDING = 1e-6
 
 
 class _Atoms(NamedTuple):
@@ -85,9 +82,8 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
         _turn(matrix, atoms.columns)
         atoms.known[:] = True
     # What correlate() reads and renews.
-    moves = np.zeros((slots, 2 * packed.shape[1]), np.int16)
+    steps = make_steps(slots, rows, packed.shape[1])
     state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
-    terms = np.zeros((slots, 4), np.float32)
     peaks = np.zeros((slots, peaks_of(packed.shape[0])), np.float32)
     # Largest peak of each chunk, of one slot at a time.
     heights = np.zeros(-(-peaks.shape[1] // _CHUNK), np.float32)
@@ -99,8 +95,8 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
     basis, triangle = np.zeros((slots, cap, rows)), np.zeros((slots, cap, cap))
     directions = basis.reshape(slots * cap, rows)
     shares, parts = np.zeros((slots, cap)), np.zeros(cap)
-    # Sum of the squared errors of its products; whether correlations are due anew before the next pick.
-    doubt, stale = np.zeros(slots), np.zeros(slots, np.bool_)
+    # Whether correlations are due anew before the next pick.
+    stale = np.zeros(slots, np.bool_)
     following = 0
     while True:
         busy = 0
@@ -112,24 +108,26 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
                     owner[slot], length[slot], picked[slot] = following, np.sqrt(square), 0
                     energy[slot], enough[slot] = 1, max(stop_energy[following] / square, _NOTHING)
                     residual[slot] /= length[slot]
-                    doubt[slot] = 0
+                    steps.doubt[slot] = 0
                     _restart(slot, state, width)
-                    _look(slot, residual, energy, grid, state, moves, terms)
+                    _look(slot, residual, energy, grid, state, steps)
                 following += 1
             if owner[slot] >= 0:
                 busy = slot + 1
         if busy == 0:
             break
-        correlate(packed, moves, state, terms, peaks, busy)
+        correlate(packed, steps.moves, state, steps.terms, peaks, busy)
         for slot in range(busy):
             p, count = owner[slot], picked[slot]
             if p < 0:
                 continue
             if stale[slot]:
-                _look(slot, residual, energy, grid, state, moves, terms)
+                _look(slot, residual, energy, grid, state, steps)
                 stale[slot] = False
                 continue
-            best = _best(slot, state, peaks, heights, terms, atoms, residual, basis, triangle, parts, count)
+            best = _best(
+                slot, state, peaks, heights, steps.terms, atoms, residual, basis, triangle, parts, count
+            )
             if best >= 0:
                 shares[slot, count], energy[slot] = _extend(
                     slot, best, atoms.columns, basis, triangle, residual, count
@@ -140,39 +138,23 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
             if best < 0 or count == cap or energy[slot] <= enough[slot]:
                 _solve(triangle[slot], shares[slot], length[slot], amounts[p, :count])
                 owner[slot] = -1
-                terms[slot] = 0
+                steps.terms[slot] = 0
                 continue
-            share = shares[slot, count - 1]
-            step, rounding = round_unit(directions, slot * cap + count - 1, 1.0, moves, slot)
-            unit = grid[0] * step
-            off = grid[1] + rounding + _ROUNDING
-            doubt[slot] += off * off
-            terms[slot, 0], terms[slot, 1] = -share * unit, -unit * unit
-            terms[slot, 2] += abs(share) * off + np.sqrt(energy[slot]) * _ROUNDING
-            # The products of an atom with all directions are at most 1 in their squares' sum.
-            terms[slot, 3] = 2 * np.sqrt(doubt[slot]) + doubt[slot]
-            stale[slot] = terms[slot, 2] > _STALE * np.sqrt(energy[slot])
+            share, left = shares[slot, count - 1], np.sqrt(energy[slot])
+            follow(slot, directions, slot * cap + count - 1, share, left, count, grid, steps)
+            stale[slot] = steps.terms[slot, 2] > _STALE * left
 
 
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
 @compiled()
 def _look(
-    slot: int,
-    residual: Doubles,
-    energy: Doubles,
-    grid: tuple[float, float],
-    state: Floats,
-    moves: Pairs,
-    terms: Floats,
+    slot: int, residual: Doubles, energy: Doubles, grid: tuple[float, float], state: Floats, steps: Steps
 ) -> None:
     """Have the correlations computed from the residual itself."""
-    length = np.sqrt(energy[slot])
-    step, rounding = round_unit(residual, slot, length, moves, slot)
     for panel in range(len(state)):
         for k in range(PANEL):
             state[panel, slot, 0, k] = 0
-    terms[slot, 0], terms[slot, 1] = length * grid[0] * step, 0
-    terms[slot, 2] = length * (grid[1] + rounding + _ROUNDING)
+    look(slot, residual, np.sqrt(energy[slot]), grid, steps)
 
 
 @compiled()
