@@ -53,7 +53,9 @@ class LightRule(Part):
 class Method(Part):
     """One contestant: a coding scheme and the decoder of its frames."""
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    name: str = Field(
+        pattern=r"^[a-z][a-z0-9_]*$", description="a letter, then letters, digits and _, all in lower case"
+    )
     scheme: Scheme
     decoder: Decoder
 
@@ -90,7 +92,9 @@ class Experiment(Part):
         Names of the methods whose reconstructed video is written; empty for none.
     """
 
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="a letter, then letters, digits, _ and -"
+    )
     description: str = ""
     seed: int = Field(default=1, ge=0, lt=2**32)
     n_frames: int = Field(default=10, ge=1, le=10_000)

@@ -33,6 +33,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     from optsim.effect_sizes import effect_sizes
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
+    from optsim.metrics import first_steady
     from optsim.truth import describe_truth, illumination, scene_light
 
     misfit = None
@@ -58,6 +59,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             **asdict(latency),
             "chosen_frames": camera.latency_frames,
             "hypothetical": camera.latency_frames < latency.frames,
+            "n_frames": experiment.n_frames,
+            "first_steady": first_steady(camera.latency_frames),
         },
         "ledger": {
             name: {"radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
@@ -106,6 +109,11 @@ def show(record: dict[str, Any]) -> list[object]:
         items.append(
             f"latency of {latency['chosen_frames']} is hypothetical: the smallest physical one is "
             f"{latency['frames']} frames"
+        )
+    if latency["n_frames"] <= latency["first_steady"]:
+        items.append(
+            f"{latency['n_frames']} coded frames end before the steady phase: take "
+            f"{latency['first_steady'] + 1} or more (n_frames)"
         )
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():
         rows = cast("list[dict[str, Any]]", ledger["rows"])
@@ -159,6 +167,7 @@ def _latency_rows(latency: dict[str, Any]) -> list[Row]:
     return [
         ("chosen", latency["chosen_frames"], "coded frames"),
         ("smallest physical one", latency["frames"], "coded frames"),
+        ("steady from", latency["first_steady"], f"of frames 0 to {latency['n_frames'] - 1}"),
         *((step, latency[f"{step}_s"], "s") for step in steps),
     ]
 

@@ -79,6 +79,8 @@ def _expected(kind: str, message: str, context: dict[str, Any], place: _Place, g
     if kind == "literal_error":
         words = cast("str", context["expected"]).replace("'", "").replace(" or ", ", ")
         return _one_of(words.split(", "), got)
+    if kind == "string_pattern_mismatch" and place.field and place.field.description:
+        return f"expected {place.field.description}"
     if what == "model" and len(place.owners) > 1:
         return f"expected a table whose kind is one of: {', '.join(_kinds(place))}"
     if what == "model":

@@ -14,7 +14,7 @@ from optsim.experiment import Experiment
 from optsim.forward.fringing import border_shares
 from optsim.forward.integrate import fine_image_adjoint
 from optsim.loop import Shot, calibrate, planned, set_light, shots
-from optsim.metrics import phase_of
+from optsim.metrics import first_steady, phase_of
 from optsim.origins import (
     NEAR_PX,
     ORIGINS,
@@ -86,7 +86,7 @@ def choose_aim(
         )
     if frame is None:
         latency = experiment.camera.latency_frames
-        frame = next((k for k in range(n_frames) if phase_of(k, latency) == "steady"), n_frames - 1)
+        frame = min(first_steady(latency), n_frames - 1)
     if not 0 <= frame < n_frames:
         raise ConfigError(
             f"--frame: got {frame}, expected 0 to {n_frames - 1}; choose one of these, or take more frames "

@@ -41,6 +41,10 @@ def cli(capsys, monkeypatch, tmp_path):
         (("run", "dmeo", "--dry-run"), "did you mean 'demo'"),
         (("run", "nowhere/none.toml", "--dry-run"), "no such file"),
         (("run", "demo", "--dry-run", "--set", "camera.latency_frame=3"), "did you mean 'latency_frames'"),
+        (
+            ("explain", "demo", "--set", "name="),
+            "name: got '', expected a letter, then letters, digits, _ and -",
+        ),
         (("run", "demo", "--dry-run", "--set", "camera.objective.focal_length_m='12 s'"), "unit 's'"),
         (("run", "demo", "--dry-run", "--set", "n_frames=0"), "n_frames"),
         (("run", "demo", "--dry-run", "--set", "scene.name=window_roon"), "window_room"),
@@ -85,7 +89,14 @@ def test_explain_prints_geometry_ledger_and_latency(cli) -> None:
     assert code == 0
     assert record["geometry"]["fits"]
     assert record["latency"]["chosen_frames"] == 3
+    assert record["latency"]["first_steady"] == 7
     assert {"mid-grey", "white"} == set(record["ledger"])
+
+
+@pytest.mark.parametrize(("n_frames", "enough"), [(5, False), (6, True)])
+def test_explain_says_when_the_steady_phase_is_never_reached(cli, n_frames: int, enough: bool) -> None:
+    _, out, _ = cli("explain", "demo", "--set", f"n_frames={n_frames}")
+    assert ("take 6 or more (n_frames)" not in " ".join(out.split())) == enough
 
 
 def test_explain_shows_what_does_not_fit(cli) -> None:

@@ -11,7 +11,7 @@ from optsim.metrics.oracle import MaskAgreement, mask_agreement, oracle_moving
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
-from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, phase_of
+from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, first_steady, phase_of
 from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, uncertainty_records
 
 ALL: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
@@ -28,6 +28,7 @@ __all__ = [
     "Pu21Psnr",
     "ScoreBoard",
     "UncertaintyTally",
+    "first_steady",
     "judge_hypothesis",
     "luminous_efficacy_lm_w",
     "mask_agreement",

@@ -29,7 +29,12 @@ def phase_of(index: int, latency_frames: int) -> Phase:
     """Phase of a coded frame: until two frames have arrived, until four mosaic frames exist, steady."""
     if index < latency_frames + 1:
         return "warm-up"
-    return "merging" if index < latency_frames + 4 else "steady"
+    return "merging" if index < first_steady(latency_frames) else "steady"
+
+
+def first_steady(latency_frames: int) -> int:
+    """First coded frame of the steady phase, counted from 0."""
+    return latency_frames + 4
 
 
 class ScoreRecord(TypedDict):
