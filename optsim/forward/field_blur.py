@@ -10,7 +10,6 @@ that is collected stays flat.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -133,12 +132,15 @@ class FieldBlur:
         def spread(i: Ints, j: Ints) -> Doubles:
             windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
-            for nodes, hats in self._nodes(i, j):
-                part = fft.rfft2(windows * hats, s=self.padded)
-                # One by one: to gather the transfer functions would take as long as to multiply with them.
-                for node, light, total in zip(nodes, part, spectrum, strict=True):
-                    light *= self.transfers[node]
-                    total += light
+            # Rows first: both nodes of a column share them, and none is transformed that only pads.
+            for b in (0, 1):
+                lines = fft.rfft(windows * self.cols.hats[j, b, None, :], n=self.padded[1])
+                for a in (0, 1):
+                    part = fft.fft(lines * self.rows.hats[i, a, :, None], n=self.padded[0], axis=1)
+                    # One by one: to gather transfer functions would take as long as to multiply with them.
+                    for node, light, total in zip(self._nodes(i, j, a, b), part, spectrum, strict=True):
+                        light *= self.transfers[node]
+                        total += light
             return fft.irfft2(spectrum, s=self.padded, overwrite_x=True)
 
         # Added up one after the other: the sum must not depend on which is ready first.
@@ -168,12 +170,16 @@ class FieldBlur:
             )
             spectrum = fft.rfft2(windows, s=self.padded)
             found = np.zeros((len(i), height, width))
-            for nodes, hats in self._nodes(i, j):
-                product = np.empty_like(spectrum)
-                for node, light, target in zip(nodes, spectrum, product, strict=True):
-                    np.multiply(light, self.transfers[node].conj(), out=target)
-                part = fft.irfft2(product, s=self.padded, overwrite_x=True)
-                found += part[:, :height, :width] * hats
+            for b in (0, 1):
+                lines = np.zeros((len(i), height, spectrum.shape[2]), np.complex128)
+                for a in (0, 1):
+                    product = np.empty_like(spectrum)
+                    for node, light, target in zip(self._nodes(i, j, a, b), spectrum, product, strict=True):
+                        np.multiply(light, self.transfers[node].conj(), out=target)
+                    part = fft.ifft(product, axis=1, overwrite_x=True)[:, :height]
+                    lines += part * self.rows.hats[i, a, :, None]
+                part = fft.irfft(lines, n=self.padded[1], overwrite_x=True)
+                found += part[:, :, :width] * self.cols.hats[j, b, None, :]
             return found
 
         found = side_by_side(partial(gather, i, j) for i, j in self._batches())
@@ -192,12 +198,10 @@ class FieldBlur:
         step = max(1, _BATCH_CELLS // (self.padded[0] * self.padded[1]))
         return [(i[k : k + step], j[k : k + step]) for k in range(0, len(i), step)]
 
-    def _nodes(self, i: Ints, j: Ints) -> Iterator[tuple[list[tuple[int, int]], Doubles]]:
-        """Find the four nodes around each cell, and their hats there."""
-        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            hats = self.rows.hats[i, a, :, None] * self.cols.hats[j, b, None, :]
-            rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
-            yield list(zip(rows, cols, strict=True)), hats
+    def _nodes(self, i: Ints, j: Ints, a: int, b: int) -> list[tuple[int, int]]:
+        """One of the four nodes around each cell: the upper or lower, left or right."""
+        rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
+        return list(zip(rows, cols, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
