@@ -6,7 +6,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from optsim.forward.aberrations import Wavefront, field_psf
 from optsim.forward.field_blur import FieldBlur, FieldPsf, hats, make_field_blur, uniform
-from optsim.forward.moving_blur import ModesError, blur_moving
+from optsim.forward.moving_blur import blur_moving
 from optsim.forward.psf import Blur, extend, psf_kernel
 from optsim.optics import Objective, Relay, form_image
 from optsim.quantities import Block, RadianceVideo, Segment
@@ -46,7 +46,7 @@ def test_every_point_spreads_with_its_own_psf_and_the_adjoint_is_exact():
 
 @pytest.mark.parametrize("field_error", [0.005, 0.03, 1.0])
 @pytest.mark.parametrize("place", [(0, 0), (35, 61), (70, 110)])
-def test_moving_light_gets_the_psf_of_each_point_up_to_the_stated_error(place, field_error):
+def test_moving_light_gets_the_psf_of_each_point(place, field_error):
     """Every point of the field: what it collects of a block, and what its own PSF would; cut at no seam."""
     found, field = psf(field_error=field_error, sides=(120, 150)), (120, 150)
     middle, factor = found.middle(0), np.linspace(0.5, 1, 120 * 150, dtype=np.float32).reshape(field)
@@ -63,22 +63,13 @@ def test_moving_light_gets_the_psf_of_each_point_up_to_the_stated_error(place, f
         exact = np.einsum("tyxkl,yxkl->tyx", windows, own, optimize=True) * factor
     else:
         exact = np.einsum("tyxkl,kl->tyx", windows, middle.kernel, optimize=True) * factor
-    for error, least in ((ModesError(1e-7, 10.0), 0.0), (ModesError(0.02, 10.0), 2e-4)):
-        block = blur_moving((Block(*place, excess),), middle, factor, error)[0]
-        _, height, width = block.excess.shape
-        ours = np.zeros((3, *field))
-        ours[:, block.row : block.row + height, block.col : block.col + width] = block.excess
-        worst = np.abs(ours - exact).max()
-        # Half of what is misplaced is missing where it belongs; the block's light is between -5 and 5.
-        assert (least if field_error < 0.02 else 0.0) <= worst < 10 * error.share + 1e-5
-        assert not block.excess[1].any()
-
-
-def test_modes_of_brighter_light_are_as_exact_as_much_more():
-    error = ModesError(1e-3, 4.0)
-    assert [error.of(brightest) for brightest in (0.0, 4.0, 4.1, 8.0, 1000.0)] == [
-        1e-3, 1e-3, 5e-4, 5e-4, pytest.approx(1e-3 / 256),
-    ]  # fmt: skip
+    block = blur_moving((Block(*place, excess),), middle, factor)[0]
+    _, height, width = block.excess.shape
+    ours = np.zeros((3, *field))
+    ours[:, block.row : block.row + height, block.col : block.col + width] = block.excess
+    # The block's light is between -5 and 5, in float32.
+    np.testing.assert_allclose(ours, exact, atol=5e-6)
+    assert not block.excess[1].any()
 
 
 def test_psfs_are_positive_and_keep_the_energy_at_and_between_the_nodes():

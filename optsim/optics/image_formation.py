@@ -12,18 +12,12 @@ from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
 from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.forward.integrate import cell_means
-from optsim.forward.moving_blur import ModesError, blur_moving
+from optsim.forward.moving_blur import blur_moving
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.wings import Ring, far_light, make_wings, moving_ends
 from optsim.optics.objective import CORE_SHARE, Objective
 from optsim.quantities import Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
-
-# Moving light of more than this times the declared white counts as bright.
-BRIGHT = 4.0
-# What leaves takes its light from a base that was blurred without modes: what these misplace is left behind,
-# as light or as less than none. So they get a tenth of the error that the base is allowed.
-MODES_SHARE = 0.1
 
 
 def form_image(
@@ -62,7 +56,6 @@ def form_image(
     f_number = objective.working_f_number
     psf = objective.psf(f_number, cell_m, shape, 0.0, wavelength_m)
     blurs = _blurs(psf, objective.half_width(f_number, cell_m, CORE_SHARE, wavelength_m), pitch, shape)
-    modes_error = ModesError(MODES_SHARE * objective.field_error, BRIGHT * radiance.white_w_m2_sr)
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
     seen_keys: list[tuple[Floats, Doubles]] = []
@@ -100,7 +93,7 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blocks = blur_moving(segment.blocks, blurs.core, near, modes_error)
+        blocks = blur_moving(segment.blocks, blurs.core, near)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(
