@@ -136,6 +136,21 @@ def test_the_outer_ring_of_the_wings_is_coarser_but_no_less_light_nor_elsewhere(
         np.testing.assert_allclose(found[outer], means[outer], rtol=0.11)
 
 
+def test_a_flat_that_moves_has_flat_wings_to_the_edge_of_any_panel():
+    """A panel of 101 x 135 pixels, no whole number of coarse cells: the light goes on beyond its edge."""
+    kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
+    wings = kernel.sum() - uniform(kernel).middle(17).kernel.sum()
+    far = far_light(np.ones((2, 303, 405)), make_wings(kernel, 17, 3, (303, 405)), 3)
+    np.testing.assert_allclose(far, wings, rtol=1e-9)
+
+
+def test_wings_of_blocks_that_overlap_add_up():
+    one = np.ones((2, 6, 6), np.float32)
+    segment = Segment(*np.zeros((2, 12, 12), np.float32), (Block(0, 0, one), Block(3, 3, 2 * one)), 2)
+    ends = moving_ends(segment)
+    np.testing.assert_allclose(ends[:, [1, 4, 8], [1, 4, 8]], [[1, 3, 2], [1, 3, 2]])
+
+
 def total_of(ring: Ring) -> float:
     """Sum of a ring's kernel: what a flat sees of itself."""
     return float(ring.light(np.ones((1, 8, 8))).mean())

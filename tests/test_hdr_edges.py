@@ -1,5 +1,7 @@
 """HDR merging beside edges, saturation and stray light: wrong guesses of others' light blacken pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ideal_camera import film, ideal_calibration, still_light
@@ -106,6 +108,62 @@ def test_a_pixel_that_saturates_in_long_exposures_is_not_called_dark_by_a_short_
     found = merged(frames, ideal_calibration(ROWS, COLS, crosstalk=KERNEL)).irradiance_w_m2[0]
     # Its saturated samples say that there is a third of it at least; the short one alone says a thousandth.
     assert (found / image)[2:-2, 4:-4].min() > 0.3
+
+
+def spread_over_nine(own):
+    """A kernel that leaves a pixel a share of its light."""
+    corner, side = 0.075 * (1 - own), 0.175 * (1 - own)
+    return np.array([[corner, side, corner], [side, own, side], [corner, side, corner]], np.float32)
+
+
+@pytest.mark.parametrize("own", [1.0, 0.9, 0.8])
+def test_a_window_that_neighbours_saturate_is_as_bright_as_its_short_exposures_say(own):
+    """Open for a slot beside one open for 36, a pixel gathers several times what it lets through."""
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=spread_over_nine(own))
+    # Of 60 W m^-2 slots that saturate it.
+    for light in {1.0: (20.0, 50.0), 0.9: (8.0, 16.0, 18.0), 0.8: (6.0, 9.0)}[own]:
+        image = np.full((ROWS, COLS), 0.2, np.float32)
+        image[6:18, 8:24] = light
+        frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
+        inside = merged(frames, calibration).irradiance_w_m2[0][8:16, 10:22]
+        assert np.median(inside) == pytest.approx(light, rel=0.02)
+
+
+@pytest.mark.parametrize("own", [0.8, 0.65])
+def test_a_dead_pixel_darkens_no_neighbour(own):
+    """It is taken to look like the nearest live one, of which only its own light counts."""
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=spread_over_nine(own))
+    alive = np.ones((ROWS, COLS), np.bool_)
+    alive[8, 8] = alive[15, 15] = alive[20, 21] = False
+    calibration = replace(calibration, valid=alive)
+    frames = film(calibration, HdrMosaic(), [still_light(np.full((ROWS, COLS), 0.2))] * 4, None)
+    frames = [replace(frame, dn=np.where(alive, frame.dn, 0).astype(np.uint16)) for frame in frames]
+    found = merged(frames, calibration).irradiance_w_m2[0]
+    np.testing.assert_allclose(found[alive], 0.2, rtol=0.01)
+
+
+def test_what_saturates_everywhere_is_bright_whatever_is_done_about_crosstalk():
+    calibration = ideal_calibration(8, 9, crosstalk=KERNEL)
+    frames = film(calibration, HdrMosaic(), [still_light(np.full((8, 9), 400.0))] * 4, None)
+    for crosstalk in ("undone", "row_summed"):
+        assert merged(frames, calibration, crosstalk=crosstalk).irradiance_w_m2.min() > 1
+
+
+def test_a_bound_that_a_real_sample_replaced_judges_no_older_frame():
+    """Bright, then dark: saturated samples of the dark frames are bounds, which bright ones would satisfy."""
+    calibration = ideal_calibration(ROWS, COLS)
+    lights = [still_light(np.full((ROWS, COLS), light)) for light in (40.0, 40.0, 2.0, 2.0)]
+    found = merged(film(calibration, HdrMosaic(), lights, None), calibration).irradiance_w_m2[0]
+    assert (np.abs(found / 2.0 - 1) > 0.2).mean() < 0.02
+
+
+def test_light_hidden_by_saturation_is_known_where_another_frame_says():
+    """A window that saturates in long exposures hides nothing from its surroundings: short ones know it."""
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=spread_over_nine(0.8))
+    image = np.full((ROWS, COLS), 0.2, np.float32)
+    image[6:18, 8:24] = 3.0
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
+    assert merged(frames, calibration).valid.mean() > 0.99
 
 
 def test_what_a_light_was_at_least_is_forgotten_when_it_gets_darker():

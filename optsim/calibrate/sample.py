@@ -59,7 +59,11 @@ class Sample:
 
     @property
     def least(self) -> Floats:
-        """Irradiance that a saturated pixel has at least, 0 for the others, W m^-2, (v, u)."""
+        """Irradiance of a saturated pixel if it had gathered through its own code alone, W m^-2, (v, u).
+
+        0 for the others. More than there is where the neighbours' longer exposures brought light; less than
+        there is where the pixel saturated by far: all that is known of one that saturates in every frame.
+        """
         bound = self.measured / np.maximum(self.exposure, np.float32(1e-6))
         return np.where(self.saturated & self.valid, bound, 0).astype(np.float32)
 
@@ -73,7 +77,7 @@ class Brightness:
     irradiance : ndarray of shape (v, u), float32
         W m^-2; NaN where no frame says.
     least : ndarray of shape (v, u), float32
-        What saturated samples say that it is at least, W m^-2.
+        What saturated samples say (:attr:`Sample.least`), W m^-2.
     """
 
     irradiance: Floats
@@ -212,7 +216,8 @@ def sampled(
 def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:
     """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
 
-    Saturated pixels give what other frames say they did, but no less than any says they gave at least.
+    Saturated pixels give what other frames say they did, but no less than if all around were as bright: by
+    their neighbours' exposures they may have gathered several times the light that their own let through.
     Pixels that are not valid are taken to look like the nearest valid one.
 
     Parameters
@@ -229,10 +234,12 @@ def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) ->
     known = np.isfinite(elsewhere.irradiance)
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
-    if not sample.valid.all() and sample.valid.any():
-        pins = (pins / np.maximum(sample.exposure, 1e-6))[nearest(sample.valid)] * sample.exposure
-    told = np.fmax(elsewhere.irradiance, elsewhere.least)
-    pins = np.maximum(pins, told * sample.exposure)
+    if pinned.any():
+        even = sample.measured / np.maximum(calibration.mix(sample.exposure), np.float32(1e-6))
+        if not sample.valid.all() and sample.valid.any():
+            even = even[nearest(sample.valid)]
+        told = np.fmax(elsewhere.irradiance, elsewhere.least)
+        pins = np.fmax(even, told) * sample.exposure
     rate = max(float(((1 - share) / share).max()), calibration.veil + calibration.ghost)
     rate = min(rate, _SLOWEST)
     steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))

@@ -138,7 +138,7 @@ def _merged(
     for done in range(_MOST_PASSES):
         if crosstalk == "undone":
             # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
-            known = Brightness(np.where(found, mean, np.float32(np.nan)), least)
+            known = Brightness(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
             samples = [separate(calibration, s, known) for s in samples]
         tops: list[Floats] = []
         bottoms: list[Floats] = []
@@ -203,6 +203,7 @@ def _least(samples: Sequence[Sample], alive: Sequence[Bools]) -> Floats:
 
 def _filled(mean: Floats, found: Bools, least: Floats) -> Floats:
     """Nearest neighbour where nothing was found, but no less than there is at least."""
-    if found.all() or not found.any():
+    if found.all():
         return mean
-    return np.where(found, mean, np.maximum(mean[nearest(found)], least)).astype(np.float32)
+    guess = mean[nearest(found)] if found.any() else mean
+    return np.where(found, mean, np.maximum(guess, least)).astype(np.float32)
