@@ -76,7 +76,8 @@ class MotionAdaptive(Part):
         Codes for pixels that stand still and for those that move.
     threshold_sigma : float
         Change that counts as motion, in predicted standard deviations. The paper thresholds without giving
-        a value; 4 is a sensible default: 1 pixel in 16 000 by noise alone.
+        a value; 4 is a sensible default: by noise alone 1 pixel in 16 000,
+        up to three in the dark, where squares of pixels count too.
     least_change : float
         Where single pixels are too noisy, what counts is a change of the mean over 3 x 3 or 5 x 5 of them, by
         this share or more: of less, a random code, with its fewer photons, would lose more than it shows. 0.2
