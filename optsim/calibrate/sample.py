@@ -33,6 +33,8 @@ class Sample:
         Weights that belong to ``signal``.
     exposure : ndarray of shape (v, u), float32
         Their sum over the slots.
+    gathered : ndarray of shape (v, u), float32
+        What ``measured`` would be of 1 W m^-2 everywhere: with crosstalk neighbours' exposures have a share.
     measured : ndarray of shape (v, u), float32
         The signal with crosstalk, W m^-2 slots; a lower bound where saturated.
     signal : ndarray of shape (v, u), float32
@@ -49,6 +51,7 @@ class Sample:
 
     weights: Floats
     exposure: Floats
+    gathered: Floats
     measured: Floats
     signal: Floats
     variance: Floats
@@ -130,9 +133,11 @@ def take(
     seen = calibration.observe(frame)
     weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
     weights, panel = weigh(frame.code, panel)
+    exposure = weights.sum(axis=0, dtype=np.float64).astype(np.float32)
     sample = Sample(
         weights,
-        weights.sum(axis=0, dtype=np.float64).astype(np.float32),
+        exposure,
+        calibration.mix(exposure) if crosstalk == "undone" else exposure,
         seen.signal,
         seen.signal,
         seen.variance,
@@ -235,7 +240,7 @@ def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) ->
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
     if pinned.any():
-        even = sample.measured / np.maximum(calibration.mix(sample.exposure), np.float32(1e-6))
+        even = sample.measured / np.maximum(sample.gathered, np.float32(1e-6))
         if not sample.valid.all() and sample.valid.any():
             even = even[nearest(sample.valid)]
         told = np.fmax(elsewhere.irradiance, elsewhere.least)
