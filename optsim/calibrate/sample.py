@@ -310,6 +310,20 @@ def noise_variance(calibration: Calibration, measured: Floats) -> Floats:
     return variance.astype(np.float32)
 
 
+def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: Floats) -> Floats:
+    """Variance of a separated signal, by noise and attribution, where the irradiance is known.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Holds the kernel.
+    exposure, irradiance : ndarray of shape (v, u), float32
+        As of :func:`attribution_variance`; none negative.
+    """
+    noise = noise_variance(calibration, calibration.mix(irradiance * exposure))
+    return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
+
+
 def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
     """Bounds of a frame's irradiance, with the calibration's own uncertainties as model error."""
     leaked = calibration.response.leak * calibration.coded_slots

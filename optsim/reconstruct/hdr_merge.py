@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,23 +17,24 @@ from optsim.calibrate.sample import (
     Brightness,
     Crosstalk,
     Sample,
-    attribution_variance,
     nearest,
     noise_variance,
+    predicted_variance,
     sample_bounds,
     sampled,
     separate,
-    separated_variance,
 )
 from optsim.forward.motion import Bounds, changed
 from optsim.forward.neighbourhoods import without_specks
 from optsim.quantities import Bools, CodedFrame, Doubles, Floats
+from optsim.reconstruct.joint_merge import solved_together
 from optsim.reconstruct.layer import Branch, Layer, positive_mean
 
-# Saturated neighbours and the dark samples between them are estimated from each other. Half of each change is
-# taken, since some estimates would else jump to and fro, until all pixels but these few have settled.
-_MOST_PASSES = 16
-_SETTLED_SIGMAS, _SETTLED_SHARE = 0.1, 0.99
+# Saturated neighbours and the samples between them are estimated from each other. Where that doesn't settle
+# (to these standard deviations) they are found together, with all to which they bring such a share of light.
+_PASSES = 3
+_SETTLED_SIGMAS = 0.1
+_COUPLED = 0.01
 
 
 class HdrMerge(Branch):
@@ -135,33 +137,18 @@ def _merged(
     found = np.logical_or.reduce(usable)
     certainty = _sum([s.exposure for s in samples], usable)
     mean = _ratio(_sum([s.signal for s in samples], usable), certainty)
-    for done in range(_MOST_PASSES):
-        if crosstalk == "undone":
-            # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
-            known = Brightness(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
-            samples = [separate(calibration, s, known) for s in samples]
-        tops: list[Floats] = []
-        bottoms: list[Floats] = []
-        floor = np.full_like(mean, -np.inf)
-        for sample, ok in zip(samples, alive, strict=True):
-            expected = np.maximum(mean, 0) * sample.exposure
-            if crosstalk == "undone":
-                measured = calibration.mix(expected)
-                variance = separated_variance(calibration, noise_variance(calibration, measured))
-                variance += attribution_variance(calibration, sample.exposure, np.maximum(mean, 0))
-                floor = np.maximum(
-                    floor, np.where(ok, _least_alone(calibration, sample, expected, measured), -np.inf)
-                )
-            else:
-                variance = noise_variance(calibration, expected)
-            tops.append(sample.signal * sample.exposure / variance)
-            bottoms.append(sample.exposure**2 / variance)
-        certainty = _sum(bottoms, usable)
-        change = _ratio(_sum(tops, usable), certainty) - mean
-        mean = np.maximum(mean + (change / 2 if done else change), floor).astype(np.float32)
-        settled = np.abs(change) * np.sqrt(certainty) <= _SETTLED_SIGMAS
-        if settled.mean() >= _SETTLED_SHARE:
-            break
+    change = np.zeros_like(mean)
+    guess = partial(_pass, calibration, usable=usable, found=found, least=least, crosstalk=crosstalk)
+    for _ in range(_PASSES):
+        samples, certainty, change = guess(samples, mean)
+        mean += change
+    if crosstalk == "undone":
+        together = _unsettled(calibration, samples, alive, found, mean, np.abs(change) * np.sqrt(certainty))
+        if together.any():
+            mean = solved_together(calibration, samples, alive, usable, mean, least, together)
+            # What they are changes the stray light of all.
+            _, certainty, change = guess(samples, mean)
+            mean += np.where(together, 0, change)
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
@@ -169,11 +156,54 @@ def _merged(
     return mean, _ratio(np.ones(mean.shape), certainty), found, tainted
 
 
-def _least_alone(calibration: Calibration, sample: Sample, expected: Floats, mixed: Floats) -> Floats:
-    """Take off the others' light: what a saturated pixel has at least by itself, else minus infinity."""
-    own = calibration.own_share
-    alone = (sample.measured - (mixed - own * expected)) / (own * np.maximum(sample.exposure, 1e-6))
-    return np.where(sample.saturated & sample.valid, alone, -np.inf)
+def _pass(
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    mean: Floats,
+    *,
+    usable: Sequence[Bools],
+    found: Bools,
+    least: Floats,
+    crosstalk: Crosstalk,
+) -> tuple[Sequence[Sample], Doubles, Floats]:
+    """Separate the frames by the pooled estimate; its certainty, one over its variance, and its change."""
+    light = np.maximum(mean, 0)
+    if crosstalk == "undone":
+        # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
+        known = Brightness(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
+        samples = [separate(calibration, s, known) for s in samples]
+        variances = [predicted_variance(calibration, s.exposure, light) for s in samples]
+    else:
+        variances = [noise_variance(calibration, light * s.exposure) for s in samples]
+    pairs = list(zip(samples, variances, strict=True))
+    certainty = _sum([s.exposure**2 / variance for s, variance in pairs], usable)
+    top = _sum([s.signal * s.exposure / variance for s, variance in pairs], usable)
+    return samples, certainty, np.where(found, _ratio(top, certainty) - mean, np.float32(0))
+
+
+def _unsettled(
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    alive: Sequence[Bools],
+    found: Bools,
+    mean: Floats,
+    sigmas: Doubles,
+) -> Bools:
+    """Where the estimate still changes by saturated neighbours or contradicts saturation, and around it."""
+    bright = np.zeros(calibration.shape, np.bool_)
+    short = bright.copy()
+    for sample, ok in zip(samples, alive, strict=True):
+        saturated = ok & sample.valid & sample.saturated
+        light = np.where(ok & found, np.maximum(mean, 0) * sample.exposure, sample.signal)
+        short |= found & saturated & (calibration.mix(light) < sample.measured)
+        bright |= saturated
+
+    def around(pixels: Bools) -> Bools:
+        return calibration.spread(pixels[None].astype(np.float32))[0] > _COUPLED
+
+    result = found & around(short | (sigmas > _SETTLED_SIGMAS) & around(bright))
+    # What no frame measured is found from what lies around it.
+    return result | bright & ~found & around(result)
 
 
 def _ratio(top: Doubles, bottom: Doubles) -> Floats:
