@@ -17,8 +17,9 @@ from optsim.quantities import Bools, Doubles, Floats, Ints
 
 # How far from even light a pixel is, one standard deviation (a sensible default, no source).
 _UNEVEN = 0.3
-# The variances depend on the light.
+# The variances depend on the light, and shares that are smaller on average wait for the next round.
 _ROUNDS = 3
+_SMALL = 1e-3
 _MOST_STEPS = 100
 _REMAINDER = 1e-4
 
@@ -130,15 +131,13 @@ def _equations(
     variance = predicted_variance(calibration, sample.exposure, np.maximum(irradiance, 0))
     certainty = 1 / (calibration.own_share * np.sqrt(variance))[rows]
     v, u = np.nonzero(rows)
-    reach = calibration.crosstalk.shape[2] // 2
-    dv, du = (offset.ravel() for offset in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    strong = calibration.crosstalk.mean(axis=(0, 1)) > _SMALL
+    dv, du = np.nonzero(strong) - np.array(strong.shape)[:, None] // 2
     beside = (
         np.clip(v[:, None] + dv, 0, number.shape[0] - 1),
         np.clip(u[:, None] + du, 0, number.shape[1] - 1),
     )
-    gathered = (
-        calibration.crosstalk[v, u].reshape(len(v), dv.size) * sample.exposure[beside] * certainty[:, None]
-    )
+    gathered = calibration.crosstalk[v, u][:, strong] * sample.exposure[beside] * certainty[:, None]
     column = number[beside]
     counts = (column >= 0) & alive[beside]
     row = np.broadcast_to(np.arange(len(v))[:, None], column.shape)
