@@ -25,6 +25,7 @@ SOURCE = (
 TOLERANCE = 5e-3
 FILES = (
     "optsim/reconstruct/hdr_merge.py",
+    "optsim/reconstruct/joint_merge.py",
     "optsim/reconstruct/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",

@@ -46,6 +46,7 @@ SOURCE = (
 TOLERANCE = 1.0
 FILES = (
     "optsim/reconstruct/hdr_merge.py",
+    "optsim/reconstruct/joint_merge.py",
     "optsim/reconstruct/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",
