@@ -6,9 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from optsim.calibrate import Calibration
+from optsim.calibrate import Calibration, Glare
+from optsim.calibrate.glare import ring_strengths
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
-from optsim.forward.crosstalk import REACH, crosstalk_kernels, true_dots
+from optsim.forward.crosstalk import REACH, crosstalk_kernels, seen_at_picks, true_dots
 from optsim.forward.fringing import border_shares
 from optsim.forward.panel import PanelResponse
 from optsim.quantities import Bools, Doubles, Floats, Ints
@@ -25,6 +26,9 @@ def true_calibration(camera: CodedCamera) -> Calibration:
     operator = camera.relay_operator()
     image = operator.apply(shading * gain * camera.slot_s)
     borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)
+    middle = (camera.panel_rows // 2, camera.panel_cols // 2)
+    lit = np.zeros((camera.panel_rows, camera.panel_cols))
+    lit[middle] = 1
     return _known(
         "true",
         camera,
@@ -39,10 +43,13 @@ def true_calibration(camera: CodedCamera) -> Calibration:
             on_ccd,
             reach,
         ),
-        # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
-        veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
-        ghost=camera.relay.ghost_share,
-        ghost_blur_px=camera.relay.ghost_blur_px,
+        glare=Glare(
+            # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+            veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
+            ghost=camera.relay.ghost_share,
+            ghost_blur_px=camera.relay.ghost_blur_px,
+            wings=ring_strengths(seen_at_picks(lit, operator, borders, row, col), *middle),
+        ),
     )
 
 
@@ -63,9 +70,7 @@ def ideal_calibration(camera: CodedCamera) -> Calibration:
         offset_e=np.zeros(shape),
         full_well_e=camera.sensor.full_well_e,
         crosstalk=np.ones((*shape, 1, 1), np.float32),
-        veil=0.0,
-        ghost=0.0,
-        ghost_blur_px=camera.relay.ghost_blur_px,
+        glare=Glare(),
     )
 
 
@@ -79,9 +84,7 @@ def _known(
     offset_e: Doubles,
     full_well_e: float,
     crosstalk: Floats,
-    veil: float,
-    ghost: float,
-    ghost_blur_px: float,
+    glare: Glare,
 ) -> Calibration:
     """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
     sensor = camera.sensor
@@ -108,7 +111,5 @@ def _known(
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,
         map_residual_px=0.0,
-        veil=veil,
-        ghost=ghost,
-        ghost_blur_px=ghost_blur_px,
+        glare=glare,
     )

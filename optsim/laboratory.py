@@ -39,7 +39,7 @@ _FLAT_SHARES = (0.15, 0.3, 0.45)
 _FLASH_SHARE = 0.45
 _SATURATED_SHARE = 4.0
 _OFF_BOOST = 10.0
-_DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _SATURATED_FRAMES = 16, 8, 4, 2, 4
+_DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _GLARE_FRAMES, _SATURATED_FRAMES = 16, 8, 4, 2, 8, 4
 _GREYS = (96, 160, 208)
 _DOT_SPACING = 10
 _FLASHES_PER_SLOT = 10
@@ -92,7 +92,10 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
             for u in shifts
         ),
         # On a small panel no place is far enough from a patch to tell its veil from its blur.
-        glare=tuple(lab.patches((v,), (u,), half, brightest) for v, u in ((0, 0), (rows - half, cols - half)))
+        glare=tuple(
+            lab.patches((v,), (u,), half, brightest, _GLARE_FRAMES)
+            for v, u in ((0, 0), (rows - half, cols - half))
+        )
         if half >= _LEAST_GLARE_PX
         else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
@@ -139,13 +142,20 @@ class _Laboratory:
         levels = np.full(self.panel, level, np.uint8)
         return Flat(level, irradiance_w_m2, self._held(levels, irradiance_w_m2, n_frames))
 
-    def patches(self, rows: Sequence[int], cols: Sequence[int], size: int, irradiance_w_m2: float) -> Patches:
+    def patches(
+        self,
+        rows: Sequence[int],
+        cols: Sequence[int],
+        size: int,
+        irradiance_w_m2: float,
+        n_frames: int = _DOT_FRAMES,
+    ) -> Patches:
         """Sphere on, bright patches held on black."""
         levels = np.zeros(self.panel, np.uint8)
         for row in range(size):
             for col in range(size):
                 levels[np.ix_(np.add(rows, row), np.add(cols, col))] = 255
-        dn = self._held(levels, irradiance_w_m2, _DOT_FRAMES)
+        dn = self._held(levels, irradiance_w_m2, n_frames)
         return Patches(tuple(rows), tuple(cols), size, irradiance_w_m2, dn)
 
     def _held(self, levels: Bytes, irradiance_w_m2: float, n_frames: int) -> Words:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_bench import Camera
 
-from optsim.calibrate import Bench, Calibration, calibrate_from
+from optsim.calibrate import Bench, Calibration, Glare, calibrate_from
 from optsim.calibrate.pixel_map import map_pixels
 from optsim.errors import BenchError
 from optsim.quantities import CodedFrame, ExposureCode
@@ -310,7 +310,7 @@ def test_veil_is_found(true_veil: float) -> None:
     the tenth allows for the veil's own share in the responsivity, which is neglected.
     """
     camera = Camera(veil=true_veil)
-    found = calibrate_from(camera.bench()).veil
+    found = calibrate_from(camera.bench()).glare.veil
     # The camera spreads a share of the CCD's mean, a calibration counts in means over the panel.
     covered = camera.panel[0] * camera.panel[1] * (camera.ratio * camera.magnification) ** 2
     expected = true_veil * covered / (camera.ccd[0] * camera.ccd[1])
@@ -318,7 +318,7 @@ def test_veil_is_found(true_veil: float) -> None:
 
 
 def test_mixing_keeps_uniform_light_and_spreads_a_bright_corner(calibration: Calibration) -> None:
-    veiled = replace(calibration, veil=0.01)
+    veiled = replace(calibration, glare=Glare(veil=0.01))
     uniform = np.full(veiled.shape, 2.0, np.float32)
     np.testing.assert_allclose(
         np.mean(veiled.mix(uniform) * veiled.responsivity_dn),

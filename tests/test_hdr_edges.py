@@ -7,6 +7,7 @@ import pytest
 from ideal_camera import film, ideal_calibration, still_light
 from scipy import stats
 
+from optsim.calibrate import Glare
 from optsim.calibrate.sample import Brightness, attribution_variance, separate, take
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
@@ -181,7 +182,7 @@ def test_what_a_light_was_at_least_is_forgotten_when_it_gets_darker():
 
 def test_stray_light_of_what_saturates_is_taken_out():
     """A long exposure of the sun says little of its light; the shortest one says most."""
-    veiled = ideal_calibration(ROWS, COLS, veil=0.02)
+    veiled = ideal_calibration(ROWS, COLS, glare=Glare(veil=0.02))
     image = np.full((ROWS, COLS), 0.02, np.float32)
     image[4:12, 4:12] = 50.0  # just below saturation in one slot
     frames = film(ideal_calibration(ROWS, COLS), HdrMosaic(), [still_light(image)] * 8, None)

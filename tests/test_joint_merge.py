@@ -5,6 +5,7 @@ import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 from scipy import ndimage, sparse
 
+from optsim.calibrate import Glare
 from optsim.calibrate.sample import noise_variance, predicted_variance, take
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
@@ -29,12 +30,15 @@ def mixing(calibration):
     )
 
 
-@pytest.mark.parametrize("stray", [{}, {"veil": 0.02, "ghost": 0.01, "ghost_blur_px": 2.0}])
-def test_it_is_the_maximum_of_the_posterior(stray):
+GLARE = Glare(veil=0.02, ghost=0.01, ghost_blur_px=2.0, wings=(0.02, 0.02, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("glare", [Glare(), GLARE])
+def test_it_is_the_maximum_of_the_posterior(glare):
     """Against dense normal equations, at one corner, inside and out, and with another frame's light there."""
     uneven = KERNEL.copy()
     uneven[0], uneven[2] = 2 * uneven[0], 0
-    calibration = ideal_calibration(8, 9, crosstalk=uneven, **stray)
+    calibration = ideal_calibration(8, 9, crosstalk=uneven, glare=glare)
     rng = np.random.default_rng(1)
     image = rng.uniform(0.2, 0.6, (8, 9)).astype(np.float32)
     # Dark pixels are the last to be found.
@@ -104,7 +108,7 @@ def window(texture):
 
 def test_what_its_neighbours_saturate_comes_out_with_its_texture():
     """Found one after the other, each through pixels that it saturates, they go astray by a stop or more."""
-    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL, veil=0.01)
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL, glare=Glare(veil=0.01))
     row, col = np.mgrid[:12, :16]
     image, inside = window(7.5 * (1 + 0.3 * np.sin(col / 3) * np.cos(row / 4)))
     *_, layer = HdrMerge().decode(film_with_veil(calibration, image), calibration)

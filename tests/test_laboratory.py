@@ -229,21 +229,34 @@ def test_the_same_seed_gives_the_same_bench(camera: CodedCamera, bench: Bench) -
     np.testing.assert_array_equal(again.flats[1].dn, bench.flats[1].dn)
 
 
-def test_a_ghost_is_told_from_the_veil() -> None:
+def test_glare_is_told_apart() -> None:
+    """Wings, ghost and veil, from benches with shot and read noise.
+
+    Over six seeds the shares came out from 4 % too low to 4 % too high, the blur 3 to 7 % too narrow, what
+    lands in the corner opposite 1 to 7 % too bright, and sums over the wings within 5 %.
+    """
     full = demo()
     relay = full.relay.model_copy(update={"ghost_share": 0.004, "ghost_blur_px": 15.0, "glare_share": 0.003})
     camera = full.model_copy(update={"relay": relay})
     found = calibrate_from(measure_bench(camera, np.random.default_rng(8)))
     true = true_calibration(camera)
-    # Some 8 % too low: candidates of the blur lie 14 % apart, and the next narrower one fits the dark best.
-    assert found.ghost == pytest.approx(0.004 * 0.92, rel=0.03)
-    assert found.ghost_blur_px == pytest.approx(15, rel=0.15)
-    # Diffraction's wings 16 pixels away, and what of so wide a ghost looks like a veil, count as veil.
-    assert found.veil == pytest.approx(true.veil, abs=8e-4)
+    # The mean over an Airy pattern's rings, in panel pixels imaged onto the CCD.
+    pitch_m = relay.magnification * camera.modulator.pitch_m
+    airy = camera.wavelength_m * relay.f_number / (np.pi**3 * pitch_m)
+    np.testing.assert_allclose(true.glare.wings[:3], airy, rtol=0.08)  # aberrations add some
+    assert found.glare.ghost == pytest.approx(0.004, rel=0.07)
+    assert found.glare.ghost_blur_px == pytest.approx(15, rel=0.12)
+    assert found.glare.veil == pytest.approx(true.glare.veil, rel=0.07)
     # What a dark corner sees of a bright one opposite, through the mixing that decoders undo.
     light = np.zeros(found.shape, np.float32)
     light[:20, :20] = 1
     ours, theirs = (c.mix(light)[-20:-5, -20:-5] for c in (found, true))
-    np.testing.assert_allclose(ours.mean(), theirs.mean(), rtol=0.12)  # a tenth by that veil
-    blind = replace(found, ghost=0.0)
-    assert blind.mix(light)[-20:-5, -20:-5].mean() < 0.5 * theirs.mean()
+    np.testing.assert_allclose(ours.mean(), theirs.mean(), rtol=0.12)
+    # Beside the bright corner, beyond the kernel.
+    ours, theirs = (c.mix(light)[:20, 23:50].mean(axis=0) for c in (found, true))
+    np.testing.assert_allclose(ours, theirs, rtol=0.15)
+    np.testing.assert_allclose(ours.sum(), theirs.sum(), rtol=0.07)
+    blind = replace(found, glare=replace(found.glare, wings=(0.0,) * len(found.glare.wings)))
+    assert blind.mix(light)[:20, 23:50].mean(axis=0).sum() < 0.5 * theirs.sum()
+    blind = replace(found, glare=replace(found.glare, ghost=0.0))
+    assert blind.mix(light)[-20:-5, -20:-5].mean() < 0.5 * true.mix(light)[-20:-5, -20:-5].mean()

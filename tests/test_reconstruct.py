@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from ideal_camera import BLACK_DN, KERNEL, SLOTS, film, ideal_calibration, still_light
 from pydantic import TypeAdapter
 
+from optsim.calibrate import Glare
 from optsim.calibrate.sample import Brightness, noise_variance, separate, separated_variance, take
 from optsim.coding import (
     CodedRollingShutter,
@@ -241,14 +242,15 @@ def test_separated_variance_is_the_variance_found():
         assert ratio == pytest.approx(1, abs=0.11)
 
 
+@pytest.mark.parametrize("glare", [Glare(), Glare(0.1, 0.05, 5.0, (0.02, 0.01, 0.0, 0.0))], ids=["", "glare"])
 @pytest.mark.parametrize("share", [0.9, 0.55, 0.501, 0.5, 0.45, 0.36])
-def test_neighbours_light_is_taken_out_while_a_third_is_a_pixels_own(share):
+def test_neighbours_light_is_taken_out_while_a_third_is_a_pixels_own(share, glare):
     """Where half is not its own, the plain iteration swings up: even light, bright and dark, mixed shares."""
     beside, across = 0.175 * (1 - share), 0.075 * (1 - share)
     kernel = np.array([[across, beside, across], [beside, share, beside], [across, beside, across]])
     kernels = np.broadcast_to(kernel.astype(np.float32), (24, 30, 3, 3)).copy()
     kernels[:, 15:] = np.array([[0, 0.02, 0], [0.02, 0.92, 0.02], [0, 0.02, 0]])
-    calibration = replace(ideal_calibration(24, 30), crosstalk=kernels)
+    calibration = replace(ideal_calibration(24, 30), crosstalk=kernels, glare=glare)
     frame = film(calibration, HdrMosaic(), [still_light(np.ones((24, 30)))], None)[0]
     sample, _ = take(calibration, frame, calibration.panel_at_rest(), "row_summed")
     signal = np.random.default_rng(1).lognormal(0, 1, (24, 30)).astype(np.float32)

@@ -3,5 +3,6 @@
 from optsim.calibrate.bench import Bench, Flat, Patches, Step
 from optsim.calibrate.calibration import Calibration, Observation
 from optsim.calibrate.estimate import calibrate_from
+from optsim.calibrate.glare import Glare
 
-__all__ = ["Bench", "Calibration", "Flat", "Observation", "Patches", "Step", "calibrate_from"]
+__all__ = ["Bench", "Calibration", "Flat", "Glare", "Observation", "Patches", "Step", "calibrate_from"]

@@ -9,12 +9,12 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from optsim.calibrate.glare import NO_GLARE, Glare
 from optsim.errors import ValueCheckError
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import compiled
-from optsim.forward.ghost import mirrored
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
-from optsim.quantities import Bools, CodedFrame, Doubles, ExposureCode, Floats, Ints, PanelState, checked
+from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
 
 # For smaller images starting threads takes longer than to gather.
 _FEW_PIXELS = 100_000
@@ -49,7 +49,7 @@ class Calibration:
 
     With ``light = sum over slots of weight x irradiance``, a frame measures :meth:`mix` of it: the
     weights are those of each panel pixel alone, the crosstalk kernel says how much of its neighbours'
-    light the picked CCD pixel sees, veil and ghost how much of everybody's and of that opposite.
+    light the picked CCD pixel sees, glare how much of that from farther away.
     Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
 
     Parameters
@@ -83,11 +83,8 @@ class Calibration:
         Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
     map_residual_px : float
         Rms distance between the fitted map and the measured dots, panel pixels.
-    veil : float
-        Share of the light that the relay's veiling glare spreads evenly over the CCD.
-    ghost, ghost_blur_px : float
-        Share of the light that comes back mirrored through the middle of the panel, and the standard
-        deviation of its blur, panel pixels.
+    glare : Glare
+        Shares of the light that land beyond the kernel: the PSF's wings, a ghost, a veil.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -107,9 +104,7 @@ class Calibration:
     gain_uncertainty: float
     leak_uncertainty: float
     map_residual_px: float
-    veil: float = 0.0
-    ghost: float = 0.0
-    ghost_blur_px: float = 20.0
+    glare: Glare = NO_GLARE
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (
@@ -127,11 +122,6 @@ class Calibration:
                 )
         if float(self.responsivity_dn.min()) <= 0:
             raise ValueCheckError("calibration.responsivity_dn: got a value <= 0, expected > 0 everywhere")
-        if not (0 <= self.veil < 1 and 0 <= self.ghost < 1):
-            raise ValueCheckError(
-                f"calibration.veil, ghost: got {self.veil:.3g}, {self.ghost:.3g}, expected shares from 0 to "
-                "below 1"
-            )
         kernel = self.crosstalk
         checked(
             "calibration.crosstalk",
@@ -202,30 +192,31 @@ class Calibration:
         return self.spread(weights), panel
 
     def mix(self, light: Floats) -> Floats:
-        """Mix each pixel's own light as a frame does, by crosstalk, veil and ghost: array (v, u), float32.
+        """Mix each pixel's own light as a frame does, by crosstalk and glare: array (v, u), float32.
 
         Parameters
         ----------
         light : ndarray of shape (v, u), float32
             Sum over slots of weight x irradiance, W m^-2 slots.
         """
-        mixed = self.spread(light[None])[0]
-        if self.veil == 0 and self.ghost == 0:
-            return mixed
-        return (self._direct_share * mixed + self._stray(light)).astype(np.float32)
+        return self.mix_near(light) + self.mix_far(light)
 
-    def _stray(self, light: Floats) -> Doubles:
-        """Stray light at each pixel, in the unit of the light."""
+    def mix_near(self, light: Floats) -> Floats:
+        """Find the part of :meth:`mix` that the crosstalk kernel brings."""
+        near = self.spread(light[None])[0]
+        return near if self._direct_share is None else self._direct_share * near
+
+    def mix_far(self, light: Floats) -> Floats:
+        """Find the part of :meth:`mix` that glare brings: a few percent of bright light, smooth."""
         arrived = light * self.responsivity_dn
-        stray = np.full(self.shape, self.veil * np.mean(arrived, dtype=np.float64))
-        if self.ghost > 0:
-            stray += self.ghost * mirrored(arrived, self.ghost_blur_px)
-        return stray / self.responsivity_dn
+        return (self.glare.light(arrived, self.reach) / self.responsivity_dn).astype(np.float32)
 
     @cached_property
-    def _direct_share(self) -> Doubles:
-        """What of a flat is not stray light: the responsivity holds both."""
-        return 1 - self._stray(np.ones(self.shape, np.float32))
+    def _direct_share(self) -> Floats | None:
+        """What of a flat is no glare: the responsivity holds both. None without glare."""
+        if self.glare.share(self.reach) == 0:
+            return None
+        return 1 - self.mix_far(np.ones(self.shape, np.float32))
 
     def spread(self, stack: Floats) -> Floats:
         """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
@@ -238,8 +229,12 @@ class Calibration:
     @property
     def own_share(self) -> Floats:
         """What each pixel keeps of its own light: the centres of the kernels, array (v, u)."""
-        centre = self.crosstalk.shape[2] // 2
-        return self.crosstalk[:, :, centre, centre]
+        return self.crosstalk[:, :, self.reach, self.reach]
+
+    @property
+    def reach(self) -> int:
+        """Farthest neighbours in the kernels, panel pixels."""
+        return self.crosstalk.shape[2] // 2
 
     @cached_property
     def _planes(self) -> Floats:

@@ -6,9 +6,10 @@ import numpy as np
 
 from optsim.calibrate.bench import Bench
 from optsim.calibrate.calibration import Calibration
+from optsim.calibrate.light_spread import crosstalk, measured_glare
 from optsim.calibrate.pixel_map import map_pixels
 from optsim.calibrate.sensor_noise import photon_transfer, saturation_threshold
-from optsim.calibrate.shading import Picker, crosstalk, drive_exponent, shading, stray_light
+from optsim.calibrate.shading import Picker, drive_exponent, shading
 from optsim.calibrate.step_response import field_drive, response_times
 from optsim.errors import BenchError
 from optsim.forward.panel import PanelResponse
@@ -70,7 +71,7 @@ def calibrate_from(bench: Bench) -> Calibration:
             response = response.model_copy(update={"drive_exponent": exponent})
         response = response_times(bench.steps, picker, valid, bench.slot_s, response)
         response = field_drive(bench.fields, picker, valid, bench.slot_s, response)
-    veil, ghost, ghost_blur_px = stray_light(bench.glare, picker, flat)
+    glare = measured_glare(bench.glare, picker, flat)
     return Calibration(
         source="bench",
         slot_s=bench.slot_s,
@@ -85,11 +86,9 @@ def calibrate_from(bench: Bench) -> Calibration:
         saturation_dn=saturation_dn.astype(np.float32),
         read_noise_dn=noise.read_noise_dn,
         dn_per_e=noise.dn_per_e,
-        crosstalk=crosstalk(bench.dots, picker, flat, pixel_map.pick_offsets_px(row, col)),
+        crosstalk=crosstalk(bench.dots, picker, flat, pixel_map.pick_offsets_px(row, col), glare),
         gain_uncertainty=flat.gain_uncertainty,
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,
-        veil=veil,
-        ghost=ghost,
-        ghost_blur_px=ghost_blur_px,
+        glare=glare,
     )

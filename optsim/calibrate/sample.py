@@ -12,7 +12,7 @@ import numpy as np
 from optsim.calibrate.calibration import Calibration
 from optsim.errors import ConfigError
 from optsim.forward.motion import Bounds, bounds
-from optsim.quantities import Bools, CodedFrame, Floats, Ints, PanelState
+from optsim.quantities import Bools, CodedFrame, Doubles, Floats, Ints, PanelState
 
 Crosstalk = Literal["undone", "row_summed"]
 _REMAINDER = 1e-4
@@ -245,20 +245,31 @@ def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) ->
             even = even[nearest(sample.valid)]
         told = np.fmax(elsewhere.irradiance, elsewhere.least)
         pins = np.fmax(even, told) * sample.exposure
-    rate = max(float(((1 - share) / share).max()), calibration.veil + calibration.ghost)
-    rate = min(rate, _SLOWEST)
-    steps = 0 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(rate)))
     # The signal of an earlier call is a good start; at first it is what was measured.
     signal = np.where(pinned, pins, sample.signal)
-    for _ in range(steps):
-        change = (sample.measured - calibration.mix(signal)) / centre
-        change[pinned] = 0
-        signal += change
-        if np.abs(change).max() <= _REMAINDER * np.abs(signal).max():
+    # Glare is little and smooth: it is looked up again when all else has settled.
+    for _ in range(_rounds(calibration.glare.share(calibration.reach))):
+        near, before = sample.measured - calibration.mix_far(signal), signal.copy()
+        for _ in range(_rounds(float(((1 - share) / share).max()))):
+            change = (near - calibration.mix_near(signal)) / centre
+            change[pinned] = 0
+            signal += change
+            if _settled(change, signal):
+                break
+        if _settled(signal - before, signal):
             break
     loud = (sample.saturated & ~known).astype(np.float32)
     tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
     return replace(sample, signal=signal, tainted=tainted)
+
+
+def _rounds(rate: float) -> int:
+    """Count steps until an error that shrinks by ``rate`` in each is negligible; at least one."""
+    return 1 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(min(rate, _SLOWEST))))
+
+
+def _settled(change: Floats | Doubles, signal: Floats) -> bool:
+    return bool(np.abs(change).max() <= _REMAINDER * np.abs(signal).max())
 
 
 def attribution_variance(

@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""What flats and dots say of every panel pixel: responsivity, leak, grey curve and crosstalk.
+"""What flats say of every panel pixel: responsivity, leak and grey curve.
 
 A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response; so one
 map holds it. The leak is one number, the ratio of the light with the panel all off and all on.
@@ -16,8 +16,6 @@ import numpy as np
 from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.errors import BenchError
-from optsim.forward.crosstalk import Dots, crosstalk_kernels
-from optsim.forward.ghost import mirrored
 from optsim.forward.panel import PanelResponse, slot_weights
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
@@ -26,12 +24,6 @@ from optsim.quantities import Bools, Doubles, Floats, Ints
 _DEAD, _STUCK = 0.5, 0.5
 # Grey curves are looked for between these exponents.
 _EXPONENTS = (0.02, 50.0)
-# Farther than this from a bright patch, panel pixels, what is seen of it is stray light and no blur.
-_FAR = 16
-# A ghost is believed if it explains more of what dark places see than so many standard deviations of noise.
-_GHOST_SIGMAS = 10.0
-# Blurs of the ghost that are tried, panel pixels.
-_GHOST_BLURS_PX = tuple(float(px) for px in np.geomspace(4, 100, 25))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,88 +134,6 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
     spread = max(float(np.mean((ratio - leak) ** 2 - noise)), 0.0)
     error = float(np.sqrt(spread + np.mean(noise) / ratio.size))
     return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error))
-
-
-def crosstalk(dots: Sequence[Patches], picker: Picker, flat: Shading, offset_px: Doubles) -> Floats:
-    """Crosstalk kernel of every panel pixel: array of shape (v, u, k, k), float32, each of sum 1.
-
-    Parameters
-    ----------
-    dots : sequence of Patches
-        Lattices of single bright pixels.
-    picker, flat : Picker, Shading
-        What is known by now.
-    offset_px : ndarray of shape (v, u, 2), float64
-        Centre of each picked CCD pixel less that of its panel pixel, panel pixels.
-
-    Raises
-    ------
-    BenchError
-        When no dot lies among valid pixels.
-    """
-    full = np.where(flat.valid, flat.responsivity_dn - flat.off_dn, np.inf)
-    lattices = [
-        Dots(np.array(p.rows), np.array(p.cols), (picker.rate((p,))[0] - flat.off_dn) / full) for p in dots
-    ]
-    try:
-        return crosstalk_kernels(lattices, offset_px, flat.valid)
-    except ValueError as error:
-        raise BenchError(f"bench dots: {error}; take a denser or shifted lattice") from None
-
-
-def stray_light(glare: Sequence[Patches], picker: Picker, flat: Shading) -> tuple[float, float, float]:
-    """Veil, ghost and the ghost's blur, from what dark places see of a distant bright patch.
-
-    Light there exceeds the panel's own leak by veil x (mean light of the pattern) + ghost x (light of the
-    pattern, mirrored through the middle of the panel and blurred); nothing without images.
-
-    Returns
-    -------
-    veil, ghost : float
-        Shares of the light.
-    blur_px : float
-        Standard deviation of the ghost's blur, panel pixels.
-
-    Raises
-    ------
-    BenchError
-        When no valid pixel is far enough from a patch.
-    """
-    if not glare:
-        return 0.0, 0.0, _GHOST_BLURS_PX[0]
-    from scipy.ndimage import binary_dilation
-
-    seen: list[Doubles] = []
-    patterns: list[tuple[Doubles, Bools]] = []
-    for pattern in glare:
-        lit = pattern.levels((flat.valid.shape[0], flat.valid.shape[1])) > 0
-        far = flat.valid & ~np.asarray(binary_dilation(lit, iterations=_FAR), np.bool_)
-        if not far.any():
-            raise BenchError(
-                f"bench glare: no panel pixel is {_FAR} pixels from the patch; use a smaller patch, or leave "
-                "the list empty on a panel too small for it"
-            )
-        rate, _ = picker.rate((pattern,))
-        seen.append((rate - flat.off_dn)[far])
-        patterns.append((np.where(lit, flat.responsivity_dn, flat.off_dn), far))
-    excess, off = np.concatenate(seen), np.concatenate([flat.off_dn[far] for _, far in patterns])
-    evenly = np.concatenate([np.full(int(far.sum()), light.mean()) for light, far in patterns]) - off
-
-    alone = float(excess.sum() / evenly.sum())
-
-    def fit(blur_px: float) -> tuple[float, Doubles]:
-        """Sum of squares that is left, and both shares."""
-        ghost = np.concatenate([mirrored(light, blur_px)[far] for light, far in patterns]) - off
-        terms = np.stack([evenly, ghost], axis=1)
-        shares = np.linalg.lstsq(terms, excess)[0].astype(np.float64)
-        return float(np.sum((excess - terms @ shares) ** 2)), shares
-
-    blur_px = min(_GHOST_BLURS_PX, key=lambda candidate: fit(candidate)[0])
-    left, (share, ghost_share) = fit(blur_px)
-    gained = float(np.sum((excess - alone * evenly) ** 2)) - left
-    if min(share, ghost_share) < 0 or gained < _GHOST_SIGMAS**2 * left / excess.size:
-        return float(np.clip(alone, 0, 0.5)), 0.0, blur_px
-    return min(float(share), 0.5), min(float(ghost_share), 0.5), blur_px
 
 
 def drive_exponent(

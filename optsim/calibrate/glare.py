@@ -1,0 +1,124 @@
+"""Light that lands far from where it belongs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from optsim.errors import ValueCheckError
+from optsim.forward.crosstalk import REACH
+from optsim.forward.ghost import mirrored
+from optsim.forward.psf import Blur, make_blur
+from optsim.quantities import Doubles, Floats
+
+RINGS_PX = (0.0, 7.0, 14.0, 28.0, 56.0)
+"""Borders of the rings in which wings have a strength each, panel pixels from the middle."""
+
+
+@dataclass(frozen=True)
+class Glare:
+    """Shares of the light that leave the crosstalk kernel.
+
+    Parameters
+    ----------
+    veil : float
+        Spread evenly over the CCD: veiling glare (ISO 9358).
+    ghost : float
+        Come back mirrored through the middle of the panel.
+    ghost_blur_px : float
+        Standard deviation of the ghost's blur, panel pixels.
+    wings : tuple of float
+        Strength of the PSF's wings in each ring of :data:`RINGS_PX`: of a pixel's light, a pick r panel
+        pixels away gets strength / r^3. It would be lambda N / (pi^3 pitch) in all rings for the mean over
+        an Airy pattern's rings (Born and Wolf, *Principles of Optics*, 8.5.2).
+
+    Raises
+    ------
+    ValueCheckError
+        When a share is negative or not below 1.
+    """
+
+    veil: float = 0.0
+    ghost: float = 0.0
+    ghost_blur_px: float = 20.0
+    wings: tuple[float, ...] = (0.0,) * (len(RINGS_PX) - 1)
+
+    def __post_init__(self) -> None:
+        shares = (self.veil, self.ghost, *self.wings)
+        if not all(0 <= share < 1 for share in shares) or len(self.wings) != len(RINGS_PX) - 1:
+            raise ValueCheckError(
+                f"glare: got veil {self.veil:.3g}, ghost {self.ghost:.3g} and wings {self.wings}, expected "
+                f"shares from 0 to below 1, and {len(RINGS_PX) - 1} wings"
+            )
+
+    def share(self, reach: int) -> float:
+        """Share of the light of a pixel far from the edges, with wings that begin beyond ``reach``."""
+        return self.veil + self.ghost + float(_kernel(self.wings, reach).sum())
+
+    def light(self, arrived: Floats | Doubles, reach: int) -> Doubles:
+        """Find what each pixel gets of it.
+
+        Parameters
+        ----------
+        arrived : ndarray of shape (v, u)
+            All light where it belongs, in a unit of the CCD such as DN; dark beyond the panel.
+        reach : int
+            Half width of the crosstalk kernel, panel pixels, where wings begin.
+
+        Returns
+        -------
+        ndarray of shape (v, u), float64
+        """
+        stray = np.full(arrived.shape, self.veil * np.mean(arrived, dtype=np.float64))
+        if self.ghost > 0:
+            stray += self.ghost * mirrored(arrived, self.ghost_blur_px)
+        if any(self.wings):
+            stray += wings_blur(self.wings, reach, (arrived.shape[0], arrived.shape[1])).apply(arrived)
+        return stray
+
+
+NO_GLARE = Glare()
+
+
+def ring_strengths(answer: Doubles, row: int, col: int) -> tuple[float, ...]:
+    """Strength of wings in each ring, from what all picks see of one lit pixel beyond its kernel.
+
+    Parameters
+    ----------
+    answer : ndarray of shape (v, u), float64
+        Shares of its light.
+    row, col : int
+        The lit pixel.
+    """
+    dy: Doubles = np.arange(answer.shape[0], dtype=np.float64)[:, None] - row
+    dx: Doubles = np.arange(answer.shape[1], dtype=np.float64) - col
+    distance = np.hypot(dy, dx)
+    beyond = np.maximum(np.abs(dy), np.abs(dx)) > REACH
+    strengths: list[float] = []
+    for inner, outer in pairwise(RINGS_PX):
+        ring = beyond & (distance >= inner) & (distance < outer)
+        falling = float((distance[ring] ** -3).sum())
+        strengths.append(max(float(answer[ring].sum()) / falling, 0.0) if falling else 0.0)
+    return tuple(strengths)
+
+
+@lru_cache(maxsize=16)
+def _kernel(strengths: tuple[float, ...], reach: int) -> Doubles:
+    """Shares of those around it that a pixel sees, as wide as the last ring that has any."""
+    half = max([reach, *(int(outer) for outer, lit in zip(RINGS_PX[1:], strengths, strict=True) if lit)])
+    place: Doubles = np.arange(-half, half + 1, dtype=np.float64)
+    distance = np.hypot(place[:, None], place)
+    strength = np.zeros(distance.shape)
+    for in_ring, (inner, outer) in zip(strengths, pairwise(RINGS_PX), strict=True):
+        strength[(distance >= inner) & (distance < outer)] = in_ring
+    strength[np.maximum(np.abs(place[:, None]), np.abs(place)) <= reach] = 0
+    return strength / np.maximum(distance, 1) ** 3
+
+
+@lru_cache(maxsize=16)
+def wings_blur(strengths: tuple[float, ...], reach: int, shape: tuple[int, int]) -> Blur:
+    """Prepare wings of these strengths, beyond ``reach`` panel pixels, for images of a shape."""
+    return make_blur(_kernel(strengths, reach), shape)
