@@ -382,7 +382,7 @@ class CodedCamera(Part):
     @property
     def dark_e(self) -> float:
         """Dark signal of a frame, electrons."""
-        return self.sensor.dark_current_e_s * self.exposure_s
+        return self.sensor.dark_rate_e_s * self.exposure_s
 
     def photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
         """Electrons that a radiant exposure of the CCD frees on average, (y, x)."""

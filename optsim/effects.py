@@ -89,9 +89,9 @@ ALL: dict[str, Effect] = {
         in_scene=True,
     ),
     "vignetting": Effect(
-        "natural vignetting of the objective",
-        {"objective": {"natural_vignetting": False}},
-        {},
+        "vignetting of the objective, natural and by its rims",
+        {"objective": {"natural_vignetting": False, "clipped_share": 0.0}},
+        {"objective": {"clipped_share": 0.2}},
     ),
     # 0.1 dioptres, 7 m taken for 4 m, is a focus set by eye; 3 % is a cheap wide-angle lens: no source.
     "depth_of_field": Effect(

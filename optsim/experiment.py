@@ -245,6 +245,7 @@ def _find_footage(table: Table, folder: Path) -> None:
 def _on_hardware(table: object) -> object:
     """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
 
+    So does its ``sensor`` table, or is the name itself.
     The switches of its ``effects`` table come between: over the hardware, under what is set by hand.
     """
     if not isinstance(table, dict):
@@ -256,6 +257,15 @@ def _on_hardware(table: object) -> object:
         if name not in hardware.ALL:
             raise unknown_name("camera.hardware", name, hardware.ALL)
         under = hardware.ALL[name]().model_dump()
+    sensor = keys.get("sensor")
+    if isinstance(sensor, str):
+        sensor = keys["sensor"] = {"hardware": sensor}
+    if isinstance(sensor, dict) and "hardware" in sensor:
+        keys["sensor"] = by_hand = dict(cast("Table", sensor))
+        name = str(by_hand.pop("hardware"))
+        if name not in hardware.SENSORS:
+            raise unknown_name("camera.sensor.hardware", name, hardware.SENSORS)
+        under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
     switches = keys.pop("effects", {})
     if not isinstance(switches, dict):
         raise ConfigError(

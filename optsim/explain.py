@@ -67,6 +67,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             for name, level in levels.items()
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
+        "contrast_budget": contrast_budget(camera),
         "effects": [asdict(each) for each in effect_sizes(plan.near)] if plan else [],
         "plan": plan_record(plan) if plan else None,
     }
@@ -83,6 +84,21 @@ def band_record(camera: CodedCamera) -> dict[str, float]:
         "white_over_that_of_a_half_wave": camera.panel_response.white,
         "splitter_leak_over_that_at_550_nm": camera.splitter.growth_of_leak(wavelength_m),
     }
+
+
+def contrast_budget(camera: CodedCamera) -> list[dict[str, Any]]:
+    """Say what lets light through a dark panel: on axis, and at the ends of its rows."""
+    import numpy as np
+
+    from optsim.optics import leak_budget
+
+    end_m = camera.panel_cols / 2 * camera.modulator.pitch_m
+    f_number, x_m = camera.objective.working_f_number, np.array([0.0, end_m])
+    budget = leak_budget(camera.splitter, camera.modulator, f_number, x_m, camera.wavelength_m)
+    return [
+        {"source": source, "leak_on_axis": float(leaks[0]), "leak_at_row_ends": float(leaks[1])}
+        for source, leaks in budget.items()
+    ]
 
 
 def plan_record(plan: CameraPlan) -> dict[str, Any]:
@@ -125,7 +141,18 @@ def show(record: dict[str, Any]) -> list[object]:
             )
         )
     contrast = "infinite" if record["contrast"] is None else f"{record['contrast']:.3g}"
-    items.append(f"contrast of splitter, polarisers and panel, on axis: {contrast}")
+    rows = [
+        tuple(f"{x:.2g}" if isinstance(x, float) else x for x in r.values())
+        for r in record["contrast_budget"]
+    ]
+    items.append(
+        table(
+            f"contrast of splitter, polarisers and panel: {contrast} on axis; light that a dark panel "
+            "passes, over that of a bright one",
+            ("source, all else perfect", "on axis", "at the ends of the rows"),
+            rows,
+        )
+    )
     if record["plan"]:
         items += _what_matters(record)
     else:

@@ -99,7 +99,7 @@ def photon_ledger(
     efficiency = sensor.efficiency_at(wavelength_m)
     electrons = photons * efficiency
     per_slot = electrons / coded_slots
-    dark = sensor.dark_current_e_s * exposure_s
+    dark = sensor.dark_rate_e_s * exposure_s
     ratio = modulator.pitch_m * relay.magnification / sensor.pitch_m
     clips = ": clips" if electrons > sensor.full_well_e else ""
     rows += [

@@ -89,8 +89,10 @@ def tables(draw):
         "placement": draw(st.sampled_from(["collimated", "converging"])),
         "acceptance_rad": draw(wide(1e-3, 1)),
         "cleanup_contrast": draw(st.sampled_from([1.0, 1e3, 1e12])),
-        "ts": draw(st.sampled_from([0.0, 0.001, 0.5, 0.95])),
-        "rp": draw(st.sampled_from([0.0, 0.03, 0.5, 0.99])),
+        "ts": (ts := draw(st.sampled_from([0.0, 0.001, 0.5, 0.95]))),
+        "rs": min(1 - ts, 0.99),
+        "rp": (rp := draw(st.sampled_from([0.0, 0.03, 0.5, 0.99]))),
+        "tp": min(1 - rp, 0.95),
     }
     return table | {
         "sensor": sensor,
@@ -265,11 +267,19 @@ def small(rows, cols, ratio=3.0, margin=4, **parts):
         ),
         ({"objective": {"magnification": 0.1}}, r"objective: magnification x f_number: got f/0\.4"),
         (
-            {"splitter": {"tp": 0.01, "ts": 1.0, "cleanup_contrast": 1.0}},
+            {"splitter": {"tp": 0.5, "ts": 0.01, "rs": 0.01, "rp": 0.5, "cleanup_contrast": 1.0}},
             r"splitter: a bright panel passes .* raise tp over ts",
         ),
         (
-            {"splitter": {"placement": "converging", "acceptance_rad": 1e-3, "ts": 0.0, "rp": 0.99}},
+            {
+                "splitter": {
+                    "placement": "converging",
+                    "acceptance_rad": 1e-3,
+                    "ts": 0.0,
+                    "tp": 0.01,
+                    "rp": 0.99,
+                }
+            },
             r"splitter: a bright panel passes 0 .*acceptance_rad",
         ),
         ({"modulator": {"delay_s": 0.01}}, r"delay_s \+ scan_s \+ 4 jitter_s: got 0\.01 s"),
@@ -280,6 +290,11 @@ def small(rows, cols, ratio=3.0, margin=4, **parts):
         ({"relay": {"keystone_y": 0.21}}, r"relay\.keystone_y: got 0\.21"),
         ({"relay": {"rotation_rad": -0.06}}, r"relay\.rotation_rad: got -0\.06"),
         ({"objective": {"f_number": float("inf")}}, r"objective\.f_number: got inf"),
+        (
+            {"splitter": {"tp": 0.98}},
+            r"splitter: tp \+ rp: got 0\.98 \+ 0\.03, expected at most 1.*lower one",
+        ),
+        ({"splitter": {"ts": 0.02}}, r"splitter: ts \+ rs: got 0\.02 \+ 0\.99, expected at most 1"),
     ],
 )
 def test_parts_that_cannot_work_together_are_refused_with_the_key(parts, message):
@@ -374,7 +389,8 @@ def test_response_times_from_0_to_100_slots_are_those_of_a_finely_integrated_equ
 
 
 def test_without_contrast_codes_do_nothing_and_with_infinite_contrast_dark_is_dark():
-    clear = dict.fromkeys(("tp", "ts", "rs", "rp", "cleanup_transmission", "cleanup_contrast"), 1.0)
+    # A mirror half silvered, without polarisers: each way through it costs half of the light.
+    clear = dict.fromkeys(("tp", "ts", "rs", "rp"), 0.5) | {"cleanup_transmission": 1, "cleanup_contrast": 1}
     camera = small(4, 5, splitter=clear)
     assert camera.contrast == pytest.approx(1, rel=1e-12)
     light, rng = even_light(camera, 1e-3), np.random.default_rng(3)
@@ -391,7 +407,7 @@ def test_without_contrast_codes_do_nothing_and_with_infinite_contrast_dark_is_da
 
 
 def test_columns_that_a_coating_far_from_its_angle_blocks_are_dark():
-    splitter = {"ts": 0.0, "rp": 0.5, "acceptance_rad": 3e-3, "collimator_m": 5e-3}
+    splitter = {"ts": 0.0, "tp": 0.5, "rp": 0.5, "acceptance_rad": 3e-3, "collimator_m": 5e-3}
     camera = small(4, 31, splitter=splitter)
     light, code = even_light(camera, 1e-3), shown(camera, 255)
     electrons = camera.expected_electrons(light, 0, code, None)[0] - camera.dark_e

@@ -7,7 +7,7 @@ from optsim.effect_sizes import effect_sizes
 from optsim.effects import ALL, STATES, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
-from optsim.hardware import prototype
+from optsim.hardware import imx174, prototype
 from optsim.probe import Illumination, near_probe, shrunk
 from optsim.quantities import ExposureCode
 from optsim.scene import BrightLight
@@ -18,10 +18,11 @@ ROOM = Illumination(0.1, 90.0, 0.8, None)
 IDEAL = with_effects(shrunk(prototype(), 64), {"all": "ideal"})
 
 
-def frame(camera, level=255):
-    """Electrons after the sensor's clip and bend, of a flat at half of the full well."""
+def frame(camera, level=255, dark_half=False):
+    """Electrons after the sensor's clip and bend, of a flat at half of the well; or its right half dark."""
     view = camera.view
     flat = np.full((view.rows, view.cols), 0.08, np.float32)
+    flat[:, view.cols // 2 :] *= not dark_half
     light = camera.form_image(still(flat, n_slots=36, slot_s=camera.slot_s, samples_per_pitch=3))
     rows, cols = camera.panel_rows, camera.panel_cols
     levels = np.broadcast_to(np.uint8(level), (36, rows, cols)).copy()
@@ -37,7 +38,6 @@ def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():
     np.testing.assert_allclose(seen, expected, rtol=1e-5)
     assert np.abs(frame(IDEAL, 0)).max() < 1e-6 * expected
     assert IDEAL.contrast > 1e9
-    assert all(each.size < 1e-4 for each in effect_sizes(near_probe(IDEAL, WINDOW)))
 
 
 def _border(camera):
@@ -58,14 +58,14 @@ def mean(camera, level=255):
 MEASURES = {
     "contrast": (lambda c: mean(c, 0) / mean(c), 0.0095, 0.0101),
     "response": (lambda c: mean(c, blinking(c)) / mean(c), 0.51, 0.56),
-    "fields": (lambda c: mean(c, 128) / mean(IDEAL, 128) - 1, 1e-6, 1e-3),
+    "fields": (lambda c: mean(c, 128) / mean(IDEAL, 128) - 1, 3.4e-5, 4.3e-5),
     "fringing": (lambda c: 1 - _border(c) / _border(IDEAL), 0.05, 0.2),
     "panel_uniformity": (lambda c: frame(c)[20:-20, 20:-20].std() / frame(c).max(), 0.01, 0.025),
     "splitter_shading": (lambda c: 1 - frame(c)[80, 9] / frame(c)[80, 96], 0.02, 0.07),
     "vignetting": (lambda c: 1 - frame(c)[9, 9] / frame(c)[80, 96], 0.2, 0.35),
-    "objective_blur": (lambda c: 1 - frame(c)[9, 96] / frame(c)[80, 96], -1e-3, 1e-3),
+    "objective_blur": (lambda c: across_the_edge(c) / mean(c), 0.016, 0.021),
     "relay_blur": (lambda c: 1 - _border(c) / _border(IDEAL), 0.2, 0.6),
-    "objective_glare": (lambda c: abs(frame(c)[80, 96] / frame(IDEAL)[80, 96] - 1), 0.0, 1e-5),
+    "objective_glare": (lambda c: dark_side(c) / mean(c), 0.5 * 0.00245, 0.5 * 0.00255),
     "relay_glare": (lambda c: frame(c)[1, 1] / frame(c)[80, 96], 0.0015, 0.003),
     "ghost": (lambda c: frame(c, corner(c))[-30:-10, -30:-10].mean() / mean(c), 1e-4, 2e-3),
     "distortion": (lambda c: width(IDEAL) - width(c), 0.9, 1.5),
@@ -75,6 +75,19 @@ MEASURES = {
     "dark_current": (lambda c: frame(c, 0).mean(), 0.25, 0.26),
     "bend": (lambda c: 1 - frame(c)[80, 96] / frame(IDEAL)[80, 96], 3e-4, 6e-4),
 }  # fmt: skip
+# What the measures are where nothing is on, if not 0: of a panel that needs no time half of the light.
+OFF = {"response": 0.5}
+
+
+def across_the_edge(camera):
+    """What the objective brings from a scene's bright half into the next three panel pixels, in a corner."""
+    middle = camera.sensor.cols // 2
+    return frame(camera, dark_half=True)[12:20, middle + 1 : middle + 9].mean()
+
+
+def dark_side(camera):
+    """What the dark half of a scene gets, far from the bright one: half of its veil."""
+    return frame(camera, dark_half=True)[40:-40, -40:-20].mean()
 
 
 def corner(camera):
@@ -106,6 +119,9 @@ def test_each_effect_is_absent_when_off_and_of_its_size_when_on(name):
     measure, low, high = MEASURES[name]
     alone = with_effects(shrunk(prototype(), 64), {"all": "ideal", name: "nominal"})
     assert low <= measure(alone) <= high
+    off = OFF.get(name, 0.0)
+    assert measure(IDEAL) == pytest.approx(off, abs=0.02 * low)
+    assert not low <= off <= high
 
 
 def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured_above():
@@ -130,7 +146,6 @@ def test_states_go_from_better_to_worse(name):
         type(camera).model_validate(camera.model_dump())
         found = effect_sizes(near_probe(camera, ROOM))
         sizes[state] = next(each.size for each in found if each.effect == name)
-    assert sizes["ideal"] < 1e-4
     # Under light that stands still only the difference of the time constants shows, which is smaller.
     if name != "response":
         assert sizes["nominal"] <= sizes["pessimistic"] * (1 + 1e-6)
@@ -151,6 +166,19 @@ def test_a_switch_changes_the_hardware_and_a_value_set_by_hand_wins():
     panel = load_experiment("demo", assignments).camera.modulator
     assert (panel.tau_on_s, panel.tau_off_s) == (0.0007, 1.4e-3)
     assert load_experiment("demo").camera.modulator.tau_off_s == 1.0e-3
+
+
+@pytest.mark.parametrize("key", ["camera.sensor", "camera.sensor.hardware"])
+def test_another_sensor_is_chosen_by_its_name(key):
+    sensor = load_experiment("demo", [f"{key}=imx174"]).camera.sensor
+    assert sensor == imx174()
+    chosen = ["camera.sensor.hardware=imx174", "camera.sensor.rows=400", "camera.effects.dark_current=ideal"]
+    sensor = load_experiment("demo", chosen).camera.sensor
+    assert sensor == imx174().model_copy(update={"rows": 400, "dark_current_e_s": 0.0})
+    with pytest.raises(
+        ConfigError, match=r"camera\.sensor\.hardware 'imx17'; expected one of: icx674, imx174"
+    ):
+        load_experiment("demo", [f"{key}=imx17"])
 
 
 def test_the_probe_sees_the_field_of_the_camera_it_stands_for():

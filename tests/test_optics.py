@@ -3,10 +3,20 @@
 import numpy as np
 import pytest
 
+from optsim.effects import with_effects
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import make_blur
-from optsim.hardware import lcr720, prototype_relay
-from optsim.optics import Objective, Splitter, form_image, leak, stage_transmissions, throughput
+from optsim.forward.radiometry import clipped_pupil
+from optsim.hardware import lcr720, prototype, prototype_relay
+from optsim.optics import (
+    Objective,
+    Splitter,
+    form_image,
+    leak,
+    leak_budget,
+    stage_transmissions,
+    throughput,
+)
 from optsim.quantities import Block, RadianceVideo, Segment
 from optsim.scene.footage import still
 
@@ -30,6 +40,40 @@ def test_the_nominal_contrast_is_100_and_its_parts_add_up():
     by_hand = (d / 2 + gaps / 2) / (1 - d / 2 + gaps / 2) + from_splitter
     assert leak(splitter, panel, 6.0, AXIS) == pytest.approx(by_hand, rel=2e-3)
     assert gaps / 2 > 0.2 * by_hand
+
+
+@pytest.mark.parametrize("placement", ["collimated", "converging"])
+def test_the_budget_of_the_contrast_adds_up(placement):
+    """By hand on axis, each source; together nearly the sum, there and where the coating is off its angle."""
+    panel, splitter = lcr720(), Splitter(placement=placement, collimator_m=30e-3)
+    budget = leak_budget(splitter, panel, 6.0, np.array([0.0, 6e-3]))
+    depolarised, gaps, coating, angles, together = budget.values()
+    d, g = panel.depolarised_share, 0.08 * 0.05 / (0.92 * panel.mirror_reflectivity)
+    np.testing.assert_allclose(depolarised, (d / 2) / (1 - d / 2), rtol=1e-3)
+    np.testing.assert_allclose(gaps, (g / 2) / (1 + g / 2), rtol=1e-3)
+    np.testing.assert_allclose(coating, 0.03 / 1000 / 0.99 + 0.001 / 1000 / 0.95, rtol=1e-2)
+    np.testing.assert_allclose(together, leak(splitter, panel, 6.0, np.array([0.0, 6e-3])), rtol=1e-12)
+    np.testing.assert_allclose(depolarised + gaps + coating + angles, together, rtol=0.03)
+    if placement == "collimated":
+        assert angles[0] == pytest.approx(0, abs=1e-9)
+        assert angles[1] > coating[1], "7.5 degrees in glass, three times past what the coating accepts"
+    else:
+        assert angles[0] > 2 * coating[0], "skew rays"
+
+
+@pytest.mark.parametrize("light", [{"tp": 0.97, "rp": 0.03}, {"ts": 0.01, "rs": 0.99}])
+def test_ports_of_a_splitter_that_absorbs_nothing_add_up_at_every_angle(light):
+    """What the coating sends on and what it sends back: all, of p and of s, on axis and far off it."""
+    cube = Splitter(
+        cleanup_transmission=1, cleanup_contrast=1, face_transmission=1, collimator_m=10e-3, **light
+    )
+    rays = cube.rays(np.linspace(-6e-3, 6e-3, 13), 6.0)
+    into, back = cube.inbound(rays), cube.outbound(rays)
+    sign = 1 if "tp" in light else -1
+    stokes = np.array([1.0, sign, 0, 0])
+    passed, returned = (0.5 * (m @ stokes)[..., 0] * 2 for m in (into, back))
+    np.testing.assert_allclose(passed + returned, 1, atol=1e-12)
+    assert passed.min() < 0.9 if sign > 0 else returned.min() < 0.95
 
 
 def test_without_polarisers_and_with_a_perfect_panel_the_splitter_alone_gives_about_32():
@@ -188,3 +232,32 @@ def test_fixed_patterns_of_the_panel():
     # 3000 expected, sigma 54.5: five sigma, one false alarm in two million.
     assert stuck.sum() == pytest.approx(3000, abs=273)
     assert set(np.unique(levels)) == {0, 255}
+
+
+@pytest.mark.parametrize("loss", [0.05, 0.2, 0.6])
+def test_a_rim_hides_what_two_circles_do_not_share(loss):
+    """Against counted points of a pupil, on a straight way from the axis to a corner."""
+    rows, cols = 240, 320
+    opened = clipped_pupil(rows, cols, loss)
+    assert opened[0, 0] == pytest.approx(1 - loss, abs=0.01 * loss + 0.004)
+    assert opened[rows // 2, cols // 2] == 1
+    assert (opened == opened[::-1, ::-1]).all()
+    y, x = np.mgrid[-1:1:1001j, -1:1:1001j]
+    pupil = y**2 + x**2 < 1
+    # The rim is larger than the pupil by half of its shift at the corner: from the overlap there the shift.
+    shifts = np.linspace(0, 3, 301)
+    overlap = [(pupil & ((x - s) ** 2 + y**2 < (1 + s / 2) ** 2)).sum() / pupil.sum() for s in shifts]
+    shift = np.interp(loss, 1 - np.array(overlap), shifts)
+    for share in (0.4, 0.6, 0.8):
+        v, u = int(rows / 2 * (1 + share)), int(cols / 2 * (1 + share))
+        place = np.hypot(v + 0.5 - rows / 2, u + 0.5 - cols / 2) / np.hypot(rows / 2, cols / 2)
+        seen = pupil & ((x - shift * place) ** 2 + y**2 < (1 + shift / 2) ** 2)
+        assert opened[v, u] == pytest.approx(seen.sum() / pupil.sum(), abs=0.004)
+
+
+def test_the_worst_vignetting_leaves_60_percent_in_the_corners():
+    """The ranking's figures (hardware notes, section 5, rank 7): nominal 0.75, pessimistic 0.6."""
+    for state, corner in (("ideal", 1.0), ("nominal", 0.75), ("pessimistic", 0.6)):
+        camera = with_effects(prototype(), {"vignetting": state})
+        shading = camera.objective.shading(500, 600, camera.modulator.pitch_m)
+        assert shading[0, 0] == pytest.approx(corner, abs=0.01)

@@ -82,6 +82,17 @@ def test_fixed_patterns_belong_to_a_serial_number_and_have_their_stated_size():
     assert sensor.dark_signal_e(1).std() == pytest.approx(1.5, rel=0.01)
 
 
+def test_dark_current_doubles_with_every_seven_degrees_and_holds_at_the_data_sheets():
+    sensor = icx674()
+    assert sensor.dark_rate_e_s == sensor.dark_current_e_s
+    warm = sensor.model_copy(update={"temperature_c": 46.0})
+    assert warm.dark_rate_e_s == pytest.approx(8 * sensor.dark_current_e_s)
+    # And it is what a camera counts: everything dark, a fifth of a second.
+    camera = prototype().model_copy(update={"sensor": warm})
+    assert camera.dark_e == pytest.approx(8 * 1.27 * 0.2, rel=1e-6)
+    assert camera.ledger(1.0) != prototype().ledger(1.0)
+
+
 def test_negative_light_is_counted_and_taken_as_dark():
     sensor = plain(rows=4, cols=5)
     expected = np.zeros((4, 5))

@@ -217,7 +217,7 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
         progress("dense", slot + 1, camera.slots_per_frame)
     efficiency = sensor.efficiency_at(camera.wavelength_m) * sensor.pixel_response(serial)
     electrons = arrived * sensor.pixel_area_m2 * photons_per_joule(camera.wavelength_m) * efficiency
-    return electrons + sensor.dark_current_e_s * camera.exposure_s
+    return electrons + sensor.dark_rate_e_s * camera.exposure_s
 
 
 def _picture(radiance: RadianceVideo, slot: int) -> Segment:

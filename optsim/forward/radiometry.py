@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
 """From radiance to irradiance to photons: the few closed forms of the light budget.
 
 Source of the first three: M. Born and E. Wolf, *Principles of Optics*, 7th ed., Cambridge 1999, section 4.8
@@ -5,6 +6,8 @@ Source of the first three: M. Born and E. Wolf, *Principles of Optics*, 7th ed.,
 """
 
 from __future__ import annotations
+
+from typing import cast
 
 import numpy as np
 
@@ -14,6 +17,7 @@ from optsim.quantities import Doubles
 PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
 LIGHT_M_S = 299792458.0  # exact, SI
 MONO_WAVELENGTH_M = 550e-9
+_CLEAR_FIELD = 0.5  # of the way to the corners a rim hides nothing
 
 
 def irradiance_factor(working_f_number: float, transmission: float) -> float:
@@ -58,6 +62,49 @@ def cos4(rows: int, cols: int, tan_per_sample: float, distortion: float = 0.0) -
     corner = corner_tan(rows, cols, tan_per_sample * cols / 2) ** 2
     squared *= object_scale(squared / corner, distortion) ** 2
     return 1 / ((1 + squared) ** 2 * area_scale(squared / corner, distortion))
+
+
+def clipped_pupil(rows: int, cols: int, corner_loss: float) -> Doubles:
+    """Mechanical vignetting: share of the pupil that a lens's rim leaves open, at each sample's centre.
+
+    Seen from off the axis, the rim's image moves over the pupil, in proportion to the distance from the axis;
+    what is open is the overlap of two circles (W. J. Smith, *Modern Optical Engineering*, 4th ed., 2008,
+    section 9.6). The rim is as much larger than the pupil as leaves the inner half of the field clear, which
+    has no source: a sensible default.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Samples of the used field; the axis passes through its middle.
+    corner_loss : float
+        Share that is lost at its corners, from 0 to 0.9.
+
+    Returns
+    -------
+    ndarray of shape (rows, cols), float64
+        1 on axis.
+    """
+    from scipy.optimize import brentq
+
+    y, x = np.arange(rows) + 0.5 - rows / 2, np.arange(cols) + 0.5 - cols / 2
+    place = np.hypot(y[:, None], x) / np.hypot(rows / 2, cols / 2)
+    if corner_loss == 0:
+        return np.ones(place.shape)
+
+    def lost(shift: float) -> float:
+        return 1 - float(_overlap(np.array(shift), 1 + _CLEAR_FIELD * shift)) - corner_loss
+
+    shift = cast("float", brentq(lost, 0.0, 4.0))
+    return _overlap(shift * place, 1 + _CLEAR_FIELD * shift)
+
+
+def _overlap(distance: Doubles, radius: float) -> Doubles:
+    """Share of a unit circle that lies within one of a larger radius, by the distance of their centres."""
+    apart = np.clip(distance, radius - 1 + 1e-12, radius + 1 - 1e-12)
+    ours = np.arccos((apart**2 + 1 - radius**2) / (2 * apart))
+    theirs = np.arccos((apart**2 + radius**2 - 1) / (2 * apart * radius))
+    kite = np.sqrt((1 + radius + apart) * (1 + radius - apart) * (apart + 1 - radius) * (apart - 1 + radius))
+    return np.where(distance <= radius - 1, 1, (ours + radius**2 * theirs - kite / 2) / np.pi)
 
 
 def photons_per_joule(wavelength_m: float = MONO_WAVELENGTH_M) -> float:

@@ -1,6 +1,6 @@
 """The camera's optical parts with their true parameters."""
 
-from optsim.optics.chain import leak, stage_transmissions, throughput
+from optsim.optics.chain import leak, leak_budget, stage_transmissions, throughput
 from optsim.optics.image_formation import form_image
 from optsim.optics.modulator import Modulator
 from optsim.optics.objective import Objective
@@ -14,6 +14,7 @@ __all__ = [
     "Splitter",
     "form_image",
     "leak",
+    "leak_budget",
     "stage_transmissions",
     "throughput",
 ]

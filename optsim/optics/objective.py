@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from optsim.forward.lens import STRONGEST_DISTORTION
-from optsim.forward.radiometry import cos4, irradiance_factor
+from optsim.forward.radiometry import clipped_pupil, cos4, irradiance_factor
 from optsim.optics.lens import LensGroup
 from optsim.quantities import Doubles
 from optsim.units import parse_quantity
@@ -45,6 +44,9 @@ class Objective(LensGroup):
         Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.25 % has no source.
     natural_vignetting : bool
         Whether irradiance falls with cos^4 of the field angle, as distortion crowds or spreads it.
+    clipped_share : float
+        Share of the pupil that a rim hides at the corners of the used field: mechanical vignetting. It takes
+        light; the shape of the PSF and of what is out of focus stays that of the whole pupil.
     focus_m : float, "target" or "everywhere"
         Depth in focus along the axis, m; that of the scene camera's target; or no depth of field at all. No
         source: whoever takes a picture focuses on its subject.
@@ -63,6 +65,7 @@ class Objective(LensGroup):
     aberration_m: float = Field(default=3e-6, ge=0)
     glare_share: float = Field(default=0.0025, ge=0, lt=1)
     natural_vignetting: bool = True
+    clipped_share: float = Field(default=0.0, ge=0, le=0.9)
     focus_m: float | Literal["target", "everywhere"] = "target"
     defocus_per_m: float = Field(default=0.0, ge=0, le=10)
     distortion: float = Field(default=0.0, ge=-STRONGEST_DISTORTION, le=STRONGEST_DISTORTION)
@@ -117,6 +120,7 @@ class Objective(LensGroup):
 
     def shading(self, rows: int, cols: int, cell_m: float) -> Doubles:
         """Relative irradiance of a flat field at the samples of a used field, (y, x); 1 on axis."""
+        pupil = clipped_pupil(rows, cols, self.clipped_share)
         if not self.natural_vignetting:
-            return np.ones((rows, cols))
-        return cos4(rows, cols, cell_m * self.tan_per_metre(), self.distortion)
+            return pupil
+        return pupil * cos4(rows, cols, cell_m * self.tan_per_metre(), self.distortion)

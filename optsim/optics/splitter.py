@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError
@@ -51,7 +51,7 @@ class Splitter(Part):
     tp, ts : float
         Transmittance of p and of s at 45 degrees.
     rs, rp : float
-        Reflectance of s and of p at 45 degrees.
+        Reflectance of s and of p at 45 degrees: with the transmittance at most 1, the rest is absorbed.
     azimuth_rad : float
         Of p in the picture: from its rows anticlockwise, as one looks at the upright picture. 0, p along the
         rows, is how a coating stands whose plane of incidence is along the rows. Other values turn what is
@@ -100,6 +100,16 @@ class Splitter(Part):
     face_transmission: float = Field(default=0.97, gt=0, le=1)
     cleanup_transmission: float = Field(default=0.9, gt=0, le=1)
     cleanup_contrast: float = Field(default=1000.0, ge=1)
+
+    @model_validator(mode="after")
+    def _ports_add_up(self) -> Splitter:
+        for light, passed, turned_away in (("p", self.tp, self.rp), ("s", self.ts, self.rs)):
+            if passed + turned_away > 1 + 1e-9:
+                raise ValueError(
+                    f"t{light} + r{light}: got {passed:g} + {turned_away:g}, expected at most 1: the coating "
+                    f"can't send on more {light} light than it gets; lower one of them"
+                )
+        return self
 
     def check_band(self, wavelength_m: float) -> None:
         """Refuse light in which the coating is not known.
