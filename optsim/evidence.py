@@ -59,14 +59,17 @@ EFFECTS: dict[str, str] = {
 # What no part of the camera does; every report prints it.
 NOT_MODELLED: tuple[str, ...] = (
     "aberrations beyond the third order; distortion of the objective beyond it, and its lateral colour",
-    "pupils cut off by the objective's edges; change of scale and f-number with focus",
+    "the shape that a clipped pupil gives to PSFs and to what is out of focus",
+    "change of scale and f-number with focus",
     "ghosts of the objective; glare is uniform",
     "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",
     "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
     "twist of the liquid crystal; ripple of the panel within a slot",
     "the error of the panel's grey curve beyond its exponent",
-    "blooming, lag and hot pixels of the CCD; smear is that of the frame's own light",
-    "drift of anything after calibration",
+    "shading of the relay; defocus across a tilted panel; mirrors and gaps apart within a panel pixel",
+    "blooming, lag, charge-transfer loss, hot pixels, fixed row or column patterns of the CCD; smear is that "
+    "of the frame's own light",
+    "drift during an experiment (experiment.drift is what changes before it, after calibration)",
 )
 
 

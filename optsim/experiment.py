@@ -18,7 +18,7 @@ from optsim.camera import CodedCamera
 from optsim.coding import Scheme
 from optsim.config import Part, Table, build, override, read_toml
 from optsim.effects import switched
-from optsim.errors import ConfigError, StorageError, unknown_name
+from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
@@ -88,6 +88,9 @@ class Experiment(Part):
     calibration
         What decoders know of the camera: ``bench`` (estimated from the virtual laboratory's images),
         ``true`` (the simulator's own parameters) or ``ideal`` (the paper's equations).
+    drift
+        What of the camera changes between its calibration and the first frame, as in ``camera``: for
+        example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of it.
     save_reconstructions
         Names of the methods whose reconstructed video is written; empty for none.
     """
@@ -105,6 +108,7 @@ class Experiment(Part):
     tolerance: float = Field(default=0.1, ge=0, le=10)
     methods: tuple[Method, ...] = Field(min_length=1)
     calibration: Literal["bench", "true", "ideal"] = "bench"
+    drift: Table = Field(default_factory=dict)
     light: LightRule = LightRule()
     save_reconstructions: tuple[str, ...] = ()
 
@@ -132,6 +136,28 @@ class Experiment(Part):
             if name not in names:
                 raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
         return self
+
+    def at_work(self) -> CodedCamera:
+        """Camera that takes the frames: the one that was calibrated, as it has changed since.
+
+        Raises
+        ------
+        ConfigError
+            When ``drift`` changes what there isn't, or what truth and calibration depend on.
+        """
+        if not self.drift:
+            return self.camera
+        working = build(CodedCamera, _merged(self.camera.model_dump(), self.drift), where="drift")
+        was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
+        if was != now or (working.sensor.rows, working.sensor.cols) != (
+            self.camera.sensor.rows,
+            self.camera.sensor.cols,
+        ):
+            raise ConfigError(
+                f"drift: got {self.drift}, expected what leaves the scene's picture, the timing and the size "
+                "of the CCD as they are: truth and calibration are of those; change camera itself"
+            )
+        return working
 
     @property
     def timing(self) -> Timing:
@@ -208,6 +234,10 @@ def load_experiment(
     experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
     if check_geometry:
         experiment.camera.geometry().check()
+        try:
+            experiment.at_work().geometry().check()
+        except GeometryError as error:
+            raise GeometryError(f"after drift {experiment.drift}: {error}") from None
     return experiment
 
 

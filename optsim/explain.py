@@ -68,6 +68,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "contrast_budget": contrast_budget(camera),
+        "drift": experiment.drift,
         "effects": [asdict(each) for each in effect_sizes(plan.near)] if plan else [],
         "plan": plan_record(plan) if plan else None,
     }
@@ -131,6 +132,8 @@ def show(record: dict[str, Any]) -> list[object]:
             f"{latency['n_frames']} coded frames end before the steady phase: take "
             f"{latency['first_steady'] + 1} or more (n_frames)"
         )
+    if record["drift"]:
+        items.append(f"after calibration, unknown to decoders, the camera drifts: {record['drift']}")
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():
         rows = cast("list[dict[str, Any]]", ledger["rows"])
         items.append(

@@ -87,11 +87,11 @@ def set_light(
     Returns
     -------
     camera : CodedCamera
-        The experiment's camera behind the chosen density.
+        The experiment's camera at work, behind the chosen density.
     light : LightLevel
         What was decided and from which numbers.
     """
-    open_camera = experiment.camera.with_nd(1.0)
+    open_camera = experiment.at_work().with_nd(1.0)
     truth = open_camera.form_image(radiance)
     step = truth.samples_per_pitch
     irradiance = cell_means(truth.load(0).start, step)
@@ -106,7 +106,7 @@ def set_light(
     saturation = float(np.median((calibration.saturation_dn - calibration.black_dn)[calibration.valid]))
     wanted = experiment.light.saturation_share * saturation / percentile
     nd = min(1.0, wanted)
-    return experiment.camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
+    return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
 
 
 def calibrate(experiment: Experiment) -> Calibration:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from optsim.errors import ConfigError, GeometryError
 from optsim.experiment import load_experiment
 from optsim.loop import Result, run, stream
 from optsim.scene.footage import footage
@@ -52,6 +53,40 @@ def test_every_method_gives_every_frame(result: Result) -> None:
     for name in ("adaptive", "normal", "hdr_mosaic", "random"):
         assert [f.index for f in result.frames[name]] == list(range(FRAMES))
         assert [r.index for r in result.reconstructions[name]] == list(range(FRAMES))
+
+
+def test_what_drifts_after_calibration_is_in_the_frames_and_decoders_do_not_know(
+    small, radiance, result
+) -> None:
+    """One CCD pixel to the right: so are the frames, but for noise, and the calibration is as it was."""
+    drifted = small.model_copy(
+        update={"drift": {"relay": {"shift_x_px": 1.0}}, "methods": small.methods[1:2]}
+    )
+    late = run(drifted, radiance)
+    for field in ("responsivity_dn", "pick_col", "crosstalk"):
+        np.testing.assert_array_equal(getattr(late.calibration, field), getattr(result.calibration, field))
+    assert late.camera.relay.shift_x_px == 1
+    assert late.experiment.camera.relay.shift_x_px == 0
+    before, after = (each.frames["normal"][0].dn.astype(float) for each in (result, late))
+    lit = np.s_[8:-8, 8:-8]
+    noise = np.sqrt(2 * before[lit].mean() / small.camera.sensor.gain_e)
+    assert np.abs(np.roll(before, 1, axis=1) - after)[lit].mean() < noise
+    assert np.abs(before - after)[lit].mean() > 3 * noise
+
+
+@pytest.mark.parametrize(
+    ("drift", "message"),
+    [
+        ("relay.shfit_x_px=1", r"drift: .*\n.*relay\.shfit_x_px: unknown key; did you mean 'shift_x_px'"),
+        ("relay.shift_x_px=400", r"after drift .*shift_x_px.* at most"),
+        ("objective.focal_length_m=20e-3", r"drift: got .*leaves the scene's picture.*change camera itself"),
+        ("sensor.rows=400", r"drift: got .*size of the CCD"),
+        ("modulator.field_rate_hz=90", r"drift: got .*the timing"),
+    ],
+)
+def test_drift_that_cannot_be_is_refused(drift: str, message: str) -> None:
+    with pytest.raises((ConfigError, GeometryError), match=message):
+        load_experiment("demo", [f"drift.{drift}"])
 
 
 def test_the_same_experiment_gives_the_same_frames(small, radiance, result: Result) -> None:
