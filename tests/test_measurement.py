@@ -166,7 +166,8 @@ def test_folders_of_images_that_a_toml_file_names(tmp_path: Path, arrays: Any, k
             write_png8(tmp_path / "code" / f"{k:02d}.png", (255 * slot).astype(np.uint8))
     else:
         for k in range(2):
-            names = {f"slot{t:02d}": each.astype(np.float32) for t, each in enumerate(arrays["code"])}
+            # As people number them, without zeros: 10 comes after 9, not after 1.
+            names = {f"slot{t}": each.astype(np.float32) for t, each in enumerate(arrays["code"])}
             write_exr(tmp_path / "code" / f"{k}.exr", names, attributes={})
     for k, pictures in enumerate(arrays["truth"]):
         names = {f"slot{t:02d}": each.astype(np.float32) for t, each in enumerate(pictures)}

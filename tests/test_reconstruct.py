@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ideal_camera import BLACK_DN, KERNEL, SLOTS, film, ideal_calibration, still_light
+from ideal_camera import BLACK_DN, KERNEL, SLOTS, expose, film, ideal_calibration, still_light
 from pydantic import TypeAdapter
 
 from optsim.calibrate import Glare
@@ -458,6 +458,25 @@ def test_any_code_and_any_counts_give_a_valid_reconstruction(seed, kind):
         assert result.irradiance_w_m2.shape == (SLOTS, 12, 13)
         assert np.isfinite(result.irradiance_w_m2).all()
         assert (result.irradiance_w_m2 >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "moving"),
+    [*((kind, True) for kind in ALL if kind is not MotionDeblurring), (HdrMerge, False), (Union, False)],
+)
+def test_what_a_code_never_opens_is_not_valid(kind, moving):
+    """Half of the panel closed, and then all of it: undetermined, and finite all the same."""
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
+    levels = 255 * np.random.default_rng(5).integers(0, 2, (SLOTS, ROWS, COLS)).astype(np.uint8)
+    levels[:, :, COLS // 2 :] = 0
+    for shown, opened in ((levels, np.arange(COLS) < COLS // 2), (0 * levels, np.zeros(COLS, bool))):
+        code = ExposureCode(shown, np.full((ROWS, COLS), moving))
+        frame, _ = expose(calibration, still_light(np.ones((ROWS, COLS))), 0, code, None, None)
+        result = last(kind(), [frame], calibration)
+        assert np.isfinite(result.irradiance_w_m2).all()
+        # The kernel reaches one pixel further.
+        far = np.abs(np.arange(COLS) - COLS // 2 + 0.5) > 1
+        np.testing.assert_array_equal(result.valid[:, far], np.broadcast_to(opened, (ROWS, COLS))[:, far])
 
 
 def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):

@@ -16,6 +16,8 @@ from optsim.quantities import Bools, CodedFrame, Doubles, Floats, Ints, PanelSta
 
 Crosstalk = Literal["undone", "row_summed"]
 _REMAINDER = 1e-4
+LEAST_EXPOSURE = 1e-6
+"""Slots; what gathered less says nothing of its irradiance."""
 # Of its own light a pixel must keep so much, or its neighbours' light can't be told from its own.
 _LEAST_SHARE = 1 / 3
 # Iterating by shares above a half converges for sure, the faster the larger they are. Below, it would

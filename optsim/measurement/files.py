@@ -30,7 +30,7 @@ from optsim.measurement.coded import (
     truth_frames,
 )
 from optsim.reconstruct import Decoder, Interpolation
-from optsim.scene.recording import array_names, load_array, open_recording
+from optsim.scene.recording import array_names, by_number, load_array, open_recording
 
 _Role = Literal["image", "code", "truth"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
@@ -176,10 +176,16 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
         # MATLAB's last axes are time; of a code (y, x, slot, frame), the frames are the last one.
         stored = load_array(path, name)
         return stored.T.swapaxes(-1, -2) if path.suffix.lower() == ".mat" else stored
-    exr = sorted(path.glob("*.exr")) if path.is_dir() else [path] * (path.suffix.lower() == ".exr")
+    exr = (
+        sorted(path.glob("*.exr"), key=lambda file: by_number(file.name))
+        if path.is_dir()
+        else [path] * (path.suffix.lower() == ".exr")
+    )
     if exr and role != "image":
         found = [read_exr(each)[0] for each in exr]
-        stacks = [np.stack([channels[name] for name in sorted(channels)]) for channels in found]
+        stacks = [
+            np.stack([channels[name] for name in sorted(channels, key=by_number)]) for channels in found
+        ]
         return np.concatenate(stacks) if len(stacks[0]) == 1 else np.stack(stacks)
     try:
         pictures = np.stack(list(open_recording(path).read(0)))

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk, sampled
+from optsim.calibrate.sample import LEAST_EXPOSURE, Crosstalk, sampled
 from optsim.quantities import Bools, CodedFrame, Floats
 from optsim.reconstruct.layer import Layer, positive_mean
 
@@ -51,7 +51,7 @@ def coded_images(
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
     """Frames with their pixels separated, as :func:`~optsim.calibrate.sample.sampled` takes them."""
     for frame, sample in sampled(frames, calibration, crosstalk):
-        usable = sample.valid
+        usable = sample.valid & (sample.exposure > LEAST_EXPOSURE)
         yield (
             frame,
             CodedImage(

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import (
+    LEAST_EXPOSURE,
     Brightness,
     Crosstalk,
     Sample,
@@ -85,13 +86,16 @@ class HdrMerge(Branch):
             if self.paper_literal:
                 least = _least(samples, [kept.sample.valid for kept in recent])
                 mean, variance, found = _literal(samples)
-                valid = sample.valid
+                valid, alive = sample.valid, [kept.sample.valid for kept in recent]
             else:
                 alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
                 least = _least(samples, alive)
                 mean, variance, found, tainted = _merged(calibration, samples, alive, least, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
                 mean = positive_mean(mean, variance)
+            valid &= np.logical_or.reduce(
+                [ok & (s.exposure > LEAST_EXPOSURE) for s, ok in zip(samples, alive, strict=True)]
+            )
             mean = _filled(mean, found, least)
             yield Layer(
                 frame.index,
@@ -133,7 +137,10 @@ def _merged(
     crosstalk: Crosstalk,
 ) -> tuple[Floats, Floats, Bools, Floats]:
     """Pooled estimate, its variance, where there is one, and the share of the kernel that is unknown."""
-    usable = [ok & s.valid & ~s.saturated & (s.exposure > 1e-6) for s, ok in zip(samples, alive, strict=True)]
+    usable = [
+        ok & s.valid & ~s.saturated & (s.exposure > LEAST_EXPOSURE)
+        for s, ok in zip(samples, alive, strict=True)
+    ]
     found = np.logical_or.reduce(usable)
     certainty = _sum([s.exposure for s in samples], usable)
     mean = _ratio(_sum([s.signal for s in samples], usable), certainty)

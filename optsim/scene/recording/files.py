@@ -55,6 +55,11 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
     return as_recording(files, len(files), lambda first: map(read, files[first:]))
 
 
+def by_number(name: str) -> list[tuple[int, str]]:
+    """Key that sorts names by the numbers in them: slot2 before slot10."""
+    return [(int(digits or -1), word) for digits, word in re.findall(r"(\d+)|(\D+)", name)]
+
+
 def _files_of(path: Path) -> tuple[Path, ...]:
     """List the files of a recording in order of time: by the numbers in their names, not letter by letter."""
     if path.is_dir():
@@ -80,9 +85,7 @@ def _files_of(path: Path) -> tuple[Path, ...]:
         raise StorageError(
             f"source.footage.path: {path} matches {len(found)} files; name one {kinds[0]} file"
         )
-    files = tuple(
-        sorted(found, key=lambda p: [(int(n or -1), w) for n, w in re.findall(r"(\d+)|(\D+)", p.name)])
-    )
+    files = tuple(sorted(found, key=lambda file: by_number(file.name)))
     _check_numbering(files)
     return files
 
