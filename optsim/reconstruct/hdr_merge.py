@@ -28,6 +28,7 @@ from optsim.calibrate.sample import (
 from optsim.forward.motion import Bounds, changed
 from optsim.forward.neighbourhoods import without_specks
 from optsim.quantities import Bools, CodedFrame, Doubles, Floats
+from optsim.reconstruct.hidden_light import told_by_glare
 from optsim.reconstruct.joint_merge import solved_together
 from optsim.reconstruct.layer import Branch, Layer, positive_mean
 
@@ -36,6 +37,9 @@ from optsim.reconstruct.layer import Branch, Layer, positive_mean
 _PASSES = 3
 _SETTLED_SIGMAS = 0.1
 _COUPLED = 0.01
+# How often glare is asked how bright hidden regions are, and how often each by itself; when that has settled;
+# and what is left of its error: calibrations leave up to 8 % (tests/test_laboratory.py).
+_GLARE_ROUNDS, _APART, _SAME_FACTOR, _GLARE_ERROR = 4, 2, 0.02, 0.1
 
 
 class HdrMerge(Branch):
@@ -47,7 +51,11 @@ class HdrMerge(Branch):
     own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
     (:func:`~optsim.calibrate.sample.attribution_variance`): there long exposures are trusted, short ones not.
     Any code counts, the paper's mosaic or another. The uncertainty, ``sum(W^2 / var) ** -0.5``, holds no
-    other errors of the calibration, nor motion that nobody noticed. What is filled is as uncertain as bright.
+    other errors of the calibration, nor motion that nobody noticed; but what is left of hidden regions' glare.
+
+    What saturates in every frame is as bright as its glare says, region by region
+    (:func:`~optsim.reconstruct.hidden_light.told_by_glare`), or just bright enough to saturate. What is filled
+    is as uncertain as bright.
 
     Parameters
     ----------
@@ -90,7 +98,7 @@ class HdrMerge(Branch):
             else:
                 alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
                 least = _least(samples, alive)
-                mean, variance, found, tainted = _merged(calibration, samples, alive, least, crosstalk)
+                mean, variance, found, tainted, least = _merged(calibration, samples, alive, least, crosstalk)
                 valid = sample.valid & (tainted <= self.taint_tolerance)
                 mean = positive_mean(mean, variance)
             valid &= np.logical_or.reduce(
@@ -135,8 +143,8 @@ def _merged(
     alive: Sequence[Bools],
     least: Floats,
     crosstalk: Crosstalk,
-) -> tuple[Floats, Floats, Bools, Floats]:
-    """Pooled estimate, its variance, where there is one, and the share of the kernel that is unknown."""
+) -> tuple[Floats, Floats, Bools, Floats, Floats]:
+    """Pooled estimate, its variance, where there is one, the unknown share of the kernel, and least light."""
     usable = [
         ok & s.valid & ~s.saturated & (s.exposure > LEAST_EXPOSURE)
         for s, ok in zip(samples, alive, strict=True)
@@ -145,22 +153,35 @@ def _merged(
     certainty = _sum([s.exposure for s in samples], usable)
     mean = _ratio(_sum([s.signal for s in samples], usable), certainty)
     change = np.zeros_like(mean)
-    guess = partial(_pass, calibration, usable=usable, found=found, least=least, crosstalk=crosstalk)
+    stray = np.zeros(mean.shape)
+    guess = partial(_pass, calibration, usable=usable, found=found, crosstalk=crosstalk)
     for _ in range(_PASSES):
-        samples, certainty, change = guess(samples, mean)
+        samples, certainty, change = guess(samples, mean, least=least)
         mean += change
     if crosstalk == "undone":
+        hidden = ~found & (least > 0)
+        for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) > 1 else 0):
+            # Regions compete: told apart more often, they are so by the errors of the rounds before.
+            factor, stray = told_by_glare(
+                calibration, samples, alive, usable, mean, least, hidden, apart=done < _APART
+            )
+            least = least * factor
+            if np.abs(factor - 1).max() < _SAME_FACTOR:
+                break
+            samples, certainty, change = guess(samples, mean, least=least)
+            mean += change
         together = _unsettled(calibration, samples, alive, found, mean, np.abs(change) * np.sqrt(certainty))
         if together.any():
             mean = solved_together(calibration, samples, alive, usable, mean, least, together)
             # What they are changes the stray light of all.
-            _, certainty, change = guess(samples, mean)
+            _, certainty, change = guess(samples, mean, least=least)
             mean += np.where(together, 0, change)
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
         tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
-    return mean, _ratio(np.ones(mean.shape), certainty), found, tainted
+    variance = _ratio(np.ones(mean.shape), certainty) + (_GLARE_ERROR * stray) ** 2
+    return mean, variance.astype(np.float32), found, tainted, least
 
 
 def _pass(

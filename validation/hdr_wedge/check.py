@@ -26,6 +26,8 @@ TOLERANCE = 5e-3
 FILES = (
     "optsim/reconstruct/hdr_merge.py",
     "optsim/reconstruct/joint_merge.py",
+    "optsim/reconstruct/hidden_light.py",
+    "optsim/calibrate/glare.py",
     "optsim/reconstruct/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",

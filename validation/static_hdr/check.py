@@ -47,6 +47,8 @@ TOLERANCE = 1.0
 FILES = (
     "optsim/reconstruct/hdr_merge.py",
     "optsim/reconstruct/joint_merge.py",
+    "optsim/reconstruct/hidden_light.py",
+    "optsim/calibrate/glare.py",
     "optsim/reconstruct/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",
