@@ -273,10 +273,10 @@ def test_files_that_are_wrong_are_named(tmp_path: Path, arrays: Any) -> None:
         measurement_files(tmp_path / "m.toml", [])
 
 
-def test_a_prior_of_other_slots_is_refused_with_the_cure(arrays: Any) -> None:
-    found = coded_measurement(arrays["image"], arrays["code"])
-    with pytest.raises(OptsimError, match=r"36 slots, expected 12 slots.*train"):
-        decoded(found, GaussianMixture())
+def test_a_prior_of_too_few_slots_is_refused_with_the_cure(arrays: Any) -> None:
+    long = np.tile(arrays["code"], (4, 1, 1))[:40]
+    with pytest.raises(OptsimError, match=r"36 slots, expected at least 40 slots.*total_variation"):
+        decoded(coded_measurement(arrays["image"], long), GaussianMixture())
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a.mat"])

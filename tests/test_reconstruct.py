@@ -40,6 +40,7 @@ from optsim.reconstruct import (
 )
 from optsim.reconstruct.coded_images import coded_images
 from optsim.reconstruct.dictionary import Dictionary, save_dictionary, shipped_dictionary, unit
+from optsim.reconstruct.mixture import shipped_mixture
 from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix
 
 ROWS, COLS = 32, 40
@@ -491,6 +492,38 @@ def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):
     frame = film(calibration, RandomExposure(), [still_light(np.ones((16, 16)))], None)[0]
     with pytest.raises(ConfigError, match="12 slots"):
         next(SparseCoding(dictionary=str(tmp_path / "short.npz")).decode([frame], calibration))
+
+
+@pytest.mark.parametrize(
+    "decoder", [SparseCoding(), GaussianMixture(), Average()], ids=lambda each: each.kind
+)
+def test_priors_serve_frames_of_fewer_slots(decoder):
+    """28 slots, as a readout of 39 ms leaves, with the priors of 36: well ahead of what needs no prior."""
+    calibration = ideal_calibration(ROWS, 48, slots_per_frame=28, coded_slots=28)
+    x, slot = np.arange(48), np.arange(28)[:, None, None]
+    light = 0.2 + 0.5 * np.sin((x - 0.7 * slot) / 4) ** 2
+    light = np.broadcast_to(light, (28, ROWS, 48)).astype(np.float32)
+    code, _ = RandomExposure().next(0, [], RandomExposure().init(calibration, np.random.default_rng(0)))
+    frame, _ = expose(calibration, light, 0, code, None, np.random.default_rng(1))
+    error, plain = (
+        np.mean((last(each, [frame], calibration).irradiance_w_m2 - light) ** 2)
+        for each in (decoder, Interpolation())
+    )
+    assert 10 * np.log10(plain / error) > 4
+
+
+@pytest.mark.parametrize("slots", [28, 12, 1])
+def test_a_shortened_mixture_is_the_marginal(slots):
+    """Mean and covariance of the first slots are those of the whole, component by component."""
+    whole = shipped_mixture()
+    short = whole.shortened(slots)
+    np.testing.assert_array_equal(short.base, whole.base[..., :slots])
+    rows, all_rows = (b.reshape(len(b), -1).astype(float) for b in (short.basis, whole.basis[..., :slots]))
+    np.testing.assert_allclose(rows @ rows.T, np.eye(len(rows)), atol=2e-5)
+    for k in (0, len(whole.shares) // 2):
+        np.testing.assert_allclose(short.means[k] @ rows, whole.means[k] @ all_rows, atol=1e-5)
+        found, true = (b.T @ m.covariances[k] @ b for b, m in ((rows, short), (all_rows, whole)))
+        np.testing.assert_allclose(found, true, atol=2e-5 * np.abs(true).max())
 
 
 def test_single_alarms_are_not_believed_and_regions_are():

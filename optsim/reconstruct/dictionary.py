@@ -14,6 +14,9 @@ from optsim.errors import ValueCheckError
 from optsim.quantities import Floats, checked
 from optsim.reconstruct.prior_file import eight_bits, read_prior, write_prior
 
+# Of an atom's length; files hold 8 bits a number.
+_LEFT = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Dictionary:
@@ -48,6 +51,12 @@ class Dictionary:
     def slots(self) -> int:
         """Slots of a patch."""
         return self.atoms.shape[3]
+
+    def shortened(self, slots: int) -> Dictionary:
+        """Return the dictionary of the first slots, without atoms of which next to nothing is left."""
+        first = self.atoms[..., :slots]
+        left = np.sqrt((first.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
+        return Dictionary(unit(first[left > _LEFT]), self.provenance)
 
 
 def unit(atoms: Floats) -> Floats:

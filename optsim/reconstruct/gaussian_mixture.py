@@ -24,7 +24,7 @@ from optsim.reconstruct.mixture import Mixture, load_mixture, shipped_mixture
 from optsim.reconstruct.patch_grid import overlap, patch_corners
 from optsim.reconstruct.posterior import Seen, posterior, seen_through
 from optsim.reconstruct.posterior_spread import Spread
-from optsim.reconstruct.prior_file import check_fit
+from optsim.reconstruct.prior_file import fitted
 from optsim.reconstruct.shared_weights import shared_weights
 
 # Patches whose videos are held at once: 256 of 8 x 8 x 36 are 2.4 MB.
@@ -86,7 +86,7 @@ class GaussianMixture(Branch):
 
     def _prior(self, calibration: Calibration) -> Mixture:
         found = shipped_mixture() if self.mixture is None else load_mixture(Path(self.mixture))
-        check_fit(found, "mixture", calibration)
+        found = fitted(found, "mixture", calibration)
         return found.single() if self.single else found
 
     def _painted(

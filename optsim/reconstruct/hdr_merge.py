@@ -51,11 +51,11 @@ class HdrMerge(Branch):
     own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
     (:func:`~optsim.calibrate.sample.attribution_variance`): there long exposures are trusted, short ones not.
     Any code counts, the paper's mosaic or another. The uncertainty, ``sum(W^2 / var) ** -0.5``, holds no
-    other errors of the calibration, nor motion that nobody noticed; but what is left of hidden regions' glare.
+    other errors of the calibration, nor motion that nobody noticed; but what is left of glare does count.
 
     What saturates in every frame is as bright as its glare says, region by region
-    (:func:`~optsim.reconstruct.hidden_light.told_by_glare`), or just bright enough to saturate. What is filled
-    is as uncertain as bright.
+    (:func:`~optsim.reconstruct.hidden_light.told_by_glare`), or just bright enough to saturate. What is
+    filled is as uncertain as bright.
 
     Parameters
     ----------

@@ -74,6 +74,15 @@ class Mixture:
         """Slots of a patch."""
         return self.basis.shape[3]
 
+    def shortened(self, slots: int) -> Mixture:
+        """Return the mixture of the first slots: its marginal, on a basis that is orthonormal again."""
+        first = self.basis[..., :slots]
+        axes, turn = np.linalg.qr(first.reshape(len(first), -1).T.astype(np.float64))
+        basis = axes.T.reshape(-1, *first.shape[1:]).astype(np.float32)
+        covariances = turn @ self.covariances @ turn.T
+        base, means = self.base[..., :slots], self.means @ turn.T
+        return Mixture(base, basis, self.shares, means, covariances, self.rest, self.provenance)
+
     def single(self) -> Mixture:
         """One Gaussian with the mixture's mean and covariance: the best linear estimator's prior."""
         mean = self.shares @ self.means

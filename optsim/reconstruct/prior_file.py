@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ class Prior(Protocol):
     @property
     def slots(self) -> int:
         """Slots of a patch."""
+        ...
+
+    def shortened(self, slots: int) -> Self:
+        """Return the prior of the first slots of its patches."""
         ...
 
 
@@ -64,17 +68,22 @@ def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str,
         raise StorageError(f"{path} is not a {kind}: {error}") from None
 
 
-def check_fit(prior: Prior, kind: str, calibration: Calibration) -> None:
-    """Refuse a prior of patches that a camera's frames cannot be cut to.
+PriorT = TypeVar("PriorT", bound=Prior)
+
+
+def fitted(prior: PriorT, kind: str, calibration: Calibration) -> PriorT:
+    """Return the prior for a camera's frames, shortened if they have fewer slots.
 
     Raises
     ------
     ConfigError
-        With the cure.
+        When frames have more slots, or are smaller than a patch, with the cure.
     """
-    if prior.slots != calibration.slots_per_frame or prior.patch > min(calibration.shape):
+    slots = calibration.slots_per_frame
+    if prior.slots < slots or prior.patch > min(calibration.shape):
         raise ConfigError(
-            f"{kind}: got patches of {prior.patch} pixels and {prior.slots} slots, expected "
-            f"{calibration.slots_per_frame} slots and at most {min(calibration.shape)} pixels; "
-            "cure: train one for this camera"
+            f"{kind}: got patches of {prior.patch} pixels and {prior.slots} slots, expected at least {slots} "
+            f"slots and at most {min(calibration.shape)} pixels; cure: decode with interpolation or "
+            "total_variation, which need no prior"
         )
+    return prior if prior.slots == slots else prior.shortened(slots)

@@ -15,7 +15,7 @@ from optsim.reconstruct.coded_images import coded_images, covered
 from optsim.reconstruct.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.reconstruct.layer import Branch, Layer
 from optsim.reconstruct.patch_grid import overlap, patch_corners
-from optsim.reconstruct.prior_file import check_fit
+from optsim.reconstruct.prior_file import fitted
 from optsim.reconstruct.shared_weights import shared_weights
 
 
@@ -72,5 +72,4 @@ class SparseCoding(Branch):
 
     def _dictionary(self, calibration: Calibration) -> Dictionary:
         found = shipped_dictionary() if self.dictionary is None else load_dictionary(Path(self.dictionary))
-        check_fit(found, "dictionary", calibration)
-        return found
+        return fitted(found, "dictionary", calibration)
