@@ -22,7 +22,7 @@ from optsim.measurement.coded import code_levels
 from optsim.measurement.files import measurement_files
 from optsim.probe import shrunk
 from optsim.quantities import ExposureCode, Floats, Segment, made_radiance
-from optsim.reconstruct import GaussianMixture, Interpolation
+from optsim.reconstruct import GaussianMixture, Interpolation, Union
 
 SLOTS, ROWS, COLS = 12, 24, 20
 
@@ -271,6 +271,38 @@ def test_files_that_are_wrong_are_named(tmp_path: Path, arrays: Any) -> None:
     (tmp_path / "m.toml").write_text('imge = "a.npz"\ncode = "a.npz"\n')
     with pytest.raises(ConfigError, match=r"imge: unknown key; did you mean 'image'"):
         measurement_files(tmp_path / "m.toml", [])
+
+
+def test_masks_say_where_a_union_takes_the_video(tmp_path: Path, arrays: Any) -> None:
+    """The upper half of the first image, the lower half of the second; from arrays and from pictures."""
+    masks = np.zeros((2, ROWS, COLS), np.uint8)
+    masks[0, : ROWS // 2] = masks[1, ROWS // 2 :] = 255
+    np.savez(tmp_path / "a.npz", image=arrays["image"], code=arrays["code"], moving=masks)
+    for k, mask in enumerate(masks):
+        write_png8(tmp_path / "moving" / f"{k}.png", mask)
+    both = measurement_files(tmp_path / "a.npz", [])
+    pictures = measurement_files(tmp_path / "a.npz", [f"moving={tmp_path / 'moving'}"])
+    for found in (read_measurement(both), read_measurement(pictures)):
+        for frame, mask in zip(found.frames, masks, strict=True):
+            np.testing.assert_array_equal(frame.code.moving, mask > 0)
+        union = Union(moving=Interpolation())
+        for video, mask in zip(union.decode(found.frames, found.calibration), masks, strict=True):
+            np.testing.assert_array_equal(video.moving, mask > 0)
+    with pytest.raises(ValueCheckError, match=r"moving: got \(3, 24, 20\), expected one .* or 2 of them"):
+        coded_measurement(arrays["image"], arrays["code"], moving=np.ones((3, ROWS, COLS)))
+
+
+def test_what_cannot_be_scored_or_decoded_is_said_before_decoding(tmp_path: Path, arrays: Any) -> None:
+    gaps = arrays["truth"].astype(float)
+    gaps[0, 0, 0, :3] = np.nan
+    with pytest.raises(ValueCheckError, match="truth: 3 of its numbers are not finite"):
+        coded_measurement(arrays["image"], arrays["code"], truth=gaps)
+    with pytest.raises(ValueCheckError, match="image: got complex128"):
+        coded_measurement(arrays["image"] + 0j, arrays["code"])
+    found = coded_measurement(arrays["image"], arrays["code"], truth=arrays["truth"])
+    for peak in (-3.0, 0.0):
+        with pytest.raises(ConfigError, match="--peak: got"):
+            decode_measurement(found, Interpolation(), tmp_path / "out", peak=peak)
 
 
 def test_a_prior_of_too_few_slots_is_refused_with_the_cure(arrays: Any) -> None:

@@ -98,8 +98,8 @@ def coded_measurement(
         Weights from 0 to 1, or whole numbers of 8 bits from 0 to 255; one for all frames, or one each.
     sensor : Sensor, optional
         What is known of it.
-    moving : ndarray of shape (v, u), bool, optional
-        Pixels for the video decoder, where a decoder makes a difference; default all.
+    moving : ndarray of shape (v, u) or (frame, v, u), optional
+        Not zero: pixels for the video decoder, where a decoder makes a difference; default all.
     truth : ndarray of shape (slot, v, u) or (frame, slot, v, u) or (frame * slot, v, u), optional
         Light in each slot, counts.
 
@@ -123,9 +123,8 @@ def coded_measurement(
     levels, rounded = code_levels(codes)
     words, scale = _words(images, known.black)
     alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
-    mask = np.ones(images.shape[1:], np.bool_) if moving is None else np.asarray(moving, np.bool_)
     return Measurement(
-        coded_frames(words, levels, mask),
+        coded_frames(words, levels, moving_masks(moving, len(images), images.shape[1:])),
         _calibration(levels.shape[1], alive, known, scale, _full(images, known)),
         truth_frames(truth, len(images), levels.shape[1]),
         "counts a slot",
@@ -137,6 +136,9 @@ def stacked(images: NDArray[Any], codes: NDArray[Any]) -> tuple[NDArray[Any], ND
     """Images (frame, y, x), and codes (frame, slot, v, u) of which there is one for all or one each."""
     images = images[None] if images.ndim == 2 else images
     codes = codes[None] if codes.ndim == 3 else codes
+    for name, each in (("image", images), ("code", codes)):
+        if np.iscomplexobj(each):
+            raise ValueCheckError(f"{name}: got {each.dtype}, expected real numbers; take one part of it")
     if images.ndim != 3 or codes.ndim != 4:
         raise ValueCheckError(
             f"image {images.shape}, code {codes.shape}: expected (v, u) or (frame, v, u), and "
@@ -151,10 +153,30 @@ def stacked(images: NDArray[Any], codes: NDArray[Any]) -> tuple[NDArray[Any], ND
 
 
 def coded_frames(words: list[Words], levels: Bytes, moving: Bools) -> tuple[CodedFrame, ...]:
-    """Images with their codes, of which there is one for all or one each."""
+    """Images with their codes and masks, of which there is one for all or one each."""
     return tuple(
-        CodedFrame(k, word, ExposureCode(levels[k % len(levels)], moving)) for k, word in enumerate(words)
+        CodedFrame(k, word, ExposureCode(levels[k % len(levels)], moving[k % len(moving)]))
+        for k, word in enumerate(words)
     )
+
+
+def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, ...]) -> Bools:
+    """Masks of moving pixels, (1 or frame, v, u); all of them if nothing is said.
+
+    Raises
+    ------
+    ValueCheckError
+        When they are not of the code's pixels, or neither one nor one each.
+    """
+    if moving is None:
+        return np.ones((1, *shape), np.bool_)
+    masks = np.asarray(moving[None] if moving.ndim == 2 else moving) != 0
+    if masks.ndim != 3 or masks.shape[1:] != shape or len(masks) not in (1, n_frames):
+        raise ValueCheckError(
+            f"moving: got {moving.shape}, expected one mask of {shape} pixels, those of the code, or "
+            f"{n_frames} of them, one a coded image"
+        )
+    return masks
 
 
 def code_levels(codes: NDArray[Any]) -> tuple[Bytes, float]:
@@ -190,6 +212,11 @@ def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple
     if truth.ndim < 3 or len(stack) < n_frames * slots:
         raise ValueCheckError(
             f"truth: got {truth.shape}, expected {n_frames} x {slots} pictures: all slots of each coded image"
+        )
+    if not np.isfinite(stack).all():
+        raise ValueCheckError(
+            f"truth: {int((~np.isfinite(stack)).sum())} of its numbers are not finite, expected light "
+            "everywhere, as a score needs it; fill them, or leave truth out"
         )
     return tuple(np.split(stack[: n_frames * slots], n_frames))
 

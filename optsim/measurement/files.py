@@ -3,9 +3,9 @@
 """Coded measurements as they lie on disk: one array file, or images that a small TOML file names.
 
 An ``.npz`` or ``.mat`` file by itself is a measurement when it holds the arrays ``image``, ``code`` and, if
-known, ``truth``; the names ``meas``, ``mask`` and ``orig`` of published snapshot-video sets will do. Arrays
-of numpy have time first, those of MATLAB last. Everything else is said in a TOML file, whose keys are the
-fields of :class:`MeasurementFiles`; paths in it begin at its folder.
+known, ``truth`` and ``moving``; the names ``meas``, ``mask`` and ``orig`` of published snapshot-video sets
+will do. Arrays of numpy have time first, those of MATLAB last. Everything else is said in a TOML file, whose
+keys are the fields of :class:`MeasurementFiles`; paths in it begin at its folder.
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ from optsim.measurement.coded import (
     Sensor,
     coded_frames,
     coded_measurement,
+    moving_masks,
     stacked,
     truth_frames,
 )
 from optsim.reconstruct import Decoder, Interpolation
 from optsim.scene.recording import array_names, by_number, load_array, open_recording
 
-_Role = Literal["image", "code", "truth"]
+_Role = Literal["image", "code", "truth", "moving"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
     "image": ("image", "meas"),
     "code": ("code", "mask"),
     "truth": ("truth", "orig"),
+    "moving": ("moving",),
 }
 _ARRAYS = (".npz", ".mat")
 
@@ -72,6 +74,8 @@ class MeasurementFiles(DecoderChoice):
     truth : str or None
         Light slot by slot, if it is known: as the code's, but all slots of the first coded image, then all
         of the second.
+    moving : str or None
+        Masks, not zero where a union takes the video's decoder: one, or one a coded image; default all.
     slots : int or None
         Slots of a coded image, where the code's files hold those of all coded images one after the other.
     bench : str or None
@@ -83,6 +87,7 @@ class MeasurementFiles(DecoderChoice):
     image: str
     code: str
     truth: str | None = None
+    moving: str | None = None
     slots: int | None = Field(default=None, ge=1)
     bench: str | None = None
     sensor: Sensor = Sensor()
@@ -136,15 +141,20 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
             )
         codes = codes.reshape(-1, files.slots, *codes.shape[1:])
     truth = None if files.truth is None else _read(files.truth, "truth")
+    moving = None if files.moving is None else _read(files.moving, "moving")
     if files.bench is None:
-        return coded_measurement(images, codes, sensor=files.sensor, truth=truth)
+        return coded_measurement(images, codes, sensor=files.sensor, moving=moving, truth=truth)
     if files.sensor != Sensor():
         raise ConfigError("sensor: got one and a bench, which says all of it; remove one of them")
-    return _on_a_bench(Path(files.bench), images, codes, truth)
+    return _on_a_bench(Path(files.bench), images, codes, moving, truth)
 
 
 def _on_a_bench(
-    folder: Path, images: NDArray[Any], codes: NDArray[Any], truth: NDArray[Any] | None
+    folder: Path,
+    images: NDArray[Any],
+    codes: NDArray[Any],
+    moving: NDArray[Any] | None,
+    truth: NDArray[Any] | None,
 ) -> Measurement:
     """Measurement of a camera that a bench calibrated: its codes are drive levels."""
     calibration = calibrate_from(Bench.read(folder))
@@ -154,7 +164,7 @@ def _on_a_bench(
     as_shown = codes if codes.max(initial=0) > 1 else codes * 255
     levels = np.rint(as_shown).astype(np.uint8)
     return Measurement(
-        coded_frames(list(images), levels, np.ones(calibration.shape, np.bool_)),
+        coded_frames(list(images), levels, moving_masks(moving, len(images), calibration.shape)),
         calibration,
         truth_frames(truth, len(images), calibration.slots_per_frame),
         "W m^-2 on the modulator",
@@ -181,7 +191,7 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
         if path.is_dir()
         else [path] * (path.suffix.lower() == ".exr")
     )
-    if exr and role != "image":
+    if exr and role not in ("image", "moving"):
         found = [read_exr(each)[0] for each in exr]
         stacks = [
             np.stack([channels[name] for name in sorted(channels, key=by_number)]) for channels in found

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.errors import StorageError
+from optsim.errors import ConfigError, StorageError
 from optsim.files import atomic, write_exr, write_json, write_png8
 from optsim.measurement.coded import Measurement
 from optsim.progress import Progress, silent
@@ -58,8 +58,12 @@ def decode_measurement(
     ------
     StorageError
         When the folder holds something.
+    ConfigError
+        When the peak is none.
     """
     check_empty(folder)
+    if peak is not None and not 0 < peak < float("inf"):
+        raise ConfigError(f"--peak: got {peak:g}, expected more than 0, in the unit of the light")
     brightest = max((float(each.max()) for each in measurement.truth), default=0.0)
     top = (peak or brightest) if measurement.truth else None
     decoded: list[Reconstruction] = []
