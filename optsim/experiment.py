@@ -148,6 +148,11 @@ class Experiment(Part):
         if not self.drift:
             return self.camera
         working = build(CodedCamera, _merged(self.camera.model_dump(), self.drift), where="drift")
+        if "objective" in self.drift:
+            raise ConfigError(
+                "drift.objective: got one, but the truth is the light behind the objective as it is; change "
+                "camera.objective, or let the relay, splitter, modulator or sensor drift"
+            )
         was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
         if was != now or (working.sensor.rows, working.sensor.cols) != (
             self.camera.sensor.rows,

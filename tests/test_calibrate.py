@@ -16,7 +16,7 @@ from synthetic_bench import Camera
 
 from optsim.calibrate import Bench, Calibration, Glare, calibrate_from
 from optsim.calibrate.pixel_map import map_pixels
-from optsim.errors import BenchError
+from optsim.errors import BenchError, ValueCheckError
 from optsim.quantities import CodedFrame, ExposureCode
 
 
@@ -300,6 +300,12 @@ def test_a_flash_that_lights_a_part_of_the_panel_is_enough(camera: Camera, bench
     # A thirteenth of the pixels: 3.6 times the spread over 20 benches.
     assert response.tau_on_s == pytest.approx(camera.tau_on_s, abs=5 * 3.6 * 1.3e-7)
     assert response.tau_off_s == pytest.approx(camera.tau_off_s, abs=5 * 3.6 * 1.3e-7)
+
+
+def test_glare_of_more_than_all_light_is_refused() -> None:
+    for wrong in ({"veil": 0.6, "ghost": 0.5}, {"ghost": -0.1}, {"ghost_blur_px": 0.0}, {"wings": (0.1,)}):
+        with pytest.raises(ValueCheckError, match="glare: got veil"):
+            Glare(**wrong)
 
 
 @pytest.mark.parametrize("true_veil", [0.0, 0.003, 0.02])

@@ -12,6 +12,7 @@ from optsim.calibrate.sample import Brightness, attribution_variance, separate, 
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
 from optsim.reconstruct import HdrMerge
+from optsim.reconstruct.hdr_merge import within_pixels
 from optsim.reconstruct.layer import positive_mean
 
 ROWS, COLS = 24, 32
@@ -228,3 +229,36 @@ def test_dark_pixels_are_the_mean_of_what_they_may_be(ratio):
 def test_without_noise_nothing_is_added():
     measured = np.array([-1.0, 0.0, 0.3], np.float32)
     np.testing.assert_allclose(positive_mean(measured, np.zeros(3, np.float32)), [0, 0, 0.3], atol=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 2.88])
+def test_what_a_narrow_pick_misses_of_light_that_curves(ratio):
+    """A parabola along each axis: mean over the pixel less mean over the pick, integrated by hand."""
+    y, x = np.mgrid[:12, :14].astype(np.float64)
+    light = (0.3 * (y - 5) ** 2 + 0.1 * (x - 4) ** 2 + 2 * x).astype(np.float32)
+    # The mean of a^2 over a width w is w^2 / 12.
+    missed = (0.3 + 0.1) * (1 - ratio**-2) / 12
+    np.testing.assert_allclose(within_pixels(light, ratio)[2:-2, 2:-2], missed, rtol=1e-4, atol=1e-7)
+
+
+def test_the_ratio_of_a_camera_is_that_of_its_picks():
+    calibration = ideal_calibration(ROWS, COLS)
+    assert calibration.ratio == 1
+    row, col = (np.floor(2.88 * (pick + 0.5)).astype(np.int64) for pick in np.mgrid[:ROWS, :COLS])
+    assert replace(calibration, pick_row=row, pick_col=col).ratio == pytest.approx(2.88, rel=0.01)
+
+
+def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
+    """The same frames on a CCD of three pixels to a panel pixel: uncertain where light curves."""
+    image = np.full((ROWS, COLS), 0.1, np.float32)
+    image[:, COLS // 2 :] = 0.8
+    calibration = ideal_calibration(ROWS, COLS)
+    frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
+    row, col = (3 * pick + 1 for pick in (calibration.pick_row, calibration.pick_col))
+    wide = [CodedFrame(f.index, f.dn.repeat(3, axis=0).repeat(3, axis=1), f.code) for f in frames]
+    *_, plain = HdrMerge().layers(frames, calibration)
+    *_, narrow = HdrMerge().layers(wide, replace(calibration, pick_row=row, pick_col=col))
+    np.testing.assert_array_equal(plain.irradiance_w_m2, narrow.irradiance_w_m2)
+    missed = within_pixels(plain.irradiance_w_m2[0], 3.0)
+    np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, missed), rtol=1e-4)
+    assert missed[:, COLS // 2].min() > 0.02

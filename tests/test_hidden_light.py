@@ -27,12 +27,16 @@ def room(rng, *windows):
     return image.astype(np.float32)
 
 
-def merged(image, true, known, seed=1):
-    """Last of four frames of the mosaic, merged with what is known of the glare that they have."""
+def merged(images, true, known, seed=1):
+    """Last of four frames of the mosaic, merged with what is known of the glare that they have.
+
+    Of one image, or of four.
+    """
+    images = images if isinstance(images, list) else [images] * 4
     rng = np.random.default_rng(seed)
     camera, calibration = (ideal_calibration(ROWS, COLS, crosstalk=KERNEL, glare=g) for g in (true, known))
-    frames = film(camera, HdrMosaic(), [still_light(image)] * 4, None)
-    for index, frame in enumerate(frames):
+    frames = film(camera, HdrMosaic(), [still_light(image) for image in images], None)
+    for index, (frame, image) in enumerate(zip(list(frames), images, strict=True)):
         weights, _ = camera.weights(frame.code, None)
         # 270 DN of as many electrons a slot and W m^-2; the converter ends at 16 383.
         electrons = 270.0 * camera.mix((weights * image).sum(axis=0))
@@ -73,6 +77,19 @@ def test_two_windows_are_told_apart():
     first, second = found[12:22, 12:22].mean(), found[38:48, 56:66].mean()
     assert stops(first, 90.0) == pytest.approx(0, abs=0.2)
     assert stops(second, 30.0) == pytest.approx(0, abs=0.3)
+
+
+def test_a_lamp_that_two_frames_saw_waits_for_the_others():
+    """On since the frame before: bounds still follow the codes, and no factor makes that light."""
+    dark, lit = (
+        room(np.random.default_rng(7), (np.s_[20:36], np.s_[20:36], light)) for light in (0.01, 60.0)
+    )
+    late, blind = (merged([dark, dark, lit, lit], g, g) for g in (GLARE, Glare()))
+    lamp = late.interpolated & blind.interpolated
+    assert lamp.sum() > 40
+    found, expected = (each.irradiance_w_m2[0][lamp] for each in (late, blind))
+    np.testing.assert_allclose(found, expected, rtol=0.1)
+    assert found.max() < 2 * 60
 
 
 def test_without_glare_nobody_knows_better():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import ClassVar, Literal
@@ -230,6 +231,13 @@ class Calibration:
     def own_share(self) -> Floats:
         """What each pixel keeps of its own light: the centres of the kernels, array (v, u)."""
         return self.crosstalk[:, :, self.reach, self.reach]
+
+    @property
+    def ratio(self) -> float:
+        """CCD pixels to a panel pixel along a row or column, by the picks."""
+        rows, cols = self.shape
+        apart = (float(pick[-1, -1] - pick[0, 0]) for pick in (self.pick_row, self.pick_col))
+        return max(math.hypot(*apart) / math.hypot(rows - 1, cols - 1), 1.0) if rows * cols > 1 else 1.0
 
     @property
     def reach(self) -> int:

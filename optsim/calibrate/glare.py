@@ -38,7 +38,7 @@ class Glare:
     Raises
     ------
     ValueCheckError
-        When a share is negative or not below 1.
+        When shares are negative or too large, or the blur is none.
     """
 
     veil: float = 0.0
@@ -47,11 +47,17 @@ class Glare:
     wings: tuple[float, ...] = (0.0,) * (len(RINGS_PX) - 1)
 
     def __post_init__(self) -> None:
-        shares = (self.veil, self.ghost, *self.wings)
-        if not all(0 <= share < 1 for share in shares) or len(self.wings) != len(RINGS_PX) - 1:
+        if (
+            min(self.veil, self.ghost, *self.wings) < 0
+            or self.veil + self.ghost >= 1
+            or max(self.wings) >= 1
+            or self.ghost_blur_px <= 0
+            or len(self.wings) != len(RINGS_PX) - 1
+        ):
             raise ValueCheckError(
-                f"glare: got veil {self.veil:.3g}, ghost {self.ghost:.3g} and wings {self.wings}, expected "
-                f"shares from 0 to below 1, and {len(RINGS_PX) - 1} wings"
+                f"glare: got veil {self.veil:.3g}, ghost {self.ghost:.3g} of {self.ghost_blur_px:.3g} "
+                f"pixels, wings {self.wings}, expected shares and strengths from 0 to below 1, veil and "
+                f"ghost together too, {len(RINGS_PX) - 1} wings, and a blur of more than 0"
             )
 
     def share(self, reach: int) -> float:

@@ -104,7 +104,8 @@ def _overlap(distance: Doubles, radius: float) -> Doubles:
     ours = np.arccos((apart**2 + 1 - radius**2) / (2 * apart))
     theirs = np.arccos((apart**2 + radius**2 - 1) / (2 * apart * radius))
     kite = np.sqrt((1 + radius + apart) * (1 + radius - apart) * (apart + 1 - radius) * (apart - 1 + radius))
-    return np.where(distance <= radius - 1, 1, (ours + radius**2 * theirs - kite / 2) / np.pi)
+    shared = (ours + radius**2 * theirs - kite / 2) / np.pi
+    return np.where(distance <= radius - 1, 1, np.clip(shared, 0, 1))
 
 
 def photons_per_joule(wavelength_m: float = MONO_WAVELENGTH_M) -> float:

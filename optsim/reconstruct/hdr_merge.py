@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -38,8 +38,8 @@ _PASSES = 3
 _SETTLED_SIGMAS = 0.1
 _COUPLED = 0.01
 # How often glare is asked how bright hidden regions are, and how often each by itself; when that has settled;
-# and what is left of its error: calibrations leave up to 8 % (tests/test_laboratory.py).
-_GLARE_ROUNDS, _APART, _SAME_FACTOR, _GLARE_ERROR = 4, 2, 0.02, 0.1
+# and how many frames it takes.
+_GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 4, 2, 0.02, 4
 
 
 class HdrMerge(Branch):
@@ -51,7 +51,8 @@ class HdrMerge(Branch):
     own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
     (:func:`~optsim.calibrate.sample.attribution_variance`): there long exposures are trusted, short ones not.
     Any code counts, the paper's mosaic or another. The uncertainty, ``sum(W^2 / var) ** -0.5``, holds no
-    other errors of the calibration, nor motion that nobody noticed; but what is left of glare does count.
+    other errors of the calibration, nor motion that nobody noticed; but it holds what is left of glare, and
+    what a narrow pick may miss of light that changes within a pixel.
 
     What saturates in every frame is as bright as its glare says, region by region
     (:func:`~optsim.reconstruct.hidden_light.told_by_glare`), or just bright enough to saturate. What is
@@ -105,6 +106,7 @@ class HdrMerge(Branch):
                 [ok & (s.exposure > LEAST_EXPOSURE) for s, ok in zip(samples, alive, strict=True)]
             )
             mean = _filled(mean, found, least)
+            error = np.sqrt(variance + within_pixels(mean, calibration.ratio) ** 2)
             yield Layer(
                 frame.index,
                 mean[None],
@@ -113,7 +115,7 @@ class HdrMerge(Branch):
                 ~found & sample.valid,
                 np.zeros(calibration.shape, np.bool_),
                 calibration.slots_per_frame,
-                np.where(found, np.sqrt(variance), np.abs(mean))[None],
+                np.where(found, error, np.abs(mean)).astype(np.float32)[None],
             )
 
 
@@ -153,16 +155,17 @@ def _merged(
     certainty = _sum([s.exposure for s in samples], usable)
     mean = _ratio(_sum([s.signal for s in samples], usable), certainty)
     change = np.zeros_like(mean)
-    stray = np.zeros(mean.shape)
+    by_glare = np.zeros(mean.shape)
     guess = partial(_pass, calibration, usable=usable, found=found, crosstalk=crosstalk)
     for _ in range(_PASSES):
         samples, certainty, change = guess(samples, mean, least=least)
         mean += change
     if crosstalk == "undone":
-        hidden = ~found & (least > 0)
-        for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) > 1 else 0):
+        # Before all frames of a mosaic's period have seen a light, its pixels' bounds follow their codes.
+        hidden = ~found & (least > 0) & np.logical_and.reduce(alive)
+        for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) >= _PERIOD else 0):
             # Regions compete: told apart more often, they are so by the errors of the rounds before.
-            factor, stray = told_by_glare(
+            factor, by_glare = told_by_glare(
                 calibration, samples, alive, usable, mean, least, hidden, apart=done < _APART
             )
             least = least * factor
@@ -180,7 +183,7 @@ def _merged(
     for sample, use in zip(samples, usable, strict=True):
         hidden = (sample.saturated & ~found).astype(np.float32)
         tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
-    variance = _ratio(np.ones(mean.shape), certainty) + (_GLARE_ERROR * stray) ** 2
+    variance = _ratio(np.ones(mean.shape), certainty) + by_glare**2
     return mean, variance.astype(np.float32), found, tainted, least
 
 
@@ -232,6 +235,25 @@ def _unsettled(
     result = found & around(short | (sigmas > _SETTLED_SIGMAS) & around(bright))
     # What no frame measured is found from what lies around it.
     return result | bright & ~found & around(result)
+
+
+def within_pixels(irradiance: Floats, ratio: float) -> Floats:
+    """How far the middle of each pixel is off its mean, where light changes within pixels.
+
+    A pick is a ratio narrower than its panel pixel. Of light that curves by E'' over a pixel the mean over a
+    width w is E''/2 w^2/12 more than in the middle, along each axis; the curvature is that between pixels.
+
+    Parameters
+    ----------
+    irradiance : ndarray of shape (v, u), float32
+        W m^-2.
+    ratio : float
+        CCD pixels to a panel pixel.
+    """
+    from scipy import ndimage
+
+    laplace = cast("Callable[..., Floats]", ndimage.laplace)
+    return np.abs(laplace(irradiance, mode="nearest")) * np.float32((1 - ratio**-2) / 24)
 
 
 def _ratio(top: Doubles, bottom: Doubles) -> Floats:

@@ -17,6 +17,8 @@ from optsim.quantities import Bools, Doubles, Floats
 _REGIONS, _LEAST_PX, _UNLIKE = 4, 16, 0.5
 # What a glare must explain to be believed, standard deviations of noise.
 _SIGMAS = 5.0
+# What is left of a glare's error: calibrations leave up to 8 % (tests/test_laboratory.py).
+_ERROR = 0.1
 # Share of the kernel beyond which a neighbour is told by the kernel, not by glare.
 _NEAR = 1e-4
 
@@ -32,7 +34,7 @@ def told_by_glare(
     *,
     apart: bool,
 ) -> tuple[Floats, Doubles]:
-    """Find by what factor hidden regions are brighter than assumed, and what their glare adds to all others.
+    """Find by what factor hidden regions are brighter than assumed, and how well their glare is known.
 
     Light of a saturated region arrives everywhere, for as long as the region's own code lets it through,
     whatever the code of the place where it arrives. So over a few frames with different codes it does not
@@ -59,25 +61,26 @@ def told_by_glare(
     -------
     factor : ndarray of shape (v, u), float32
         By which to multiply that light; 1 where nothing is known better.
-    stray : ndarray of shape (v, u), float64
-        What the glare of the assumed light adds to the merged irradiance, were it not taken out, W m^-2.
+    error : ndarray of shape (v, u), float64
+        Standard deviation of the merged irradiance by the glare of the assumed light, W m^-2: a tenth of what
+        it would add.
     """
     # What lies beside saturation isn't settled yet, and tells of that more than of glare.
     bright = np.logical_or.reduce([ok & s.valid & s.saturated for s, ok in zip(samples, alive, strict=True)])
     far = calibration.spread(bright[None].astype(np.float32))[0] <= _NEAR
-    certainties = [
-        np.where(ok & far, 1 / predicted_variance(calibration, s.exposure, np.maximum(mean, 0)), 0)
+    known = [
+        np.where(ok, 1 / predicted_variance(calibration, s.exposure, np.maximum(mean, 0)), 0)
         for s, ok in zip(samples, usable, strict=True)
     ]
-    frames = list(zip(samples, alive, certainties, strict=True))
-    pooled = sum((c * s.exposure**2 for s, _, c in frames), np.zeros(mean.shape))
+    frames = [(s, ok, c * far) for s, ok, c in zip(samples, alive, known, strict=True)]
 
     def merged(images: Sequence[Floats | Doubles]) -> Doubles:
         """Irradiance that a merge would make of additional light in each frame."""
-        top = sum(
-            (c * s.exposure * image for (s, _, c), image in zip(frames, images, strict=True)), 0 * pooled
-        )
-        return np.divide(top, pooled, out=np.zeros_like(top), where=pooled > 0)
+        top, bottom = np.zeros((2, *mean.shape))
+        for sample, c, image in zip(samples, known, images, strict=True):
+            top += c * sample.exposure * image
+            bottom += c * sample.exposure**2
+        return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
 
     def glare(of: Bools) -> list[Floats]:
         return [
@@ -103,7 +106,8 @@ def told_by_glare(
     if change @ gain > _SIGMAS**2:
         for part, more in zip(parts, change, strict=True):
             factor[part] += np.float32(more)
-    return np.where(hidden, np.maximum(factor, _darkest(samples, alive, light)), 1), merged(all_hidden)
+    factor = np.where(hidden, np.maximum(factor, _darkest(samples, alive, light)), 1)
+    return factor, _ERROR * merged(all_hidden)
 
 
 def _regions(light: Floats) -> list[Bools]:
