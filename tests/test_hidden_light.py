@@ -27,14 +27,16 @@ def room(rng, *windows):
     return image.astype(np.float32)
 
 
-def merged(images, true, known, seed=1):
+def merged(images, true, known, seed=1, kernel=KERNEL):
     """Last of four frames of the mosaic, merged with what is known of the glare that they have.
 
-    Of one image, or of four.
+    Of one image, or of four; by a camera whose kernel may have changed since.
     """
     images = images if isinstance(images, list) else [images] * 4
     rng = np.random.default_rng(seed)
-    camera, calibration = (ideal_calibration(ROWS, COLS, crosstalk=KERNEL, glare=g) for g in (true, known))
+    camera, calibration = (
+        ideal_calibration(ROWS, COLS, crosstalk=k, glare=g) for k, g in ((kernel, true), (KERNEL, known))
+    )
     frames = film(camera, HdrMosaic(), [still_light(image) for image in images], None)
     for index, (frame, image) in enumerate(zip(list(frames), images, strict=True)):
         weights, _ = camera.weights(frame.code, None)
@@ -92,6 +94,18 @@ def test_a_lamp_that_two_frames_saw_waits_for_the_others():
     assert found.max() < 2 * 60
 
 
+def test_a_camera_that_drifted_does_not_pass_crosstalk_off_as_glare():
+    """Each pixel gets 5 % more of its left neighbour than was calibrated: an offset too, but in the dark."""
+    shifted = KERNEL.copy()
+    shifted[1, 0] += 0.05
+    shifted[1, 1] -= 0.05
+    image = room(np.random.default_rng(8))
+    image[:, 4:] *= 100
+    image[12:33, 14:35] = 60
+    inside = merged(image, GLARE, GLARE, kernel=shifted).irradiance_w_m2[0][15:30, 17:32]
+    assert stops(inside.mean(), 60.0) == pytest.approx(0, abs=0.15)
+
+
 def test_without_glare_nobody_knows_better():
     """What saturated alone stays as it was: bright as if through its own code alone, here a third of it."""
     image = room(np.random.default_rng(4), (np.s_[12:33], np.s_[14:35], 180.0))
@@ -103,11 +117,12 @@ def test_without_glare_nobody_knows_better():
     assert abs(stops(knowing.mean(), 180.0)) < 0.45
 
 
-def test_few_pixels_and_faint_glare_are_not_believed():
-    """Three pixels just past saturation: their glare drowns in noise, and nothing is made of it."""
+def test_few_pixels_come_out_no_worse_than_their_bound():
+    """Three pixels just past saturation: their glare nearly drowns in noise."""
     image = room(np.random.default_rng(5), (np.s_[30:31], np.s_[40:43], 30.0))
     with_glare, without = (merged(image, g, g).irradiance_w_m2[0] for g in (GLARE, Glare()))
-    np.testing.assert_allclose(with_glare[30, 40:43], without[30, 40:43], rtol=0.2)
+    off, bound_off = (np.abs(stops(each[30, 40:43], 30.0)).mean() for each in (with_glare, without))
+    assert off < bound_off + 0.05
 
 
 def test_glare_that_drowns_in_noise_is_not_believed():

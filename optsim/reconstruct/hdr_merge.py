@@ -39,7 +39,7 @@ _SETTLED_SIGMAS = 0.1
 _COUPLED = 0.01
 # How often glare is asked how bright hidden regions are, and how often each by itself; when that has settled;
 # and how many frames it takes.
-_GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 4, 2, 0.02, 4
+_GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 6, 2, 0.02, 4
 
 
 class HdrMerge(Branch):

@@ -16,9 +16,12 @@ from optsim.quantities import Bools, Doubles, Floats
 # the rest. By so much, one standard deviation, do their factors differ. Sensible defaults, no source.
 _REGIONS, _LEAST_PX, _UNLIKE = 4, 16, 0.5
 # What a glare must explain to be believed, standard deviations of noise.
-_SIGMAS = 5.0
+_SIGMAS = 4.0
 # What is left of a glare's error: calibrations leave up to 8 % (tests/test_laboratory.py).
 _ERROR = 0.1
+# Share of its neighbours' light that a pixel may get unknown to the calibration, one standard deviation: so
+# what is dark tells of glare. A sensible default, no source.
+_MISPLACED = 0.2
 # Share of the kernel beyond which a neighbour is told by the kernel, not by glare.
 _NEAR = 1e-4
 
@@ -68,8 +71,12 @@ def told_by_glare(
     # What lies beside saturation isn't settled yet, and tells of that more than of glare.
     bright = np.logical_or.reduce([ok & s.valid & s.saturated for s, ok in zip(samples, alive, strict=True)])
     far = calibration.spread(bright[None].astype(np.float32))[0] <= _NEAR
+    light_here = np.maximum(mean, 0)
+    typical = float(np.mean([s.exposure.mean() for s in samples]))
+    # What a calibration that no longer holds brings from neighbours open for long looks like glare, too.
+    misplaced = (_MISPLACED * typical * light_here) ** 2
     known = [
-        np.where(ok, 1 / predicted_variance(calibration, s.exposure, np.maximum(mean, 0)), 0)
+        np.where(ok, 1 / (predicted_variance(calibration, s.exposure, light_here) + misplaced), 0)
         for s, ok in zip(samples, usable, strict=True)
     ]
     frames = [(s, ok, c * far) for s, ok, c in zip(samples, alive, known, strict=True)]
