@@ -390,6 +390,14 @@ def test_first_screen_names_the_winners_and_their_lead(run_folder: Path, results
     assert moving.contestants[-1].position == 0
 
 
+def test_a_camera_that_drifted_is_named(run_folder: Path, results: dict[str, Any]) -> None:
+    assert "camera drifted" not in report.write_report(run_folder, results).read_text()
+    drift = {"relay": {"shift_x_px": 0.4, "shift_y_px": -0.2}}
+    told = {**results, "experiment": {**results["experiment"], "drift": drift}}
+    page = report.write_report(run_folder, told).read_text()
+    assert re.search(r"camera drifted.*: relay.shift_x_px = 0.4, relay.shift_y_px = -0.2\.", page)
+
+
 def test_sections_come_in_order(run_folder: Path, results: dict[str, Any]) -> None:
     page = report.write_report(run_folder, results).read_text()
     order = re.findall(r'<section[^>]* id="(\w+)"', page)

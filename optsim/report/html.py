@@ -98,6 +98,7 @@ def _context(results: Results) -> dict[str, object]:
         ),
         "quantity": words.quantity,
         "flat": _flat(results["experiment"]),
+        "drift": _flat(results["experiment"].get("drift", {})),
     }
 
 
