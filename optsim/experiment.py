@@ -147,12 +147,12 @@ class Experiment(Part):
         """
         if not self.drift:
             return self.camera
-        working = build(CodedCamera, _merged(self.camera.model_dump(), self.drift), where="drift")
         if "objective" in self.drift:
             raise ConfigError(
                 "drift.objective: got one, but the truth is the light behind the objective as it is; change "
                 "camera.objective, or let the relay, splitter, modulator or sensor drift"
             )
+        working = build(CodedCamera, _merged(self.camera.model_dump(), self.drift), where="drift")
         was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
         if was != now or (working.sensor.rows, working.sensor.cols) != (
             self.camera.sensor.rows,
@@ -239,6 +239,7 @@ def load_experiment(
     experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
     if check_geometry:
         experiment.camera.geometry().check()
+    if check_geometry and experiment.drift:
         try:
             experiment.at_work().geometry().check()
         except GeometryError as error:

@@ -26,8 +26,10 @@ def true_calibration(camera: CodedCamera) -> Calibration:
     operator = camera.relay_operator()
     image = operator.apply(shading * gain * camera.slot_s)
     borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)
+    panel = np.ones((camera.panel_rows, camera.panel_cols))
+    flat = np.maximum(seen_at_picks(panel, operator, borders, row, col), 1e-30)
     middle = (camera.panel_rows // 2, camera.panel_cols // 2)
-    lit = np.zeros((camera.panel_rows, camera.panel_cols))
+    lit = 0 * panel
     lit[middle] = 1
     return _known(
         "true",
@@ -48,7 +50,7 @@ def true_calibration(camera: CodedCamera) -> Calibration:
             veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
             ghost=camera.relay.ghost_share,
             ghost_blur_px=camera.relay.ghost_blur_px,
-            wings=ring_strengths(seen_at_picks(lit, operator, borders, row, col), *middle),
+            wings=ring_strengths(seen_at_picks(lit, operator, borders, row, col) / flat, *middle),
         ),
     )
 

@@ -209,6 +209,11 @@ class Calibration:
 
     def mix_far(self, light: Floats) -> Floats:
         """Find the part of :meth:`mix` that glare brings: a few percent of bright light, smooth."""
+        if self._direct_share is None:
+            return np.zeros_like(light)
+        return self._glare(light)
+
+    def _glare(self, light: Floats) -> Floats:
         arrived = light * self.responsivity_dn
         return (self.glare.light(arrived, self.reach) / self.responsivity_dn).astype(np.float32)
 
@@ -217,7 +222,7 @@ class Calibration:
         """What of a flat is no glare: the responsivity holds both. None without glare."""
         if self.glare.share(self.reach) == 0:
             return None
-        return 1 - self.mix_far(np.ones(self.shape, np.float32))
+        return 1 - self._glare(np.ones(self.shape, np.float32))
 
     def spread(self, stack: Floats) -> Floats:
         """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""

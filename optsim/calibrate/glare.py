@@ -48,11 +48,10 @@ class Glare:
 
     def __post_init__(self) -> None:
         if (
-            min(self.veil, self.ghost, *self.wings) < 0
-            or self.veil + self.ghost >= 1
-            or max(self.wings) >= 1
+            len(self.wings) != len(RINGS_PX) - 1
+            or min(self.veil, self.ghost, *self.wings) < 0
+            or max(self.veil + self.ghost, *self.wings) >= 1
             or self.ghost_blur_px <= 0
-            or len(self.wings) != len(RINGS_PX) - 1
         ):
             raise ValueCheckError(
                 f"glare: got veil {self.veil:.3g}, ghost {self.ghost:.3g} of {self.ghost_blur_px:.3g} "
@@ -101,14 +100,22 @@ def ring_strengths(answer: Doubles, row: int, col: int) -> tuple[float, ...]:
     """
     dy: Doubles = np.arange(answer.shape[0], dtype=np.float64)[:, None] - row
     dx: Doubles = np.arange(answer.shape[1], dtype=np.float64) - col
-    distance = np.hypot(dy, dx)
-    beyond = np.maximum(np.abs(dy), np.abs(dx)) > REACH
     strengths: list[float] = []
-    for inner, outer in pairwise(RINGS_PX):
-        ring = beyond & (distance >= inner) & (distance < outer)
-        falling = float((distance[ring] ** -3).sum())
-        strengths.append(max(float(answer[ring].sum()) / falling, 0.0) if falling else 0.0)
+    for falling in _falling(dy, dx, REACH):
+        whole = float(falling.sum())
+        strengths.append(max(float(answer[falling > 0].sum()) / whole, 0.0) if whole else 0.0)
     return tuple(strengths)
+
+
+def _falling(dy: Doubles, dx: Doubles, reach: int) -> list[Doubles]:
+    """Wings of strength 1 in each ring: 1 / r^3 beyond ``reach``, 0 elsewhere; by the way from the middle."""
+    distance = np.hypot(dy, dx)
+    beyond = np.maximum(np.abs(dy), np.abs(dx)) > reach
+    cubed = np.maximum(distance, 1) ** 3
+    return [
+        np.where(beyond & (distance >= inner) & (distance < outer), 1 / cubed, 0)
+        for inner, outer in pairwise(RINGS_PX)
+    ]
 
 
 @lru_cache(maxsize=16)
@@ -116,12 +123,8 @@ def _kernel(strengths: tuple[float, ...], reach: int) -> Doubles:
     """Shares of those around it that a pixel sees, as wide as the last ring that has any."""
     half = max([reach, *(int(outer) for outer, lit in zip(RINGS_PX[1:], strengths, strict=True) if lit)])
     place: Doubles = np.arange(-half, half + 1, dtype=np.float64)
-    distance = np.hypot(place[:, None], place)
-    strength = np.zeros(distance.shape)
-    for in_ring, (inner, outer) in zip(strengths, pairwise(RINGS_PX), strict=True):
-        strength[(distance >= inner) & (distance < outer)] = in_ring
-    strength[np.maximum(np.abs(place[:, None]), np.abs(place)) <= reach] = 0
-    return strength / np.maximum(distance, 1) ** 3
+    rings = zip(strengths, _falling(place[:, None], place, reach), strict=True)
+    return sum((strength * falling for strength, falling in rings), np.zeros((len(place), len(place))))
 
 
 @lru_cache(maxsize=16)

@@ -63,6 +63,11 @@ class Sample:
     tainted: Bools
 
     @property
+    def even(self) -> Floats:
+        """Irradiance if all around were as bright, W m^-2, (v, u): the least there is where saturated."""
+        return (self.measured / np.maximum(self.gathered, np.float32(1e-6))).astype(np.float32, copy=False)
+
+    @property
     def least(self) -> Floats:
         """Irradiance of a saturated pixel if it had gathered through its own code alone, W m^-2, (v, u).
 
@@ -242,7 +247,7 @@ def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) ->
     pinned = sample.saturated | ~sample.valid
     pins = sample.measured
     if pinned.any():
-        even = sample.measured / np.maximum(sample.gathered, np.float32(1e-6))
+        even = sample.even
         if not sample.valid.all() and sample.valid.any():
             even = even[nearest(sample.valid)]
         told = np.fmax(elsewhere.irradiance, elsewhere.least)

@@ -118,7 +118,7 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
 def seen_at_picks(
     panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints
 ) -> Doubles:
-    """Light of a pattern on the panel at the picks over that of the whole panel lit: array (v, u).
+    """Light of a pattern on the panel at the picks, without veil: array (v, u).
 
     Parameters
     ----------
@@ -127,11 +127,7 @@ def seen_at_picks(
     operator, borders, pick_row, pick_col
         As of :func:`true_dots`.
     """
-
-    def answer(levels: Doubles) -> Doubles:
-        return operator.project(operator.blur.apply(fine_image(levels, borders)))[pick_row, pick_col]
-
-    return answer(panel) / np.maximum(answer(np.ones(panel.shape)), 1e-30)
+    return operator.project(operator.blur.apply(fine_image(panel, borders)))[pick_row, pick_col]
 
 
 def true_dots(
@@ -151,6 +147,7 @@ def true_dots(
         Farthest neighbour that a dot must have on the panel.
     """
     rows, cols = pick_row.shape
+    flat = np.maximum(seen_at_picks(np.ones((rows, cols)), operator, borders, pick_row, pick_col), 1e-30)
     found: list[Dots] = []
     n_dots = 0
     # One lattice is plenty on a large panel; on a small one it has fewer dots than the fit has terms.
@@ -159,7 +156,7 @@ def true_dots(
         if v.size and u.size:
             lit = np.zeros((rows, cols))
             lit[np.ix_(v, u)] = 1
-            found.append(Dots(v, u, seen_at_picks(lit, operator, borders, pick_row, pick_col)))
+            found.append(Dots(v, u, seen_at_picks(lit, operator, borders, pick_row, pick_col) / flat))
             n_dots += v.size * u.size
         if n_dots >= _ENOUGH * len(_EVERY_POWER):
             break

@@ -84,12 +84,12 @@ def clipped_pupil(rows: int, cols: int, corner_loss: float) -> Doubles:
     ndarray of shape (rows, cols), float64
         1 on axis.
     """
+    if corner_loss == 0:
+        return np.ones((rows, cols))
     from scipy.optimize import brentq
 
     y, x = np.arange(rows) + 0.5 - rows / 2, np.arange(cols) + 0.5 - cols / 2
     place = np.hypot(y[:, None], x) / np.hypot(rows / 2, cols / 2)
-    if corner_loss == 0:
-        return np.ones(place.shape)
 
     def lost(shift: float) -> float:
         return 1 - float(_overlap(np.array(shift), 1 + _CLEAR_FIELD * shift)) - corner_loss

@@ -181,8 +181,8 @@ def _merged(
             mean += np.where(together, 0, change)
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
-        hidden = (sample.saturated & ~found).astype(np.float32)
-        tainted = np.maximum(tainted, np.where(use, calibration.spread(hidden[None])[0], 0))
+        unknown = (sample.saturated & ~found).astype(np.float32)
+        tainted = np.maximum(tainted, np.where(use, calibration.spread(unknown[None])[0], 0))
     variance = _ratio(np.ones(mean.shape), certainty) + by_glare**2
     return mean, variance.astype(np.float32), found, tainted, least
 

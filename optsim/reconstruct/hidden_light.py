@@ -80,14 +80,14 @@ def told_by_glare(
         for s, ok in zip(samples, usable, strict=True)
     ]
     frames = [(s, ok, c * far) for s, ok, c in zip(samples, alive, known, strict=True)]
+    certainty = sum((c * s.exposure**2 for s, c in zip(samples, known, strict=True)), np.zeros(mean.shape))
 
     def merged(images: Sequence[Floats | Doubles]) -> Doubles:
         """Irradiance that a merge would make of additional light in each frame."""
-        top, bottom = np.zeros((2, *mean.shape))
+        top = np.zeros(mean.shape)
         for sample, c, image in zip(samples, known, images, strict=True):
             top += c * sample.exposure * image
-            bottom += c * sample.exposure**2
-        return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+        return np.divide(top, certainty, out=np.zeros_like(top), where=certainty > 0)
 
     def glare(of: Bools) -> list[Floats]:
         return [
@@ -133,6 +133,5 @@ def _darkest(samples: Sequence[Sample], alive: Sequence[Bools], light: Floats) -
     """Least factors: those of pixels among others as bright, which just saturate; (v, u)."""
     even = np.zeros(light.shape, np.float32)
     for sample, ok in zip(samples, alive, strict=True):
-        bound = sample.measured / np.maximum(sample.gathered, np.float32(1e-6))
-        even = np.where(ok & sample.saturated, np.maximum(even, bound), even)
+        even = np.where(ok & sample.saturated, np.maximum(even, sample.even), even)
     return np.minimum(even / np.maximum(light, np.float32(1e-30)), 1)

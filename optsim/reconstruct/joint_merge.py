@@ -99,8 +99,8 @@ def _expected(
     measured = bottom > 0
     even = np.where(measured, np.maximum(top, 0) / np.where(measured, bottom, 1), least)
     for sample, ok in zip(samples, alive, strict=True):
-        bound = sample.measured / np.maximum(sample.gathered, np.float32(1e-6))
-        even = np.where(measured & ok & sample.valid & sample.saturated, np.maximum(even, bound), even)
+        saturated = measured & ok & sample.valid & sample.saturated
+        even = np.where(saturated, np.maximum(even, sample.even), even)
     noise = np.where(measured, 1 / np.where(measured, bottom, 1), 0)
     return even, np.sqrt((_UNEVEN * even) ** 2 + noise)
 
