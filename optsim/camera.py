@@ -8,9 +8,8 @@ from pydantic import Field, model_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import integrate_exposure, slot_means
-from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
+from optsim.forward.integrate import Shutter, integrate_exposure, slot_means
+from optsim.forward.panel import PanelResponse, first_panel, settled_panel, slot_weights
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, photons_per_joule
 from optsim.forward.relay import RelayGeometry, RelayOperator
 from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
@@ -238,36 +237,32 @@ class CodedCamera(Part):
     ) -> tuple[Doubles, PanelState]:
         """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
         self._check(truth)
-        weights, after = self.shutter_weights(code, panel, truth.instants_per_slot)
-        energy = self.panel_energy(truth, index, weights)
+        shutter, after = self.shutter(code, panel, truth.instants_per_slot, truth.samples_per_pitch)
+        energy = self.panel_energy(truth, index, shutter)
         return self.electrons_of(self.relay_operator(truth.samples_per_pitch).apply(energy)), after
 
-    def shutter_weights(
-        self, code: ExposureCode, panel: PanelState | None, n_sub: int
-    ) -> tuple[Floats, PanelState]:
-        """As :meth:`panel_weights`, with the transmission of splitter and panel, and the shutter."""
-        weights, after = self.panel_weights(code, panel, n_sub)
+    def shutter(
+        self, code: ExposureCode, panel: PanelState | None, n_sub: int, pitch: int = SAMPLES_PER_PITCH
+    ) -> tuple[Shutter, PanelState]:
+        """Say what splitter and panel let through in a frame, and the panel after it."""
+        levels, panel, response = self._shown(code, panel)
+        weights, after = slot_weights(levels, panel, response, self.slot_s, n_sub, self.column_leaks)
         weights[self.coded_slots * n_sub :] = 0
         weights *= self.panel_gain
-        return weights, after
+        gain = self.panel_gain * ((1 - self.column_leaks) / response.white).astype(np.float32)
+        shown = levels[: self.coded_slots], panel, response, self.slot_s, n_sub
+        return Shutter(weights, *self.modulator.fringing(*shown, gain, pitch)), after
 
-    def panel_energy(self, truth: IrradianceVideo, index: int, weights: Floats) -> Floats:
-        """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2; of shutter weights."""
-        borders = border_shares(self.modulator.fringing_px, truth.samples_per_pitch)
-        return integrate_exposure(truth, index * self.slots_per_frame, weights, borders)
+    def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:
+        """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2."""
+        return integrate_exposure(truth, index * self.slots_per_frame, shutter)
 
     def electrons_of(self, image: Doubles) -> Doubles:
         """Electrons that a radiant exposure of the CCD frees on average, dark ones included, (y, x)."""
         return self.photon_electrons(image) + self.dark_e
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:
-        """Return a perfect decoder's answer: slot means over pitch cells, objective shading undone.
-
-        Returns
-        -------
-        ndarray of shape (slot, v, u), float32
-            W m^-2.
-        """
+        """Return a perfect decoder's answer, (slot, v, u), W m^-2: means over pitch cells, shading undone."""
         means = slot_means(truth, index * self.slots_per_frame, self.slots_per_frame)
         return means / truth.shading
 
@@ -339,6 +334,10 @@ class CodedCamera(Part):
         Pixels that stand still and slots that cannot be coded are not as the code commands; whether the
         shutter is open, the weights don't say.
         """
+        return slot_weights(*self._shown(code, panel), self.slot_s, n_sub, self.column_leaks)
+
+    def _shown(self, code: ExposureCode, panel: PanelState | None) -> tuple[Bytes, PanelState, PanelResponse]:
+        """Levels that the panel is really driven with, the panel before, and how it answers in this frame."""
         expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
         if code.levels.shape != expected:
             raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
@@ -349,7 +348,7 @@ class CodedCamera(Part):
         late_s = self.modulator.lateness_s(panel.slots_shown if panel else 0, self.serial_number)
         response = self.panel_response
         response = response.model_copy(update={"delay_s": response.delay_s + late_s})
-        return slot_weights(levels, panel, response, self.slot_s, n_sub, self.column_leaks)
+        return levels, panel or first_panel(levels, response, self.slot_s), response
 
     @property
     def panel_gain(self) -> Floats:

@@ -18,38 +18,47 @@ from typing import Literal, TypeGuard
 from threadpoolctl import threadpool_limits
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.config import Part
 from optsim.effects import ALL, Changes, changed
 from optsim.forward.bands import side_by_side
-from optsim.probe import NEAR_WINGS, Illumination, Probe, far_probe, near_probe
+from optsim.probe import FULL_RIMS, NEAR_WINGS, NOTHING, Illumination, Probe, far_probe, near_probe
 
 # Scenes differ from the probe's: what is predicted is doubled.
 _MARGIN = 2.0
 _EVEN_PSFS: Changes = {"objective": {"field_error": 1.0}, "relay": {"field_error": 1.0}}
+# What lenses change hardly depends on how the rims of panel pixels are found.
+_MIXED_RIMS: Changes = {"modulator": {"rim_model": "mixed"}}
 
 
 @dataclass(frozen=True)
 class Coarser:
-    """A number of a lens that may be larger, and the model coarser.
+    """A field of a part that may have another value, and the model be coarser.
 
     Parameters
     ----------
     what : str
         In a few words.
     part, field : str
-        Of the camera, and its number.
-    values : tuple of float
-        From the full model to the cheapest.
+        Of the camera, and its field.
+    values : tuple
+        From the full model to the cheapest: shares of the light, or names.
     """
 
     what: str
-    part: Literal["objective", "relay"]
-    field: Literal["field_error", "wing_share"]
-    values: tuple[float, ...]
+    part: Literal["objective", "relay", "modulator"]
+    field: Literal["field_error", "wing_share", "rim_model"]
+    values: tuple[float, ...] | tuple[str, ...]
 
     @property
     def steps(self) -> tuple[tuple[str, Changes], ...]:
         """From the full model to the cheapest, with the words that name each."""
-        return tuple((f"within {100 * value:g} %", {self.part: {self.field: value}}) for value in self.values)
+        return tuple(
+            (
+                value if isinstance(value, str) else f"within {100 * value:g} %",
+                {self.part: {self.field: value}},
+            )
+            for value in self.values
+        )
 
 
 @dataclass(frozen=True)
@@ -79,6 +88,12 @@ _FIELD = (5e-3, 0.01, 0.02, 0.05, 0.1, 1.0)
 _WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 # Those first that save most time at the prototype's scale.
 SHORT_CUTS: dict[str, Coarser | LeftOut] = {
+    "fringing_rims": Coarser(
+        "rims of panel pixels under fringing fields: by fine or coarse quadrature, or weights mixed",
+        "modulator",
+        "rim_model",
+        ("fine", "coarse", "mixed"),
+    ),
     "objective_field": Coarser(
         "PSF of the objective over the field: share of a point's light that may be misplaced",
         "objective",
@@ -181,9 +196,9 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     whole = camera
     for cut in open_to_choice.values():
         whole = changed(whole, cut.steps[0][1])
-    near = near_probe(whole, light)
-    far = far_probe(changed(whole, _EVEN_PSFS), light)
-    side_by_side([lambda: near.size({}, {}), lambda: far.size({}, {})])
+    near = near_probe(changed(whole, _MIXED_RIMS), light)
+    far = far_probe(changed(changed(whole, _MIXED_RIMS), _EVEN_PSFS), light)
+    side_by_side([lambda: near.size(NOTHING, NOTHING), lambda: far.size(NOTHING, NOTHING)])
     ladders = {name: _Ladder(cut, near, far, {}) for name, cut in open_to_choice.items()}
     chosen = dict.fromkeys(ladders, 0)
     if tolerance > 0:
@@ -216,11 +231,11 @@ class _Ladder:
             return 0.0
         if step not in self.found:
             changes = self.cut.steps[step][1]
-            wings = self.cut.values[step] if _of_wings(self.cut) else None
+            wings = float(self.cut.values[step]) if _of_wings(self.cut) else None
             # Wings reach over the whole panel; a near probe has no room for those that lose least.
-            sizes = [] if wings is None else [self.far.size(changes, {})]
+            sizes = [] if wings is None else [self.far.size(changes, NOTHING)]
             if wings is None or wings > NEAR_WINGS:
-                sizes.append(self.near.size(changes, {}))
+                sizes.append(self.near.size(changes, FULL_RIMS if _of_rims(self.cut) else NOTHING))
             self.found[step] = _MARGIN * max(sizes)
         return self.found[step]
 
@@ -240,6 +255,10 @@ def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
     return isinstance(cut, Coarser) and cut.field == "wing_share"
 
 
+def _of_rims(cut: Coarser | LeftOut) -> bool:
+    return isinstance(cut, Coarser) and cut.field == "rim_model"
+
+
 def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | LeftOut:
     """Leave out steps whose wings would reach farther than twice the length of the panel."""
     if not _of_wings(cut):
@@ -254,13 +273,14 @@ def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | Left
     def reaches(share: float) -> int:
         return lens.half_width(f_number, cell_m, share, camera.wavelength_m)
 
-    fitting = [share for share in cut.values if reaches(share) <= farthest]
-    return replace(cut, values=tuple(fitting) or cut.values[-1:])
+    shares = [float(share) for share in cut.values]
+    fitting = [share for share in shares if reaches(share) <= farthest]
+    return replace(cut, values=tuple(fitting) or tuple(shares[-1:]))
 
 
 def _by_hand(camera: CodedCamera, cut: Coarser | LeftOut) -> bool:
     """Whether the one number of a short cut isn't at its default any more."""
     if isinstance(cut, LeftOut):
         return False
-    lens = camera.objective if cut.part == "objective" else camera.relay
-    return bool(getattr(lens, cut.field) != type(lens).model_fields[cut.field].default)
+    part: Part = getattr(camera, cut.part)
+    return bool(getattr(part, cut.field) != type(part).model_fields[cut.field].default)

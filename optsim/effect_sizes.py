@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from optsim.effects import ALL, Effect, switched
 from optsim.forward.bands import side_by_side
-from optsim.probe import Probe
+from optsim.probe import FULL_RIMS, NOTHING, Probe
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,10 @@ def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
 
     def found(name: str, effect: Effect) -> EffectSize:
-        return EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), {}))
+        against = FULL_RIMS if name == "fringing" else NOTHING
+        return EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), against))
 
     # The frame with all of them comes first: each is compared with it.
-    probe.size({}, {})
+    probe.size(NOTHING, NOTHING)
     sizes = side_by_side(partial(found, *each) for each in ALL.items() if not each[1].in_scene)
     return sorted(sizes, key=lambda each: -each.size)

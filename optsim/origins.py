@@ -20,8 +20,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from optsim.camera import CodedCamera
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image_adjoint
+from optsim.forward.fringing import fine_image, fine_image_adjoint
+from optsim.forward.rims import cell_weights
 from optsim.quantities import Doubles, ExposureCode, Floats, IrradianceVideo, PanelState, Video
 from optsim.report.trace_record import Reading, Target
 
@@ -107,7 +107,9 @@ def count_electrons(
     """
     n_sub, slots, coded = truth.instants_per_slot, camera.slots_per_frame, camera.coded_slots
     weights, _ = camera.panel_weights(code, panel, n_sub)
-    borders = border_shares(camera.modulator.fringing_px, truth.samples_per_pitch)
+    shutter, _ = camera.shutter(code, panel, n_sub, truth.samples_per_pitch)
+    borders, rims = shutter.borders, shutter.rims
+    cells = cell_weights(rims, shutter.weights) if rims else None
     fully_on = camera.panel_gain * np.float64(truth.slot_s / n_sub)
     leak = camera.column_leaks[own[1]]
     v, u = np.indices(truth.panel_shape)
@@ -120,6 +122,10 @@ def count_electrons(
         slot = t // n_sub
         if slot >= coded:
             break
+        if cells is not None:
+            # Whoever rules over a rim gets what is more or less there than a mix of weights.
+            mixed = fine_image(shutter.weights[t], borders)
+            light = light * np.divide(cells[t], mixed, out=np.ones(mixed.shape), where=mixed > 0)
         direct, ghost, veil = (fine_image_adjoint(path * light, borders) * fully_on for path in paths)
         passed = direct * weights[t]
         by_pixel += passed

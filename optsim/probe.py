@@ -38,6 +38,10 @@ from optsim.scene import BrightLight
 
 T = TypeVar("T")
 
+NOTHING: Changes = {}
+# Plans look at lenses with the rims of panel pixels mixed; what these rims are is compared with them whole.
+FULL_RIMS: Changes = {"modulator": {"rim_model": "fine"}}
+
 # Wings that lose less than this share of the light reach beyond a near probe.
 NEAR_WINGS = 1e-3
 _COLS = 40
@@ -109,15 +113,15 @@ class Probe:
         """Radiant exposure of the CCD."""
         panel, lens = camera.modulator, camera.objective.model_dump_json()
         gate = (
-            panel.model_dump_json(exclude={"fringing_px"}), camera.splitter.model_dump_json(),
+            panel.model_dump_json(), camera.splitter.model_dump_json(),
             camera.objective.working_f_number, camera.coded_slots,
         )  # fmt: skip
-        behind = lens, gate, panel.fringing_px
+        behind = lens, gate
 
         def energy() -> Floats:
             light = self._once(("light", lens), lambda: camera.form_image(self.radiance))
-            weights = self._once(("weights", gate), lambda: camera.shutter_weights(_code(camera), None, 1)[0])
-            return camera.panel_energy(light, 0, weights)
+            shutter = self._once(("shutter", gate), lambda: camera.shutter(_code(camera), None, 1)[0])
+            return camera.panel_energy(light, 0, shutter)
 
         def image() -> Doubles:
             return camera.relay_operator().apply(self._once(("energy", behind), energy))

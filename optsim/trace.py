@@ -11,8 +11,7 @@ from optsim.camera import CodedCamera
 from optsim.console import table
 from optsim.errors import ConfigError, unknown_name
 from optsim.experiment import Experiment
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image_adjoint
+from optsim.forward.fringing import border_shares, fine_image_adjoint
 from optsim.loop import Shot, calibrate, planned, set_light, shots
 from optsim.metrics import first_steady, phase_of
 from optsim.origins import (

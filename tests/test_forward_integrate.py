@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from optsim.errors import ValueCheckError
-from optsim.forward.integrate import integrate_exposure, slot_means
+from optsim.forward.fringing import border_shares
+from optsim.forward.integrate import Shutter, integrate_exposure, slot_means
 from optsim.quantities import Block, Segment, Video
 
 PITCH, N_SUB, PER_SEGMENT, N_SLOTS = 3, 2, 4, 12
@@ -37,7 +38,7 @@ def test_an_exposure_is_the_sum_over_instants_of_weight_light_and_duration():
     rng = np.random.default_rng(5)
     light = video(rng)
     weights = rng.uniform(0, 1, (16, *SHAPE)).astype(np.float32)
-    energy = integrate_exposure(light, PER_SEGMENT, weights)
+    energy = integrate_exposure(light, PER_SEGMENT, Shutter(weights, border_shares(0.0, PITCH)))
     fine = weights.repeat(PITCH, axis=1).repeat(PITCH, axis=2)
     expected = (fine * instants(light)[8:24]).sum(axis=0) / 180 / N_SUB
     np.testing.assert_allclose(energy, expected, rtol=1e-5)
@@ -51,5 +52,6 @@ def test_slot_means_average_over_the_slot_and_the_pitch_cell():
 
 
 def test_weights_of_another_panel_are_refused():
+    shutter = Shutter(np.ones((8, 5, 4), np.float32), border_shares(0.0, PITCH))
     with pytest.raises(ValueCheckError, match="do not fit"):
-        integrate_exposure(video(np.random.default_rng(0)), 0, np.ones((8, 5, 4), np.float32))
+        integrate_exposure(video(np.random.default_rng(0)), 0, shutter)

@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from optsim.forward.field_blur import FieldPsf, make_field_blur, uniform
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import cell_means, fine_image, integrate_exposure
+from optsim.forward.fringing import border_shares, fine_image
+from optsim.forward.integrate import Shutter, cell_means, integrate_exposure
 from optsim.forward.psf import extend, make_blur, psf_kernel
 from optsim.forward.wings import (
     Ring,
@@ -64,9 +64,9 @@ def test_an_exposure_mixes_weights_on_base_and_blocks_alike():
     weights = rng.random((4, 6, 8)).astype(np.float32)
     borders = border_shares(0.15, 3)
     whole = sum(fine_image(weights[t].astype(float), borders) * segment.instant(t) for t in range(4)) * 0.05
-    found = integrate_exposure(video, 0, weights, borders)
+    found = integrate_exposure(video, 0, Shutter(weights, borders))
     np.testing.assert_allclose(found, whole, atol=2e-7)
-    assert np.abs(integrate_exposure(video, 0, weights) - whole).max() > 0.01
+    assert np.abs(integrate_exposure(video, 0, Shutter(weights, border_shares(0.0, 3))) - whole).max() > 0.01
 
 
 def test_core_and_wings_add_up_and_the_coarse_kernel_keeps_the_light():

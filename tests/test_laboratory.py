@@ -14,8 +14,7 @@ import pytest
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
 from optsim.errors import BenchError
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image
+from optsim.forward.fringing import border_shares, fine_image
 from optsim.hardware.cameras import demo, prototype
 from optsim.known_calibration import true_calibration
 from optsim.laboratory import measure_bench
@@ -177,8 +176,14 @@ def test_kernels_are_right_in_the_middle_and_in_the_corners_of_a_lens_that_varie
     assert keeps[5, 5] < keeps[60, 80] - 0.15
 
 
-def test_a_coded_frame_of_uniform_light_is_predicted(camera: CodedCamera, found: Calibration) -> None:
+# What fringing fields do to rims beyond mixing depends on what neighbours do, so no bench can know it.
+@pytest.mark.parametrize(("rim_model", "bias"), [("mixed", 3e-3), ("fine", 7e-3)])
+def test_a_coded_frame_of_uniform_light_is_predicted(
+    camera: CodedCamera, found: Calibration, rim_model: str, bias: float
+) -> None:
     """The point of it all: bench, then an unseen code and its panel history, then the raw numbers."""
+    modulator = camera.modulator.model_copy(update={"rim_model": rim_model})
+    camera = camera.model_copy(update={"modulator": modulator})
     rng = np.random.default_rng(5)
     levels = (rng.random((36, 48, 64)) < 0.5).astype(np.uint8) * np.uint8(255)
     code = ExposureCode(levels, np.zeros((48, 64), np.bool_))
@@ -196,7 +201,7 @@ def test_a_coded_frame_of_uniform_light_is_predicted(camera: CodedCamera, found:
     expected = irradiance * weights.sum(axis=0)
     relative = seen.signal / expected - 1
     # One kernel for all phases costs about 1 % for codes with many changes; the mean is far better.
-    assert abs(np.mean(relative)) < 3e-3
+    assert abs(np.mean(relative)) < bias
     assert np.std(relative) < 0.03
     plain = irradiance * found.weights(code, found.panel_at_rest())[0].sum(axis=0)
     assert np.std(seen.signal / plain - 1) > 1.3 * np.std(relative)

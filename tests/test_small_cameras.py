@@ -51,7 +51,9 @@ def test_a_small_exposure(monkeypatch):
     video = Video(12, 15, 3, 1 / 180, 1, 8, 8, lambda _: segment)
     weights = RNG.uniform(0, 1, (8, 4, 5)).astype(np.float32)
     few, many = both(
-        monkeypatch, integrate, lambda: integrate.integrate_exposure(video, 0, weights, border_shares(0.1, 3))
+        monkeypatch,
+        integrate,
+        lambda: integrate.integrate_exposure(video, 0, integrate.Shutter(weights, border_shares(0.1, 3))),
     )
     np.testing.assert_allclose(few, many, rtol=1e-6)
 

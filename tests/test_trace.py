@@ -15,8 +15,7 @@ from optsim.cli import main
 from optsim.effects import with_effects
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_json, read_png16
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image, fine_image_adjoint
+from optsim.forward.fringing import border_shares, fine_image, fine_image_adjoint
 from optsim.loop import Shot
 from optsim.origins import ORIGINS, read_out
 from optsim.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment, made_radiance

@@ -24,10 +24,9 @@ from scipy import ndimage
 
 from optsim.camera import CodedCamera
 from optsim.camera_plan import plan_camera
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import fine_image
 from optsim.forward.panel import slot_weights
 from optsim.forward.radiometry import photons_per_joule
+from optsim.forward.rims import cell_weights
 from optsim.hardware import prototype
 from optsim.probe import WHITE_OVER_INTERIOR, Illumination
 from optsim.progress import Progress, silent
@@ -208,12 +207,15 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
     levels = np.where(stuck, stuck_levels, code.levels)
     rest, response = camera.panel_at_rest(), camera.panel_response
     weights, _ = slot_weights(levels, rest, response, camera.slot_s, leak=camera.column_leaks)
-    borders = border_shares(panel.fringing_px, radiance.samples_per_pitch)
+    gain = camera.panel_gain * ((1 - camera.column_leaks) / response.white).astype(np.float32)
+    course = levels, rest, response, camera.slot_s, 1, gain, radiance.samples_per_pitch
+    _, rims = panel.fringing(*course)
+    assert rims is not None, "the full model has the rims of fringing fields"
+    passed = cell_weights(rims, weights * camera.panel_gain)
     relay = camera.relay_operator()
     arrived = np.zeros((sensor.rows, sensor.cols))
     for slot in range(camera.slots_per_frame):
-        passed = fine_image((weights[slot] * camera.panel_gain).astype(np.float64), borders)
-        arrived += relay.apply(passed * irradiance.load(slot).start * camera.slot_s)
+        arrived += relay.apply(passed[slot] * irradiance.load(slot).start * camera.slot_s)
         progress("dense", slot + 1, camera.slots_per_frame)
     efficiency = sensor.efficiency_at(camera.wavelength_m) * sensor.pixel_response(serial)
     electrons = arrived * sensor.pixel_area_m2 * photons_per_joule(camera.wavelength_m) * efficiency

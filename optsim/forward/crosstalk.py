@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.forward.integrate import fine_image
+from optsim.forward.fringing import fine_image
 from optsim.forward.relay import RelayOperator
 from optsim.quantities import Bools, Doubles, Floats, Ints
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from optsim.quantities import Doubles
+from optsim.quantities import Doubles, Floats
 
 _STEPS = 2000
 
@@ -45,3 +45,29 @@ def border_shares(sigma_px: float, pitch: int) -> Doubles:
     before = spill.reshape(pitch, _STEPS).mean(axis=1)
     after = before[::-1]
     return np.stack([before, 1 - before - after, after], axis=1)
+
+
+def fine_image(panel: Doubles | Floats, borders: Doubles | Floats) -> Doubles | Floats:
+    """Panel values on the fine grid, (v, u) to (y, x), the neighbours' shares in; as in an exposure."""
+    for axis in (0, 1):
+        lines = np.moveaxis(panel, axis, 0)
+        # Beyond the panel's edge the nearest pixel counts.
+        rulers = np.concatenate([lines[:1], lines[:-1]]), lines, np.concatenate([lines[1:], lines[-1:]])
+        cells = sum(share[:, None] * ruler[:, None] for share, ruler in zip(borders.T, rulers, strict=True))
+        panel = np.moveaxis(np.reshape(cells, (-1, lines.shape[1])), 0, axis)
+    return panel
+
+
+def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
+    """Transpose of :func:`fine_image`, (y, x) to (v, u): each sample goes to the pixels that rule over it."""
+    for axis in (0, 1):
+        lines = np.moveaxis(fine, axis, 0)
+        cells = lines.reshape(-1, len(borders), lines.shape[1])
+        before, own, after = (np.tensordot(shares, cells, (0, 1)) for shares in borders.T)
+        own[:-1] += before[1:]
+        own[1:] += after[:-1]
+        # Beyond the panel's edge the nearest pixel counts.
+        own[0] += before[0]
+        own[-1] += after[-1]
+        fine = np.moveaxis(own, 0, axis)
+    return fine

@@ -8,18 +8,44 @@ one key image, and only the blocks are walked instant by instant.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from optsim.errors import ValueCheckError
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
+from optsim.forward.fringing import fine_image
+from optsim.forward.rims import Rims, fine_weights, relaxed
 from optsim.quantities import Doubles, Floats, Segment, Video
 
+# As many fine cells as FEW panel pixels have.
+_FINE_FEW = 9 * FEW
 
-def integrate_exposure(
-    video: Video, first_slot: int, weights: Floats, borders: Doubles | None = None
-) -> Floats:
+
+@dataclass(frozen=True, eq=False)
+class Shutter:
+    """What a panel lets through during an exposure.
+
+    Parameters
+    ----------
+    weights : ndarray of shape (t, v, u), float32
+        Of each panel pixel in each instant.
+    borders : ndarray of shape (samples_per_pitch, 3), float64
+        Shares of the neighbours' weights in the fine samples of a pixel, from
+        :func:`optsim.forward.fringing.border_shares`; beyond the panel's edge the nearest pixel counts.
+    rims : Rims, optional
+        Where these shares are not enough: what the weights of fine samples follow from.
+    """
+
+    weights: Floats
+    borders: Doubles
+    rims: Rims | None = None
+
+
+def integrate_exposure(video: Video, first_slot: int, shutter: Shutter) -> Floats:
     """Radiant exposure behind the panel: the sum over instants of weight x light x duration.
 
     Parameters
@@ -28,11 +54,8 @@ def integrate_exposure(
         Irradiance on the modulator, W m^-2.
     first_slot : int
         Slot of the video at which the weights begin.
-    weights : ndarray of shape (t, v, u), float32
-        Weight of each panel pixel in each instant.
-    borders : ndarray of shape (samples_per_pitch, 3), float64, optional
-        Shares of the neighbours' weights in the fine samples of a pixel, from
-        :func:`optsim.forward.fringing.border_shares`; beyond the panel's edge the nearest pixel counts.
+    shutter : Shutter
+        What the panel lets through.
 
     Returns
     -------
@@ -44,19 +67,27 @@ def integrate_exposure(
     ValueCheckError
         When the weights are not whole segments of the video, or of another panel.
     """
+    weights, rims = shutter.weights, shutter.rims
     n_instants = weights.shape[0]
     if weights.shape[1:] != video.panel_shape or n_instants % video.instants_per_slot:
         raise ValueCheckError(
             f"weights {weights.shape} do not fit a video of panel {video.panel_shape} with "
             f"{video.instants_per_slot} instants a slot; expected (slots * instants_per_slot, v, u)"
         )
-    pitch = video.samples_per_pitch
-    shares = np.tile([0.0, 1.0, 0.0], (pitch, 1)) if borders is None else borders
     energy = np.zeros((video.rows, video.cols), np.float64)
     last_slot = first_slot + n_instants // video.instants_per_slot
+    panel = rims.start if rims else None
     for slot, segment in video.segments(first_slot, last_slot):
-        first = (slot - first_slot) * video.instants_per_slot
-        _add_segment(energy, segment, weights[first : first + segment.n_instants], shares)
+        first = slot - first_slot
+        shown = weights[first * video.instants_per_slot :][: segment.n_instants]
+        if rims is None or panel is None:
+            _add_segment(energy, segment, shown, shutter.borders)
+        elif not (segment.blocks or segment.start.any() or segment.stop.any()):
+            panel = relaxed(rims, panel, first, min(first + video.slots_per_segment, len(rims.levels)))
+        elif first < len(rims.levels):
+            # After the last coded slot the shutter is closed.
+            shown = shown[: (len(rims.levels) - first) * video.instants_per_slot]
+            panel = fine_weights(rims, shown, partial(_add_fine, energy, segment), panel, first)
     energy *= video.slot_s / video.instants_per_slot
     return energy.astype(np.float32)
 
@@ -90,30 +121,48 @@ def _add_small_segment(energy: Doubles, segment: Segment, weights: Floats, share
             energy[window] += fine_image(weights[t].astype(np.float64), shares)[window] * block.excess[t]
 
 
-def fine_image(panel: Doubles, borders: Doubles) -> Doubles:
-    """Panel values on the fine grid, (v, u) to (y, x), the neighbours' shares in; as in an exposure."""
-    for axis in (0, 1):
-        lines = np.moveaxis(panel, axis, 0)
-        # Beyond the panel's edge the nearest pixel counts.
-        rulers = np.concatenate([lines[:1], lines[:-1]]), lines, np.concatenate([lines[1:], lines[-1:]])
-        cells = sum(share[:, None] * ruler[:, None] for share, ruler in zip(borders.T, rulers, strict=True))
-        panel = np.moveaxis(np.reshape(cells, (-1, lines.shape[1])), 0, axis)
-    return panel
+def _add_fine(energy: Doubles, segment: Segment, weights: Floats, top: int) -> None:
+    """Add a segment's first instants under weights of fine cells, (t, y, x), that begin at a row."""
+    n, height, _ = weights.shape
+    few = n * energy.size < _FINE_FEW
+    energy, rows = energy[top : top + height], slice(top, top + height)
+    rising = (np.arange(n, dtype=np.float64) + 0.5) / segment.n_instants
+    lines = ((1 - rising, segment.start), (rising, segment.stop))
+    for line, key in [(np.ones(n), segment.start)] if segment.stop is segment.start else lines:
+        if few:
+            energy += np.tensordot(line, weights, 1) * key[rows]
+        else:
+            _add_fine_base(energy, key[rows], line, weights)
+    for block in segment.blocks:
+        _, tall, wide = block.excess.shape
+        above, below = max(block.row - top, 0), min(block.row + tall - top, height)
+        if above < below:
+            window = np.s_[..., above:below, block.col : block.col + wide]
+            excess = block.excess[:n, above + top - block.row : below + top - block.row]
+            if few:
+                energy[window] += np.einsum("tyx,tyx->yx", excess, weights[window])
+            else:
+                _add_fine_block(energy[window], excess, weights[window])
 
 
-def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
-    """Transpose of :func:`fine_image`, (y, x) to (v, u): each sample goes to the pixels that rule over it."""
-    for axis in (0, 1):
-        lines = np.moveaxis(fine, axis, 0)
-        cells = lines.reshape(-1, len(borders), lines.shape[1])
-        before, own, after = (np.tensordot(shares, cells, (0, 1)) for shares in borders.T)
-        own[:-1] += before[1:]
-        own[1:] += after[:-1]
-        # Beyond the panel's edge the nearest pixel counts.
-        own[0] += before[0]
-        own[-1] += after[-1]
-        fine = np.moveaxis(own, 0, axis)
-    return fine
+@compiled()
+def _add_fine_base(energy: Doubles, key: Floats, line: Doubles, weights: Floats) -> None:
+    total = np.empty(energy.shape[1])
+    for y in range(energy.shape[0]):
+        total[:] = 0
+        for t in range(line.size):
+            for x in range(total.size):
+                total[x] += line[t] * weights[t, y, x]
+        for x in range(total.size):
+            energy[y, x] += total[x] * key[y, x]
+
+
+@compiled()
+def _add_fine_block(energy: Doubles, excess: Floats, weights: Floats) -> None:
+    for t in range(excess.shape[0]):
+        for y in range(energy.shape[0]):
+            for x in range(energy.shape[1]):
+                energy[y, x] += weights[t, y, x] * excess[t, y, x]
 
 
 @compiled()

@@ -34,7 +34,7 @@ from scipy.special import sici
 from optsim.config import Part
 from optsim.errors import ValueCheckError
 from optsim.forward.relaxation import TABLE_CELLS, walk
-from optsim.quantities import Bytes, Doubles, Floats, PanelState
+from optsim.quantities import Bytes, Doubles, Floats, Ints, PanelState
 
 # Steps of retardance are at most 2 pi; linear interpolation errs by h^2/8 max|f''| with h = 2 pi/4096 and
 # |f''| <= 1/2 for each of the four values, plus float32 rounding of the weight.
@@ -93,6 +93,26 @@ def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
     """
     held = settled_retardance(levels, response) * np.float32(response.field_drive[-1])
     return PanelState(held, levels, 0)
+
+
+def first_panel(levels: Bytes, response: PanelResponse, slot_s: float) -> PanelState:
+    """Panel when an experiment begins: after a long dark it has shown these levels, (slot, v, u), once."""
+    dark = settled_panel(np.zeros(levels.shape[1:], np.uint8), response)
+    return slot_weights(levels, dark, response, slot_s)[1]
+
+
+def drive_targets(response: PanelResponse, slots_shown: int, n_slots: int) -> Doubles:
+    """Retardance that each level asks for in the slot before the first, and in each slot, (slot + 1, 256)."""
+    n_fields = len(response.field_drive)
+    drive = [response.field_drive[(slots_shown + k) % n_fields] for k in range(-1, n_slots)]
+    return np.array(drive)[:, None] * _curve(response)
+
+
+def row_turns(response: PanelResponse, rows: int, instant_s: float) -> tuple[Ints, Doubles]:
+    """Instant of a slot in which each row turns to the slot's level, and how long after its start, s."""
+    delays_s = response.row_delays_s(rows)
+    turn = np.floor(delays_s / instant_s).astype(np.int64)
+    return turn, delays_s - turn * instant_s
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
@@ -156,8 +176,7 @@ def slot_weights(
     levels : ndarray of shape (slot, v, u), uint8
         Drive levels.
     panel : PanelState or None
-        The panel when the first slot begins; None when an experiment does: after a long dark it has shown
-        these levels once.
+        The panel when the first slot begins; None when an experiment does (:func:`first_panel`).
     response : PanelResponse
         True or estimated response.
     slot_s : float
@@ -182,8 +201,7 @@ def slot_weights(
         a whole wave.
     """
     if panel is None:
-        dark = settled_panel(np.zeros(levels.shape[1:], np.uint8), response)
-        _, panel = slot_weights(levels, dark, response, slot_s)
+        panel = first_panel(levels, response, slot_s)
     if levels.ndim != 3 or levels.shape[1:] != panel.retardance_rad.shape:
         raise ValueCheckError(
             f"levels {levels.shape} and panel state {panel.retardance_rad.shape} are of different panels; "
@@ -199,14 +217,9 @@ def slot_weights(
         raise ValueCheckError(
             f"white_rad x field_drive: got {most_rad:.3g} rad, expected at most a whole wave, 2 pi"
         )
-    # Drive of the slot before the first, then of each slot.
-    n_fields = len(response.field_drive)
-    drive = [response.field_drive[(panel.slots_shown + k) % n_fields] for k in range(-1, n_slots)]
-    targets = np.array(drive)[:, None] * _curve(response)
+    targets = drive_targets(response, panel.slots_shown, n_slots)
     instant_s = slot_s / instants_per_slot
-    delays_s = response.row_delays_s(rows)
-    turn = np.floor(delays_s / instant_s).astype(np.int64)
-    early_s = delays_s - turn * instant_s
+    turn, early_s = row_turns(response, rows, instant_s)
     taus = np.array([response.tau_on_s, response.tau_off_s])
     leaks = np.full(cols, response.leak) if leak is None else np.asarray(leak, np.float64)
     spans = (1 - leaks) / response.white

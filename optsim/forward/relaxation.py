@@ -119,15 +119,20 @@ def _relax_together(
     step: Doubles, length_s: Doubles, taus: Doubles, table: Doubles
 ) -> tuple[Doubles, Doubles, Doubles]:
     """As _relax for steps (pixel,): what is left of them, and tau times the changes of Cin and of Si."""
-    tau = taus[(step >= 0).astype(np.intp)]
-    # At once, where a time constant is nothing; but not in no time.
-    rest = step * np.where(tau > 0, np.exp(-length_s / np.maximum(tau, 1e-30)), length_s == 0)
+    tau, rest = taus[(step >= 0).astype(np.intp)], step * np.exp(-paces(step, length_s, taus))
     size = np.abs(np.concatenate([step, rest])) * (TABLE_CELLS / (2 * np.pi))
     cell = np.minimum(size.astype(np.intp), TABLE_CELLS - 1)
     low = table[cell]
     found = low + (size - cell)[:, None] * (table[cell + 1] - low)
     si, cin = (found[: len(step)] - found[len(step) :]).T
     return rest, tau * cin, tau * np.sign(step) * si
+
+
+def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:
+    """Time over constant for steps: below 0 towards larger retardance, else towards smaller."""
+    tau = taus[(step >= 0).astype(np.intp)]
+    # At once, where a time constant is nothing; but not in no time.
+    return np.where(tau > 0, length_s / np.maximum(tau, 1e-30), np.where(length_s > 0, np.inf, 0.0))
 
 
 @compiled()

@@ -9,13 +9,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.config import Part
+from optsim.forward.fringing import border_shares
 from optsim.forward.mueller import depolariser, mirror, retarder_45
 from optsim.forward.panel import PanelResponse
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.quantities import Bools, Bytes, Doubles, Floats
+from optsim.forward.rims import RimModel, Rims
+from optsim.quantities import Bools, Bytes, Doubles, Floats, PanelState
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
 _TAU_PER_DEGREE = 0.03
+_SHARP_PX = 1e-3  # narrower borders have no rims to speak of
 _FARTHEST = 4.0  # standard deviations of jitter at most: it lies beyond once in 16 000 frames
 _Drive = Annotated[float, Field(ge=0.5, le=1.5)]
 
@@ -62,6 +65,9 @@ class Modulator(Part):
         the shutter's clock is never early.
     fringing_px : float
         Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
+    rim_model : {"fine", "coarse", "mixed"}
+        How finely the rims that they bend are found (:mod:`optsim.forward.rims`); ``mixed`` leaves it at
+        mixing the weights of neighbours.
     depolarised_share : float
         Share of the reflected light that is no longer polarised; half of it passes the analyser.
     nonuniformity_rms : float
@@ -88,6 +94,7 @@ class Modulator(Part):
     scan_s: float = Field(default=0.0, ge=0)
     jitter_s: float = Field(default=0.0, ge=0)
     fringing_px: float = Field(default=0.0, ge=0, le=0.25)
+    rim_model: RimModel = "fine"
     depolarised_share: float = Field(ge=0, le=1)
     nonuniformity_rms: float = Field(ge=0, le=0.2)
     stuck_share: float = Field(ge=0, le=1)
@@ -152,6 +159,23 @@ class Modulator(Part):
             delay_s=self.delay_s + self.scan_s * first,
             scan_s=self.scan_s * rows / there,
         )
+
+    def fringing(
+        self,
+        levels: Bytes,
+        start: PanelState,
+        response: PanelResponse,
+        slot_s: float,
+        instants_per_slot: int,
+        gain: Floats,
+        pitch: int,
+    ) -> tuple[Doubles, Rims | None]:
+        """Borders between pixels of ``pitch`` fine cells, and their rims; else as :class:`Rims`."""
+        borders = border_shares(self.fringing_px, pitch)
+        if self.fringing_px < _SHARP_PX or self.rim_model == "mixed":
+            return borders, None
+        blur = self.fringing_px, pitch, self.rim_model
+        return borders, Rims(levels, start, response, slot_s, instants_per_slot, gain, *blur)
 
     def lateness_s(self, slots_shown: int, serial_number: int) -> float:
         """How much more than ``delay_s`` a frame is late that begins after so many slots, s."""

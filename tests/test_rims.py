@@ -1,0 +1,205 @@
+"""Rims of panel pixels under fringing fields: quadrature, loops, segments and the plan's choice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from optsim.camera_plan import plan_camera
+from optsim.effects import changed, with_effects
+from optsim.forward import rims as rims_module
+from optsim.forward.fringing import border_shares, fine_image
+from optsim.forward.integrate import Shutter, integrate_exposure
+from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
+from optsim.forward.radau import middles, radau
+from optsim.forward.rims import Rims, cell_weights, relaxed
+from optsim.hardware import demo
+from optsim.probe import Illumination
+from optsim.quantities import Block, Segment, Video
+
+SLOT_S, SIGMA = 1 / 180, 0.12
+SIDE = (6, 7)
+
+
+def levels_of(kind: str, n: int = 9) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    if kind == "grey":
+        return rng.choice(np.array([0, 90, 255], np.uint8), (n, *SIDE))
+    return (rng.random((n, *SIDE)) < 0.4).astype(np.uint8) * np.uint8(255)
+
+
+def rims_of(levels, response, n_sub=1, model="fine", sigma=SIGMA):
+    start = settled_panel(levels[0] * 0, response)
+    gain = np.ones(levels.shape[1:], np.float32)
+    weights, after = slot_weights(levels, start, response, SLOT_S, n_sub)
+    return Rims(levels, start, response, SLOT_S, n_sub, gain, sigma, 3, model), weights, after
+
+
+def dense(levels, response, n_sub, steps=240):
+    """Weights of fine cells, (t, y, x), from blurred retardance, time step by time step."""
+    n, rows, cols = levels.shape
+    nodes, shares = np.polynomial.legendre.leggauss(5)
+
+    def blur(side):
+        place = ((np.arange(3 * side)[:, None] + (nodes + 1) / 2) / 3).reshape(-1, 1)
+        edges = np.concatenate([[-np.inf], np.arange(1.0, side), [np.inf]])
+        return np.diff(ndtr((edges - place) / SIGMA), axis=1)
+
+    down, across = blur(rows), blur(cols)
+    delays = response.row_delays_s(rows)[:, None]
+    gamma, shown = np.zeros((rows, cols)), levels[0] * 0
+    found = np.zeros((n * n_sub, 3 * rows, 3 * cols))
+    step_s = SLOT_S / steps
+    for k in range(n * steps):
+        slot, at = divmod(k, steps)
+        before = (at + 0.5) * step_s < delays
+        level = np.where(before, shown, levels[slot])
+        drive = np.where(before, response.field_drive[(slot - 1) % len(response.field_drive)],
+                         response.field_drive[slot % len(response.field_drive)])  # fmt: skip
+        target = drive * np.pi * (level / 255) ** 1.2
+        tau = np.where(target > gamma, response.tau_on_s, response.tau_off_s)
+        now, gamma = (target + (gamma - target) * np.exp(-part * step_s / tau) for part in (0.5, 1.0))
+        light = np.sin(down @ now @ across.T / 2) ** 2
+        means = np.einsum("yaxb,a,b->yx", light.reshape(3 * rows, 5, 3 * cols, 5), shares / 2, shares / 2)
+        found[slot * n_sub + at * n_sub // steps] += means * n_sub / steps
+        if at == steps - 1:
+            shown = levels[slot]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "n_sub"),
+    [
+        ("random", {}, 1),
+        ("grey", {"field_drive": (1.03, 1.0, 0.97)}, 1),
+        ("random", {"delay_s": SLOT_S / 5, "scan_s": 0.05 * SLOT_S}, 1),
+        ("random", {"delay_s": SLOT_S / 5}, 4),
+    ],
+)
+def test_cells_are_those_of_blurred_retardance(kind, change, n_sub):
+    """Turns are at whole steps of the dense computation."""
+    levels, response = levels_of(kind), PanelResponse(leak=0.0, **change)
+    true = dense(levels, response, n_sub)
+    left = {}
+    for model in ("fine", "coarse"):
+        rims, weights, _ = rims_of(levels, response, n_sub, model)
+        left[model] = cell_weights(rims, weights) - true
+    mixed = np.stack([fine_image(w.astype(np.float64), border_shares(SIGMA, 3)) for w in weights])
+    effect = np.std(np.repeat(np.repeat(weights, 3, 1), 3, 2) - true)
+    assert np.std(left["fine"]) < 0.01 * effect
+    assert np.std(left["coarse"]) < 0.05 * effect
+    assert np.std(mixed - true) > 0.1 * effect
+
+
+@pytest.mark.parametrize(
+    "change", [{}, {"tau_on_s": 0.0}, {"tau_off_s": 0.0, "delay_s": 1e-3, "scan_s": 1e-3}]
+)
+def test_loops_and_whole_arrays_find_the_same_cells(monkeypatch, change):
+    rims, weights, _ = rims_of(levels_of("grey"), PanelResponse(**change), 2)
+    few = cell_weights(rims, weights)
+    monkeypatch.setattr(rims_module, "FEW", 0)
+    np.testing.assert_allclose(cell_weights(rims, weights), few, atol=1e-6)
+    assert few.min() >= 0
+
+
+def test_a_border_that_stands_still_is_that_of_mixing():
+    levels = np.zeros((3, *SIDE), np.uint8)
+    levels[:, :, 3:] = 255
+    response = PanelResponse(tau_on_s=0.0, tau_off_s=0.0, leak=0.0)
+    rims, weights, _ = rims_of(levels, response, model="coarse")
+    mixed = fine_image(weights[0].astype(np.float64), border_shares(SIGMA, 3))
+    np.testing.assert_allclose(cell_weights(rims, weights)[1], mixed, atol=2e-6)
+
+
+def test_where_all_pixels_do_the_same_nothing_is_looked_at(monkeypatch):
+    levels = np.repeat(np.array([0, 255, 80, 0], np.uint8), 42).reshape(4, *SIDE)
+    rims, weights, _ = rims_of(levels, PanelResponse())
+    looks = []
+    fill = rims_module._fill_together
+    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[10].size) or fill(*a))
+    cells = cell_weights(rims, weights)
+    assert looks == [0]
+    np.testing.assert_allclose(cells, weights.repeat(3, 1).repeat(3, 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("few", [0, 10**9])
+def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
+    """Light of eight slots in one segment or in four, of which one is dark; the last slot is not coded."""
+    monkeypatch.setattr(rims_module, "FEW", few)
+    rng = np.random.default_rng(8)
+    response = PanelResponse(delay_s=1e-3, scan_s=0.5e-3)
+    levels = levels_of("random", 8)
+    rims, weights, _ = rims_of(levels, response, 2)
+    rims = replace(rims, levels=levels[:7])
+    weights[14:] = 0
+    light = rng.random((16, 18, 21)).astype(np.float32)
+    light[8:12] = 0
+    nothing = np.zeros((18, 21), np.float32)
+
+    def exposed(slots):
+        def load(index):
+            part = light[index * 2 * slots : (index + 1) * 2 * slots]
+            blocks = (Block(0, 0, part[:, :10]), Block(10, 0, part[:, 10:])) if part.any() else ()
+            return Segment(nothing, nothing, blocks, 2 * slots)
+
+        video = Video(18, 21, 3, SLOT_S, 2, slots, 8, load)
+        return integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+
+    expected = (cell_weights(rims, weights) * light).sum(axis=0) * SLOT_S / 2
+    for slots in (1, 2, 4, 8):
+        np.testing.assert_allclose(exposed(slots), expected, rtol=1e-5, atol=1e-9)
+
+
+def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
+    rng = np.random.default_rng(9)
+    rims, weights, _ = rims_of(levels_of("random", 4), PanelResponse())
+    segment = Segment(*rng.random((2, 18, 21)).astype(np.float32), (), 4)
+    video = Video(18, 21, 3, SLOT_S, 1, 4, 4, lambda _: segment)
+    whole = sum(cell_weights(rims, weights)[t] * segment.instant(t) for t in range(4)) * SLOT_S
+    for few in (0, 10**9):
+        monkeypatch.setattr("optsim.forward.integrate._FINE_FEW", few)
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+        np.testing.assert_allclose(found, whole, rtol=1e-5)
+
+
+@pytest.mark.parametrize("change", [{}, {"delay_s": 1e-3, "scan_s": 1e-3}, {"tau_on_s": 0.0}])
+def test_a_panel_relaxes_in_the_dark_as_in_the_light(change):
+    levels, response = levels_of("grey"), PanelResponse(**change, field_drive=(1.02, 1.0, 0.98))
+    rims, _, after = rims_of(levels, response)
+    found = relaxed(rims, rims.start, 0, len(levels))
+    np.testing.assert_allclose(found.retardance_rad, after.retardance_rad, atol=2e-6)
+    np.testing.assert_array_equal(found.levels, after.levels)
+    assert found.slots_shown == after.slots_shown
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_a_radau_rule_is_right_for_polynomials(n):
+    values = middles(5000) ** 3
+    nodes, weights = radau(values, np.ones(5000), n)
+    for degree in range(1, 2 * n + 1):
+        assert weights @ nodes**degree == pytest.approx(np.mean(values**degree), rel=1e-6)
+    assert weights @ nodes ** (2 * n + 2) != pytest.approx(np.mean(values ** (2 * n + 2)), rel=1e-5)
+    assert nodes.min() > 0
+    assert np.all(weights > 0)
+
+
+@pytest.mark.parametrize("sigma", [1.1e-3, 0.02, 0.25])
+@pytest.mark.parametrize("pitch", [1, 2, 3, 5])
+def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
+    rims, _, _ = rims_of(levels_of("random"), PanelResponse(), sigma=sigma)
+    points = replace(rims, pitch=pitch).points
+    np.testing.assert_allclose(points.means.sum(axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(points.borders, border_shares(sigma, pitch), atol=0.005 + 0.2 * sigma**2)
+
+
+def test_plans_find_rims_as_finely_as_they_need():
+    light, camera = Illumination(0.1, 90.0, 0.8, None), demo()
+    models = {t: plan_camera(camera, light, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
+    assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
+    sharp = with_effects(camera, {"fringing": "ideal"})
+    assert sharp.modulator.fringing(*(None,) * 6, 3)[1] is None
+    mixed = changed(camera, {"modulator": {"rim_model": "mixed"}})
+    plan = plan_camera(mixed, light, 0.0)
+    assert plan.camera.modulator.rim_model == "mixed"
+    assert "fringing_rims" not in {choice.short_cut for choice in plan.choices}
