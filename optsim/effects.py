@@ -63,9 +63,14 @@ ALL: dict[str, Effect] = {
         {"modulator": {"field_drive": (1.03, 1.0, 0.97), "polarity_drive": 0.03}},
     ),
     "row_scan": Effect(
-        "rows that are written one after the other, and a panel late on the shutter's clock, with jitter",
-        {"modulator": {"delay_s": 0.0, "scan_s": 0.0, "jitter_s": 0.0}},
-        {"modulator": {"delay_s": 0.5e-3, "scan_s": 1.7e-3, "jitter_s": 0.12e-3}},
+        "rows that are written one after the other",
+        {"modulator": {"scan_s": 0.0}},
+        {"modulator": {"scan_s": 1.7e-3}},
+    ),
+    "sync": Effect(
+        "a panel that is late on the shutter's clock, with jitter",
+        {"modulator": {"delay_s": 0.0, "jitter_s": 0.0}},
+        {"modulator": {"delay_s": 0.5e-3, "jitter_s": 0.12e-3}},
     ),
     "fringing": Effect(
         "fringing fields between panel pixels",

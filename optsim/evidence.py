@@ -1,8 +1,8 @@
 """Evidence: what has been validated against an oracle that isn't our code, and what hasn't.
 
-``validation/<effect>/check.py`` states CLAIM, ORACLE, SOURCE, TOLERANCE and FILES, measures a deviation,
-and measures it again on a stage broken on purpose. ``optsim validate --write`` keeps the records in
-``evidence.json`` beside this file, each with a hash of the files it vouches for; an effect without a
+``validation/<effect>/check.py`` states CLAIM, ORACLE, SOURCE, TOLERANCE with its REASON, and FILES, measures
+a deviation, and measures it again on a stage broken on purpose. ``optsim validate --write`` keeps the records
+in ``evidence.json`` beside this file, each with a hash of the files it vouches for; an effect without a
 passing record, or whose files have changed since, is *unvalidated*, and every report says so.
 """
 
@@ -36,22 +36,30 @@ EFFECTS: dict[str, str] = {
     "stokes_brewster": "polarised gloss, in the Stokes pass",
     "analysed_gloss": "polarised scenes: gloss as the splitter passes it",
     "cos4": "radiance to irradiance, natural vignetting",
+    "identities": "complementary codes, all-on, and a shift of scene and code, through the whole camera",
     "energy_balance": "energy through splitter, panel and relay",
+    "white_field": "a uniform field through everything, to the electron: photon budget x shading",
     "photon_transfer": "sensor noise, gain and full well",
+    "dark_current": "dark current by temperature, and its noise",
     "emva1288": "sensor statistics by the reference implementation of EMVA 1288",
     "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
     "hdr_wedge": "HDR merge over four decades",
     "static_hdr": "HDR merge of still pictures at four exposures, ideal weights and no panel",
     "pu21": "PU21 encoding of the scores",
     "panel_response": "first-order liquid-crystal response with history, late rows and unequal fields",
+    "sync_jitter": "panel late on the shutter's clock, row by row, with jitter",
+    "panel_uniformity": "reflectivity over the panel, and pixels that stand still",
     "fringing": "fringing fields between panel pixels",
     "lens_psf": "diffraction and aberration blur of each lens group",
     "field_psf": "wavefront aberrations over the field, by an independent optics library",
     "slanted_edge": "contrast of an edge through the whole chain",
+    "mueller": "Mueller matrices of splitter and panel: signs, angles, and no light from nothing",
     "splitter_contrast": "system contrast of splitter, polarisers and panel",
     "veiling_glare": "uniform veiling glare of each lens group",
     "ghost": "mirrored, defocused ghost of the relay",
     "relay_overlap": "panel to CCD mapping at any ratio, with keystone and distortion",
+    "lateral_colour": "scale of the relay's image by wavelength",
+    "adjoints": "operators run backwards: relay, fringing, tracing, decoders",
     "skipping": "what a plan leaves out, over cameras, scenes and tolerances",
     "smear": "smear of an interline CCD",
 }
@@ -66,6 +74,7 @@ NOT_MODELLED: tuple[str, ...] = (
     "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
     "twist of the liquid crystal; ripple of the panel within a slot",
     "the error of the panel's grey curve beyond its exponent",
+    "light that the relay's PSF throws beyond the panel's image",
     "shading of the relay; defocus across a tilted panel; mirrors and gaps apart within a panel pixel",
     "blooming, lag, charge-transfer loss, hot pixels, fixed row or column patterns of the CCD; smear is that "
     "of the frame's own light",
@@ -87,6 +96,8 @@ class Evidence:
         The same measure with a stage broken on purpose; must exceed the tolerance.
     tolerance : float
         Bound on the deviation.
+    reason : str
+        Why that bound, and in what unit.
     passed : bool
         Both conditions hold.
     files_hash : str
@@ -102,6 +113,7 @@ class Evidence:
     measured: float
     perturbed: float
     tolerance: float
+    reason: str
     passed: bool
     files_hash: str
     files: list[str]
@@ -153,6 +165,7 @@ def status() -> list[dict[str, object]]:
                 "source": record.source if record else None,
                 "measured": record.measured if record else None,
                 "tolerance": record.tolerance if record else None,
+                "reason": record.reason if record else None,
             }
         )
     return rows
@@ -187,6 +200,7 @@ def measure(effect: str) -> Evidence:
         measured=measured,
         perturbed=perturbed,
         tolerance=tolerance,
+        reason=check.REASON,
         passed=abs(measured) <= tolerance < abs(perturbed),
         files_hash=hash_files(vouched),
         files=vouched,

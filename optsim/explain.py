@@ -61,6 +61,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
             "hypothetical": camera.latency_frames < latency.frames,
             "n_frames": experiment.n_frames,
             "first_steady": first_steady(camera.latency_frames),
+            "coded_slots": camera.coded_slots,
+            "slots_per_frame": camera.slots_per_frame,
         },
         "ledger": {
             name: {"radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
@@ -197,6 +199,7 @@ def _latency_rows(latency: dict[str, Any]) -> list[Row]:
     return [
         ("chosen", latency["chosen_frames"], "coded frames"),
         ("smallest physical one", latency["frames"], "coded frames"),
+        ("coded slots", latency["coded_slots"], f"of {latency['slots_per_frame']} in a period"),
         ("steady from", latency["first_steady"], f"of frames 0 to {latency['n_frames'] - 1}"),
         *((step, latency[f"{step}_s"], "s") for step in steps),
     ]

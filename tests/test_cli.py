@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from optsim.camera_plan import SHORT_CUTS
 from optsim.cli import main
 from optsim.experiment import load_experiment
 from optsim.explain import explanation, show
@@ -90,6 +91,7 @@ def test_explain_prints_geometry_ledger_and_latency(cli) -> None:
     assert record["geometry"]["fits"]
     assert record["latency"]["chosen_frames"] == 3
     assert record["latency"]["first_steady"] == 7
+    assert (record["latency"]["coded_slots"], record["latency"]["slots_per_frame"]) == (36, 36)
     assert {"mid-grey", "white"} == set(record["ledger"])
 
 
@@ -122,7 +124,7 @@ def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch:
 def test_a_panel_of_a_few_pixels_has_a_plan_too(side: int) -> None:
     found = explanation("demo", [f"camera.panel_rows={side}", f"camera.panel_cols={side}"])
     assert found["geometry"]["fits"]
-    assert len(found["plan"]["choices"]) == 9
+    assert {choice["short_cut"] for choice in found["plan"]["choices"]} == set(SHORT_CUTS)
 
 
 def test_a_variation_may_be_a_number() -> None:

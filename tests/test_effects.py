@@ -128,10 +128,13 @@ def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured
     # What acts in the scene is tested with the lens (test_lens) and the renderer (test_render_lens,
     # test_polarised_truth).
     in_scene = {name for name, effect in ALL.items() if effect.in_scene}
-    assert set(MEASURES) | {"row_scan"} | in_scene == set(ALL)
+    assert set(MEASURES) | {"row_scan", "sync"} | in_scene == set(ALL)
     assert not {each.effect for each in effect_sizes(near_probe(IDEAL, ROOM))} & in_scene
-    late = with_effects(IDEAL, {"row_scan": "pessimistic"})
-    assert late.panel_response.row_delays_s(10)[0] > 0.5e-3
+    scanned = with_effects(IDEAL, {"row_scan": "pessimistic"})
+    assert np.ptp(scanned.panel_response.row_delays_s(10)) > 0
+    assert scanned.modulator.lateness_s(36, 1) == 0
+    late = with_effects(IDEAL, {"sync": "pessimistic"})
+    np.testing.assert_allclose(late.panel_response.row_delays_s(10), 0.5e-3)
     assert late.modulator.lateness_s(36, 1) != late.modulator.lateness_s(72, 1) != 0
     assert IDEAL.modulator.lateness_s(36, 1) == 0
 

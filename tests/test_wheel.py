@@ -39,6 +39,7 @@ def test_the_wheel_runs_outside_the_repository(tmp_path: Path) -> None:
         "sys.argv = ['optsim', 'run', 'demo', '--dry-run']; main()\n"
     )
     environment = {**os.environ, "OPTSIM_CACHE": str(tmp_path / "cache")}
+    environment.pop("PYTHONPATH", None)  # a caller's own optsim would come first
     done = subprocess.run(
         [python, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120
     )

@@ -202,6 +202,7 @@ class EvidenceRow(TypedDict):
     source: str | None
     measured: float | None
     tolerance: float | None
+    reason: str | None
 
 
 @with_config(_STRICT)

@@ -19,9 +19,12 @@ CLAIM = (
 )
 ORACLE = "Fresnel's Rs and Rp at three angles, one of them Brewster's; Rs cos^2 a + Rp sin^2 a; numpy only"
 SOURCE = "E. Hecht, Optics, 5th ed., sections 4.6.2, 8.2.1 and 8.6.1"
-# Relative to the lamp. Reflection or refraction is drawn at random, stratified over a pixel's samples: their
-# count is off by about one of 4096, the mean over 48 pixels and two halves by 2.5e-5; six of these.
 TOLERANCE = 1.5e-4
+REASON = (
+    "Relative to the lamp. Reflection or refraction is drawn at random, stratified over a pixel's "
+    "samples: their count is off by about one of 4096, the mean over 48 pixels and two halves by 2.5e-5; "
+    "six of these."
+)
 FILES = (
     "optsim/render/analyser.py",
     "optsim/render/stage.py",

@@ -13,9 +13,11 @@ ORACLE = (
     "normalised to the cone's sin^2 on axis; numpy only"
 )
 SOURCE = "Born and Wolf, Principles of Optics, 7th ed., section 4.8.3"
-# The closed form holds for a small pupil: at f/16 and a field of 24 degrees the pupil's size changes the
-# fall-off by less than 0.1 %; the FFT adds 1e-7.
 TOLERANCE = 2e-3
+REASON = (
+    "The closed form holds for a small pupil: at f/16 and a field of 24 degrees the pupil's size changes "
+    "the fall-off by less than 0.1 %; the FFT adds 1e-7."
+)
 FILES = (
     "optsim/forward/radiometry.py",
     "optsim/forward/psf.py",

@@ -23,9 +23,11 @@ SOURCE = (
     "M. Born and E. Wolf, Principles of Optics, 7th ed., section 4.4; S. F. Ray, Applied Photographic "
     "Optics, 3rd ed., section 22.3"
 )
-# A disc has some 16 000 paths: the share within a radius is off by more than 0.02 once in 1e5 discs
-# (Kolmogorov). A column of the edge is the mean of 15 000 paths: off by as much once in 1e6 columns.
 TOLERANCE = 0.02
+REASON = (
+    "A disc has some 16 000 paths: the share within a radius is off by more than 0.02 once in 1e5 discs "
+    "(Kolmogorov). A column of the edge is the mean of 15 000 paths: off by as much once in 1e6 columns."
+)
 FILES = (
     "optsim/forward/lens.py",
     "optsim/render/lens.py",

@@ -49,8 +49,11 @@ _POSES, _SAMPLES = 48, 100
 _FLOOR = 2e-3
 # Regions of both pictures, and three larger ones of each: what movers touch, all else, the picture.
 _TESTS = len(_SCENES) * (_VIEW.rows // _REGION * (_VIEW.cols // _REGION) + 3)
-# A region's standard error sums 2 x 81 squares of pixels, unequally noisy: worth at least 20 equal ones.
 _FREEDOM = 20
+REASON = (
+    "Quantile of Student's t that the worst of all regions exceeds at the stated false-alarm rate; a "
+    "region's standard error sums 2 x 81 squares of pixels, unequally noisy: worth at least 20 equal ones."
+)
 TOLERANCE = float(stats.t.isf((1 - (1 - FALSE_ALARM) ** (1 / _TESTS)) / 2, _FREEDOM))
 
 

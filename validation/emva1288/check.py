@@ -33,10 +33,13 @@ ORACLE = (
     "must find on a sensor that bends and clips, by sums over the Poisson distribution; numpy and scipy only"
 )
 SOURCE = "EMVA Standard 1288, release 4.0 Linear, sections 6 to 8; package emva1288 1.0.2"
-# In units of what each quantity is allowed, below: four standard errors of its own. One false alarm in a
-# thousand seeds for the worst of fourteen; the seed is fixed. PRNU that acts after the shot noise is not seen
-# here, since averages over pixels don't change: that, and white noise, are held by tests/test_sensor_ccd.py.
 TOLERANCE = 1.0
+REASON = (
+    "In units of what each quantity is allowed, below: four standard errors of its own. One false alarm "
+    "in a thousand seeds for the worst of fourteen; the seed is fixed. PRNU that acts after the shot "
+    "noise is not seen here, since averages over pixels don't change: that, and white noise, are held by "
+    "tests/test_sensor_ccd.py."
+)
 FILES = (
     "optsim/sensor/*.py",
     "optsim/hardware/sensors.py",

@@ -17,8 +17,11 @@ ORACLE = (
     "over Jones vectors (p and s, and their depolarised halves); photons from Planck's constant; numpy only"
 )
 SOURCE = "R. C. Jones, J. Opt. Soc. Am. 31(7) 488 (1941); conservation of energy"
-# Float32 weights and operator entries; the rectangle is so far from the border that no wing leaves the CCD.
 TOLERANCE = 1e-4
+REASON = (
+    "Float32 weights and operator entries; the rectangle is so far from the border that no wing leaves "
+    "the CCD."
+)
 FILES = (
     "optsim/camera.py",
     "optsim/forward/*.py",

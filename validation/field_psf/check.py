@@ -38,8 +38,8 @@ SOURCE = (
     "B. Dube, prysm, J. Open Source Softw. 4, 1352, 2019 (MIT licence); M. Born and E. Wolf, Principles of "
     "Optics, 7th ed., section 5.3 (field dependence); R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976"
 )
-# In units of what each place is allowed, below; it is a share of the point's light.
 TOLERANCE = 1.0
+REASON = "In units of what each place is allowed, below; it is a share of the point's light."
 FILES = (
     "optsim/forward/psf.py",
     "optsim/forward/aberrations.py",

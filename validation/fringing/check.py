@@ -18,9 +18,12 @@ ORACLE = (
     "relaxation; sin^2 averaged over fine cells and the frame; numpy and scipy only"
 )
 SOURCE = "PHYSICS: fringing acts on retardance; sin^2(G/2) of a retarder between crossed polarisers"
-# Rms over fine cells, relative to the rms change that fringing makes in their sums. The oracle's own points
-# and steps leave about 0.4 %; mixing the neighbours' weights, which plans may fall back to, leaves 37 %.
 TOLERANCE = 0.01
+REASON = (
+    "Rms over fine cells, relative to the rms change that fringing makes in their sums. The oracle's own "
+    "points and steps leave about 0.4 %; mixing the neighbours' weights, which plans may fall back to, "
+    "leaves 37 %."
+)
 FILES = (
     "optsim/forward/fringing.py",
     "optsim/forward/panel.py",

@@ -12,9 +12,11 @@ ORACLE = "integral of a two-dimensional Gaussian, as wide as stated, over panel 
 SOURCE = (
     "single reflection between faces, first order (W. J. Smith, Modern Optical Engineering, 4th ed., ch. 7)"
 )
-# The Gaussian is cut off at five standard deviations and its own cell is taken out of its variance, which is
-# right to the fourth order: 3e-6 of the peak at 6 pixels. Float32 nowhere.
 TOLERANCE = 1e-4
+REASON = (
+    "The Gaussian is cut off at five standard deviations and its own cell is taken out of its variance, "
+    "which is right to the fourth order: 3e-6 of the peak at 6 pixels. Float32 nowhere."
+)
 FILES = ("optsim/forward/relay.py", "optsim/optics/relay.py")
 
 _SIGMA_PX, _AT = 6.0, (40, 50)

@@ -20,9 +20,11 @@ ORACLE = (
 SOURCE = (
     "S. K. Nayar and T. Mitsunaga, High dynamic range imaging: spatially varying pixel exposures, CVPR 2000"
 )
-# The darkest decade, 14 400 pixels of 35 to 350 e- over four frames, has a standard error of 0.1 %. Four of
-# them, and 0.1 % for choosing samples by their own noise near the clip.
 TOLERANCE = 5e-3
+REASON = (
+    "The darkest decade, 14 400 pixels of 35 to 350 e- over four frames, has a standard error of 0.1 %. "
+    "Four of them, and 0.1 % for choosing samples by their own noise near the clip."
+)
 FILES = (
     "optsim/reconstruct/hdr_merge.py",
     "optsim/reconstruct/joint_merge.py",

@@ -28,8 +28,8 @@ ORACLE = (
     "differences of two truths that share none, so that no noise is taken for an error; numpy only"
 )
 SOURCE = "definition of the mean over a slot; E[(X - t)(Y - t)] = (E X - t)(E Y - t) for independent X and Y"
-# Found error over the bound: the bound itself.
 TOLERANCE = 1.0
+REASON = "Found error over the bound: the bound itself."
 FILES = ("optsim/render/*.py",)
 
 # Soft shadows, spokes, many movers, 10 : 1 bars, a dark rod before a bright wall; a wide and a tight bound.

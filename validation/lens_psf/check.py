@@ -25,11 +25,14 @@ SOURCE = (
     "circular aperture); Fourier transform of a Gaussian; Born and Wolf, Principles of Optics, 7th ed., "
     "8.5.2 (encircled energy, 1 - J0^2 - J1^2)"
 )
-# Cells of a third of a pixel send their light from their centres: at half a cycle a pixel the replica beyond
-# a cycle a cell passes the lens with 1.8 %. Taking a cell's variance out of the Gaussian is right to 0.05 %
-# there, and 0.1 % of wings is put back. A sharper lens lets more of the replica pass: 5.7 % with 2 um.
-# Rings, relative to their own light: the mean over an Airy pattern's rings comes within 2 % of them.
 TOLERANCE = 0.025
+REASON = (
+    "Cells of a third of a pixel send their light from their centres: at half a cycle a pixel the replica "
+    "beyond a cycle a cell passes the lens with 1.8 %. Taking a cell's variance out of the Gaussian is "
+    "right to 0.05 % there, and 0.1 % of wings is put back. A sharper lens lets more of the replica pass: "
+    "5.7 % with 2 um. Rings, relative to their own light: the mean over an Airy pattern's rings comes "
+    "within 2 % of them."
+)
 FILES = ("optsim/forward/psf.py", "optsim/optics/*.py")
 
 _PITCH_M, _WAVELENGTH_M, _SIGMA_M = 20e-6, 550e-9, 3e-6

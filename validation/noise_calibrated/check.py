@@ -27,8 +27,8 @@ ORACLE = (
     "numbers, so that the reference's own noise cancels; 24 or 48 truths; numpy only"
 )
 SOURCE = "E[(X - R1)(X - R2)] = Var X for unbiased independent X, R1, R2"
-# Squares of 2000 samples or more, with heavy tails: the ratio scatters by 5 %; thrice that.
 TOLERANCE = 0.15
+REASON = "Squares of 2000 samples or more, with heavy tails: the ratio scatters by 5 %; thrice that."
 FILES = ("optsim/render/*.py",)
 
 _VIEW = View(27, 36, 3, 0.32)

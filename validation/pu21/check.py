@@ -18,8 +18,8 @@ SOURCE = (
     "Mantiuk and Azimi, PCS 2021, doi:10.1109/PCS50896.2021.9477471; github.com/gfxdisp/pu21 "
     "matlab/pu21_encoder.m (equation, parameters); github.com/VQEG/siti-tools siti_tools/siti.py (end points)"
 )
-# PU units. The published end points carry four decimals, so half a unit of the last is 5e-5.
 TOLERANCE = 6e-5
+REASON = "PU units. The published end points carry four decimals, so half a unit of the last is 5e-5."
 FILES = ("optsim/metrics/pu21.py",)
 
 # VQEG siti-tools, p_min and p_max of banding_glare.

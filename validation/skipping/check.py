@@ -32,8 +32,8 @@ ORACLE = (
     "them in front of the bright light; differences of expected electrons; numpy only"
 )
 SOURCE = "definition of an effect's size: rms of the change that it makes over the predicted noise"
-# In units of the tolerance asked for: the claim itself.
 TOLERANCE = 1.0
+REASON = "In units of the tolerance asked for: the claim itself."
 FILES = (
     "optsim/camera.py",
     "optsim/camera_plan.py",

@@ -14,9 +14,11 @@ ORACLE = (
 SOURCE = (
     "interline transfer, continuous readout: ccd-sensor.de, 'Smear'; Theuwissen, Solid-State Imaging (1995)"
 )
-# A packet has moved off its own row before the first dwell and comes to rest on it in the readout before:
-# once is right, and float64 sums leave nothing.
 TOLERANCE = 1e-9
+REASON = (
+    "A packet has moved off its own row before the first dwell and comes to rest on it in the readout "
+    "before: once is right, and float64 sums leave nothing."
+)
 FILES = ("optsim/sensor/ccd.py",)
 
 _ROWS, _COLS, _EXPOSURE_S = 60, 5, 0.2

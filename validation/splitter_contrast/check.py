@@ -18,9 +18,11 @@ ORACLE = (
     "as powers; numpy only"
 )
 SOURCE = "R. C. Jones, J. Opt. Soc. Am. 31(7) 488 (1941); Chipman, Lam and Young, Polarized Light (2018)"
-# Mueller matrices in the frame of the ray leave out terms of the fourth order in the angle: 0.3 % of the
-# dark level at f/2.8. Eight rings of twelve rays leave 0.5 % of what skew rays leak.
 TOLERANCE = 0.01
+REASON = (
+    "Mueller matrices in the frame of the ray leave out terms of the fourth order in the angle: 0.3 % of "
+    "the dark level at f/2.8. Eight rings of twelve rays leave 0.5 % of what skew rays leak."
+)
 FILES = ("optsim/forward/mueller.py", "optsim/optics/*.py", "optsim/hardware/lcr720.py")
 
 _INDEX, _ACCEPTANCE, _COLLIMATOR = 1.52, 0.035, 75e-3

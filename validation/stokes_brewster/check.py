@@ -14,8 +14,10 @@ CLAIM = (
 )
 ORACLE = "(Rs - Rp) / (Rs + Rp) of Fresnel's amplitude coefficients at five angles; numpy only"
 SOURCE = "E. Hecht, Optics, 5th ed., sections 4.6.2 and 8.6.1"
-# Single precision, and a view 0.002 wide: DoLP changes by at most 2.7 a radian, evenly to both sides.
 TOLERANCE = 1e-4
+REASON = (
+    "Single precision, and a view 0.002 wide: DoLP changes by at most 2.7 a radian, evenly to both sides."
+)
 FILES = ("optsim/render/stokes.py", "optsim/render/describe.py", "optsim/scene/materials.py")
 
 _IOR = 1.5

@@ -15,8 +15,8 @@ ORACLE = (
     "numpy only"
 )
 SOURCE = "E. Hecht, Optics, 5th ed., sections 8.2.1 and 8.13"
-# Single precision, and a view 0.002 degrees wide whose rays meet the polarisers at a slant.
 TOLERANCE = 1e-5
+REASON = "Single precision, and a view 0.002 degrees wide whose rays meet the polarisers at a slant."
 FILES = ("optsim/render/stokes.py", "optsim/render/rays.py")
 
 _LAMP = 2.0

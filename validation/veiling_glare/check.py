@@ -14,8 +14,8 @@ ORACLE = (
     "the lenses otherwise perfect; arithmetic only"
 )
 SOURCE = "ISO 9358:1994, veiling glare of image forming systems (black patch method)"
-# Float32 images and operator entries.
 TOLERANCE = 1e-4
+REASON = "Float32 images and operator entries."
 FILES = ("optsim/forward/relay.py", "optsim/optics/*.py")
 
 _SHARES = (0.012, 0.007)
