@@ -116,7 +116,11 @@ def override(table: Table, assignments: list[str]) -> Table:
         for step in tables:
             target = _inside(target, step, assignment)
         if not isinstance(target, dict):
-            raise ConfigError(f"--set {assignment!r}: {key!r} has no table to be set in")
+            cure = ""
+            if isinstance(target, str):
+                at = ".".join(tables)
+                cure = f": {at} is the name {target!r}; for more of it, set {at}.hardware={target} instead"
+            raise ConfigError(f"--set {assignment!r}: {key!r} has no table to be set in{cure}")
         cast("Table", target)[key] = value
     return result
 

@@ -116,13 +116,14 @@ class Scorer:
     def results(self) -> dict[str, Any]:
         """Scores, coverage and series of everything added, as results.json holds them."""
         scores = self.board.records(self.tallies)
+        adaptive = [m.name for m in self.experiment.methods if m.scheme.kind == "motion_adaptive"]
         return {
             "scores": scores,
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
             "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
-            "hypothesis": metrics.judge_hypothesis(scores),
+            "hypothesis": metrics.judge_hypothesis(scores, no_rivals=adaptive),
         }
 
     def masks(self, frames: Frames) -> list[dict[str, Any]]:

@@ -86,6 +86,13 @@ def test_bad_overrides(bad: str) -> None:
         override({"lens": {"count": 1}}, [bad])
 
 
+def test_more_of_a_part_that_is_a_name_is_refused_with_the_cure() -> None:
+    with pytest.raises(
+        ConfigError, match=r"name 'imx174'; for more of it, set camera\.sensor\.hardware=imx174"
+    ):
+        override({}, ["camera.sensor=imx174", "camera.sensor.rows=400"])
+
+
 def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
     table = {"methods": [{"name": "a", "x": 1}, {"name": "b", "x": 1}]}
     changed = override(table, ["methods.b.x=2", "methods.0.x=3"])

@@ -58,6 +58,11 @@ def test_the_flats_stay_in_the_linear_half_of_the_wells(camera: CodedCamera, ben
     assert (bench.saturated.dn[:, 20:-20, 20:-20] > 0.95 * full).all()
 
 
+def test_darks_that_are_all_alike_still_were_rounded(bench: Bench) -> None:
+    still = replace(bench, darks=np.repeat(bench.darks[:1], len(bench.darks), axis=0))
+    assert calibrate_from(still).read_noise_dn == pytest.approx(12**-0.5)
+
+
 def test_sensor(camera: CodedCamera, found: Calibration) -> None:
     sensor = camera.sensor
     # 15 differences of 156 x 204 pixels; the uncertainty of a read-noise estimate is 1/sqrt(2 n).

@@ -260,6 +260,15 @@ def test_hypothesis_bounds(adaptive: tuple[float, float, float], passed: list[bo
     assert [v["region"] for v in verdicts] == ["moving", "static", "all"]
 
 
+def test_the_adaptive_scheme_need_not_beat_itself_under_another_decoder() -> None:
+    values = {"adaptive": (1, 1, 0.2), "adaptive_mean": (1, 1, 0.1), "hdr_mosaic": (1, 1, 0.3)}
+    assert judge_hypothesis(contest(values))[2]["passed"] is False
+    verdict = judge_hypothesis(contest(values), no_rivals=["adaptive", "adaptive_mean"])[2]
+    assert verdict["passed"] is True
+    assert verdict["margin"] == pytest.approx(0.1)
+    assert "hdr_mosaic" in verdict["measured"]
+
+
 def test_hypothesis_is_not_judged_without_a_steady_phase() -> None:
     verdicts = judge_hypothesis(contest({"adaptive": (1, 1, 1), "random": (1, 1, 2)}, phase="merging"))
     assert [v["passed"] for v in verdicts] == [None, None, None]

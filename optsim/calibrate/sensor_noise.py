@@ -73,7 +73,8 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
             f"bench flats: their temporal variance exceeds that of the darks by {excess:.3g} DN^2 only, so "
             "the gain cannot be told; take flats up to half of full well"
         )
-    return SensorNoise(float(np.sqrt(read_variance)), excess / signal)
+    # Darks that are all alike still were rounded.
+    return SensorNoise(float(np.sqrt(max(read_variance, 1 / 12))), excess / signal)
 
 
 def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise) -> Floats:

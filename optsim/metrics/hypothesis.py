@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TypedDict
 
 from optsim.metrics.log_error import LogRmse
@@ -30,6 +30,7 @@ def judge_hypothesis(
     adaptive: str = "adaptive",
     random: str = "random",
     hdr_mosaic: str = "hdr_mosaic",
+    no_rivals: Collection[str] = (),
 ) -> list[Verdict]:
     """Judge the three registered claims on the steady phase: a failure is published, not tuned away.
 
@@ -39,11 +40,13 @@ def judge_hypothesis(
         From :meth:`optsim.metrics.ScoreBoard.records`.
     adaptive, random, hdr_mosaic : str
         Names of the methods that the claims speak of.
+    no_rivals : collection of str
+        Methods that code as the adaptive one does and decode otherwise: it need not beat itself.
     """
     return [
         _near(records, "moving", adaptive, random, "full random exposure where it moves"),
         _near(records, "static", adaptive, hdr_mosaic, "the HDR mosaic where it is static"),
-        _best(records, adaptive),
+        _best(records, adaptive, no_rivals),
     ]
 
 
@@ -67,10 +70,10 @@ def _near(records: Sequence[ScoreRecord], region: Region, ours: str, theirs: str
     }
 
 
-def _best(records: Sequence[ScoreRecord], ours: str) -> Verdict:
+def _best(records: Sequence[ScoreRecord], ours: str, no_rivals: Collection[str]) -> Verdict:
     metric = LogRmse()
     values = _values(records, metric.name, "all")
-    others = {name: value for name, value in values.items() if name != ours}
+    others = {name: value for name, value in values.items() if name not in {ours, *no_rivals}}
     margin = None
     measured = "not measured: it needs scores of at least two methods in the steady phase"
     if ours in values and others:
