@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
+from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.integrate import Shutter, integrate_exposure, slot_means
 from optsim.forward.panel import PanelResponse, first_panel, settled_panel, slot_weights
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, photons_per_joule
@@ -244,18 +245,18 @@ class CodedCamera(Part):
     def shutter(
         self, code: ExposureCode, panel: PanelState | None, n_sub: int, pitch: int = SAMPLES_PER_PITCH
     ) -> tuple[Shutter, PanelState]:
-        """Say what splitter and panel let through in a frame, and the panel after it."""
+        """Return what the panel lets through in a frame, fully on as 1, and the panel after it."""
         levels, panel, response = self._shown(code, panel)
         weights, after = slot_weights(levels, panel, response, self.slot_s, n_sub, self.column_leaks)
         weights[self.coded_slots * n_sub :] = 0
-        weights *= self.panel_gain
-        gain = self.panel_gain * ((1 - self.column_leaks) / response.white).astype(np.float32)
-        shown = levels[: self.coded_slots], panel, response, self.slot_s, n_sub
-        return Shutter(weights, *self.modulator.fringing(*shown, gain, pitch)), after
+        course = levels[: self.coded_slots], panel, response, self.slot_s, n_sub, self.column_leaks
+        borders = border_shares(self.modulator.fringing_px, pitch)
+        return Shutter(weights, borders, self.modulator.rims(*course, pitch)), after
 
     def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:
         """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2."""
-        return integrate_exposure(truth, index * self.slots_per_frame, shutter)
+        energy = integrate_exposure(truth, index * self.slots_per_frame, shutter)
+        return energy * whole_cells(self.panel_gain, truth.samples_per_pitch)
 
     def electrons_of(self, image: Doubles) -> Doubles:
         """Electrons that a radiant exposure of the CCD frees on average, dark ones included, (y, x)."""

@@ -10,7 +10,7 @@ from optsim.calibrate import Calibration, Glare
 from optsim.calibrate.glare import ring_strengths
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.forward.crosstalk import REACH, crosstalk_kernels, seen_at_picks, true_dots
-from optsim.forward.fringing import border_shares
+from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.panel import PanelResponse
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
@@ -22,7 +22,7 @@ def true_calibration(camera: CodedCamera) -> Calibration:
     reach = min(REACH, (min(camera.panel_rows, camera.panel_cols) - 1) // 2)
     view = camera.view
     shading = camera.objective.shading(view.rows, view.cols, modulator.pitch_m / SAMPLES_PER_PITCH)
-    gain = camera.panel_gain.repeat(SAMPLES_PER_PITCH, axis=0).repeat(SAMPLES_PER_PITCH, axis=1)
+    gain = whole_cells(camera.panel_gain, SAMPLES_PER_PITCH)
     operator = camera.relay_operator()
     image = operator.apply(shading * gain * camera.slot_s)
     borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from optsim.camera import CodedCamera
-from optsim.forward.fringing import fine_image, fine_image_adjoint
+from optsim.forward.fringing import fine_image, fine_image_adjoint, whole_cells
 from optsim.forward.rims import cell_weights
 from optsim.quantities import Doubles, ExposureCode, Floats, IrradianceVideo, PanelState, Video
 from optsim.report.trace_record import Reading, Target
@@ -110,7 +110,7 @@ def count_electrons(
     shutter, _ = camera.shutter(code, panel, n_sub, truth.samples_per_pitch)
     borders, rims = shutter.borders, shutter.rims
     cells = cell_weights(rims, shutter.weights) if rims else None
-    fully_on = camera.panel_gain * np.float64(truth.slot_s / n_sub)
+    fully_on = whole_cells(camera.panel_gain, truth.samples_per_pitch) * np.float64(truth.slot_s / n_sub)
     leak = camera.column_leaks[own[1]]
     v, u = np.indices(truth.panel_shape)
     away_px = np.maximum(abs(v - own[0]), abs(u - own[1]))
@@ -123,10 +123,10 @@ def count_electrons(
         if slot >= coded:
             break
         if cells is not None:
-            # Whoever rules over a rim gets what is more or less there than a mix of weights.
+            # What is more or less at a rim than a mix of weights counts for those who rule over it.
             mixed = fine_image(shutter.weights[t], borders)
             light = light * np.divide(cells[t], mixed, out=np.ones(mixed.shape), where=mixed > 0)
-        direct, ghost, veil = (fine_image_adjoint(path * light, borders) * fully_on for path in paths)
+        direct, ghost, veil = (fine_image_adjoint(path * light * fully_on, borders) for path in paths)
         passed = direct * weights[t]
         by_pixel += passed
         mine, neighbours, near_field, wings = np.bincount(ring, passed.ravel(), minlength=4)

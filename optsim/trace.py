@@ -33,7 +33,8 @@ NOTES = (
     "Blur and veiling glare of the objective act before the panel: light that they bring to a panel pixel is "
     "part of its irradiance and counts for that panel pixel.",
     "Under fringing fields a panel pixel rules over the rim of its neighbours too: light counts for the "
-    "panel pixel whose drive let it through.",
+    "panel pixel whose drive let it through; what a rim passes more or less than a mix of those that rule "
+    "over it counts for them in proportion.",
     "The own panel pixel's share of ghost and veil counts for these, not for the pixel.",
     "Clip, bend and noise act on the sum of the origins; smear is added behind the full well.",
 )

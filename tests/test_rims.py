@@ -7,7 +7,9 @@ import pytest
 from scipy.special import ndtr
 
 from optsim.camera_plan import plan_camera
+from optsim.effect_sizes import effect_sizes
 from optsim.effects import changed, with_effects
+from optsim.forward import bands
 from optsim.forward import rims as rims_module
 from optsim.forward.fringing import border_shares, fine_image
 from optsim.forward.integrate import Shutter, integrate_exposure
@@ -15,8 +17,8 @@ from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.forward.radau import middles, radau
 from optsim.forward.rims import Rims, cell_weights, relaxed
 from optsim.hardware import demo
-from optsim.probe import Illumination
-from optsim.quantities import Block, Segment, Video
+from optsim.probe import FULL_RIMS, Illumination
+from optsim.quantities import Block, ExposureCode, Segment, Video
 
 SLOT_S, SIGMA = 1 / 180, 0.12
 SIDE = (6, 7)
@@ -31,9 +33,9 @@ def levels_of(kind: str, n: int = 9) -> np.ndarray:
 
 def rims_of(levels, response, n_sub=1, model="fine", sigma=SIGMA):
     start = settled_panel(levels[0] * 0, response)
-    gain = np.ones(levels.shape[1:], np.float32)
+    leaks = np.full(levels.shape[2], response.leak)
     weights, after = slot_weights(levels, start, response, SLOT_S, n_sub)
-    return Rims(levels, start, response, SLOT_S, n_sub, gain, sigma, 3, model), weights, after
+    return Rims(levels, start, response, SLOT_S, n_sub, leaks, sigma, 3, model), weights, after
 
 
 def dense(levels, response, n_sub, steps=240):
@@ -57,7 +59,7 @@ def dense(levels, response, n_sub, steps=240):
         level = np.where(before, shown, levels[slot])
         drive = np.where(before, response.field_drive[(slot - 1) % len(response.field_drive)],
                          response.field_drive[slot % len(response.field_drive)])  # fmt: skip
-        target = drive * np.pi * (level / 255) ** 1.2
+        target = drive * response.white_rad * (level / 255) ** 1.2
         tau = np.where(target > gamma, response.tau_on_s, response.tau_off_s)
         now, gamma = (target + (gamma - target) * np.exp(-part * step_s / tau) for part in (0.5, 1.0))
         light = np.sin(down @ now @ across.T / 2) ** 2
@@ -65,7 +67,7 @@ def dense(levels, response, n_sub, steps=240):
         found[slot * n_sub + at * n_sub // steps] += means * n_sub / steps
         if at == steps - 1:
             shown = levels[slot]
-    return found
+    return response.leak + (1 - response.leak) / response.white * found
 
 
 @pytest.mark.parametrize(
@@ -103,6 +105,87 @@ def test_loops_and_whole_arrays_find_the_same_cells(monkeypatch, change):
     assert few.min() >= 0
 
 
+@pytest.mark.parametrize("cores", [1, 2, 3])
+def test_rows_of_a_tall_panel_find_the_same_in_bands(monkeypatch, cores):
+    """70 rows: bands of 8 in some threads, against all rows together and against blurred retardance."""
+    levels = np.random.default_rng(3).choice(np.array([0, 90, 255], np.uint8), (3, 70, 4))
+    response = PanelResponse(leak=0.004, white_rad=3.6, delay_s=SLOT_S / 5)
+    rims, weights, _ = rims_of(levels, response)
+    together = cell_weights(rims, weights)
+    monkeypatch.setattr(bands, "CORES", cores)
+    monkeypatch.setattr(rims_module, "FEW", 0)
+    found = cell_weights(rims, weights)
+    np.testing.assert_allclose(found, together, atol=2e-6)
+    plain = weights.repeat(3, axis=1).repeat(3, axis=2)
+    true = dense(levels, response, 1)
+    assert np.std(found - true) < 0.01 * np.std(plain - true)
+
+
+@pytest.mark.parametrize("uneven", ["shown", "gamma", "scan", "level"])
+def test_a_panel_is_even_only_if_all_that_rims_follow_from_is(uneven):
+    levels = np.full((2, *SIDE), 255, np.uint8)
+    response = PanelResponse(leak=0.0, delay_s=1e-3, scan_s=2e-3 if uneven == "scan" else 0.0)
+    rims, weights, _ = rims_of(levels, response)
+    start = rims.start
+    here = np.s_[2:4, 2:5]
+    if uneven == "shown":
+        start.levels[here] = 200
+    elif uneven == "gamma":
+        start.retardance_rad[here] = 1.0
+    elif uneven == "level":
+        levels[1, 3, 3] = 0
+    weights, _ = slot_weights(levels, start, response, SLOT_S)
+    mixed = np.stack([fine_image(w.astype(np.float64), border_shares(SIGMA, 3)) for w in weights])
+    assert np.abs(cell_weights(rims, weights) - mixed).max() > 1e-4
+
+
+@pytest.mark.parametrize("few", [0, 10**9])
+def test_no_rim_is_darker_than_a_dark_pixel(monkeypatch, few):
+    """Three points a pixel and fringing as wide as can be: without a floor some would be by 0.007."""
+    monkeypatch.setattr(rims_module, "FEW", few)
+    response = PanelResponse(leak=0.0024)
+    rims, weights, _ = rims_of(levels_of("random"), response, model="coarse", sigma=0.25)
+    cells = cell_weights(rims, weights)
+    assert cells.min() == np.float32(0.0024)
+    assert np.mean(cells == cells.min()) > 1e-3
+
+
+@pytest.mark.parametrize("overlap", [True, False])
+def test_a_camera_knows_its_rims(overlap):
+    """Leak by column, light of which white is no half wave, jitter, stuck pixels, slots of the readout."""
+    full = demo()
+    panel = {"stuck_share": 0.1, "delay_s": SLOT_S / 5, "jitter_s": 0.2e-3, "rows": 6, "cols": 7}
+    parts = {
+        "modulator": full.modulator.model_copy(update=panel),
+        "splitter": full.splitter.model_copy(update={"acceptance_rad": 3e-4}),
+    }
+    camera = full.model_copy(
+        update={**parts, "panel_rows": 6, "panel_cols": 7, "overlap": overlap, "wavelength_m": 480e-9}
+    )
+    levels = levels_of("random", 36)
+    code = ExposureCode(levels, np.zeros(SIDE, np.bool_))
+    _, after = camera.shutter(code, camera.panel_at_rest(), 1)
+    shutter, _ = camera.shutter(code, after, 1)
+    found = cell_weights(shutter.rims, shutter.weights)
+    n = 36 if overlap else 28
+    assert not found[n:].any()
+    assert np.ptp(camera.column_leaks) > 1e-5
+    stuck, at = camera.stuck_pixels
+    assert stuck.any()
+    levels = np.where(stuck, at, levels)
+    levels[n:] = np.where(stuck, at, 0)
+    late_s = camera.modulator.lateness_s(36, camera.serial_number)
+    response = camera.panel_response
+    response = response.model_copy(update={"delay_s": response.delay_s + late_s, "leak": 0.0})
+    # Twice: in the second frame the panel is as the first one left it.
+    true = dense(np.concatenate([levels, levels]), response, 1)[36 : 36 + n]
+    leak = camera.column_leaks.repeat(3)
+    true = leak + (1 - leak) * true
+    plain = shutter.weights[:n].repeat(3, axis=1).repeat(3, axis=2)
+    # A turn that is not at a whole step of the dense computation leaves 2 %.
+    assert np.std(found[:n] - true) < 0.03 * np.std(plain - true)
+
+
 def test_a_border_that_stands_still_is_that_of_mixing():
     levels = np.zeros((3, *SIDE), np.uint8)
     levels[:, :, 3:] = 255
@@ -117,7 +200,7 @@ def test_where_all_pixels_do_the_same_nothing_is_looked_at(monkeypatch):
     rims, weights, _ = rims_of(levels, PanelResponse())
     looks = []
     fill = rims_module._fill_together
-    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[10].size) or fill(*a))
+    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[8].share.size) or fill(*a))
     cells = cell_weights(rims, weights)
     assert looks == [0]
     np.testing.assert_allclose(cells, weights.repeat(3, 1).repeat(3, 2), rtol=1e-6)
@@ -197,8 +280,14 @@ def test_plans_find_rims_as_finely_as_they_need():
     light, camera = Illumination(0.1, 90.0, 0.8, None), demo()
     models = {t: plan_camera(camera, light, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
     assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
+    plan = plan_camera(camera, light, 0.1)
+    size = next(each.size for each in effect_sizes(plan.near) if each.effect == "fringing")
+    sharp = {"modulator": {"fringing_px": 0.0}}
+    assert size == plan.near.size(sharp, FULL_RIMS) != plan.near.size(sharp, {})
     sharp = with_effects(camera, {"fringing": "ideal"})
-    assert sharp.modulator.fringing(*(None,) * 6, 3)[1] is None
+    code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
+    assert sharp.shutter(code, None, 1)[0].rims is None
+    assert camera.shutter(code, None, 1)[0].rims is not None
     mixed = changed(camera, {"modulator": {"rim_model": "mixed"}})
     plan = plan_camera(mixed, light, 0.0)
     assert plan.camera.modulator.rim_model == "mixed"

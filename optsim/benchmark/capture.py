@@ -24,6 +24,7 @@ from scipy import ndimage
 
 from optsim.camera import CodedCamera
 from optsim.camera_plan import plan_camera
+from optsim.forward.fringing import whole_cells
 from optsim.forward.panel import slot_weights
 from optsim.forward.radiometry import photons_per_joule
 from optsim.forward.rims import cell_weights
@@ -207,15 +208,15 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
     levels = np.where(stuck, stuck_levels, code.levels)
     rest, response = camera.panel_at_rest(), camera.panel_response
     weights, _ = slot_weights(levels, rest, response, camera.slot_s, leak=camera.column_leaks)
-    gain = camera.panel_gain * ((1 - camera.column_leaks) / response.white).astype(np.float32)
-    course = levels, rest, response, camera.slot_s, 1, gain, radiance.samples_per_pitch
-    _, rims = panel.fringing(*course)
+    course = levels, rest, response, camera.slot_s, 1, camera.column_leaks
+    rims = panel.rims(*course, radiance.samples_per_pitch)
     assert rims is not None, "the full model has the rims of fringing fields"
-    passed = cell_weights(rims, weights * camera.panel_gain)
+    passed = cell_weights(rims, weights)
+    gain = whole_cells(camera.panel_gain, radiance.samples_per_pitch)
     relay = camera.relay_operator()
     arrived = np.zeros((sensor.rows, sensor.cols))
     for slot in range(camera.slots_per_frame):
-        arrived += relay.apply(passed[slot] * irradiance.load(slot).start * camera.slot_s)
+        arrived += relay.apply(passed[slot] * gain * irradiance.load(slot).start * camera.slot_s)
         progress("dense", slot + 1, camera.slots_per_frame)
     efficiency = sensor.efficiency_at(camera.wavelength_m) * sensor.pixel_response(serial)
     electrons = arrived * sensor.pixel_area_m2 * photons_per_joule(camera.wavelength_m) * efficiency

@@ -9,9 +9,8 @@ deviation sigma, at a distance x into the black pixel,
     share of the white one's reflectance = sin^2(pi/2 Phi(-x / sigma))
 
 That share is taken for all levels and times, row by column: weights are mixed with those of the
-neighbours, linearly. ``validation/fringing`` measures what that leaves out, on grey levels, in corners and
-in passing from level to level. In other light than that of which white is a half wave the shares stay as they
-are; what that leaves out is not measured.
+neighbours, linearly. What that leaves out, on grey levels, in corners, in passing from level to level and in
+light of which white is no half wave, :mod:`optsim.forward.rims` finds.
 """
 
 from __future__ import annotations
@@ -71,3 +70,8 @@ def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
         own[-1] += after[-1]
         fine = np.moveaxis(own, 0, axis)
     return fine
+
+
+def whole_cells(panel: Floats, pitch: int) -> Floats:
+    """Panel values on the fine grid, (v, u) to (y, x), each pixel's own in all of its cells."""
+    return panel.repeat(pitch, axis=0).repeat(pitch, axis=1)

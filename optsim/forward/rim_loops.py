@@ -34,6 +34,36 @@ class Points(NamedTuple):
     borders: Floats
 
 
+class Times(NamedTuple):
+    """When the panel is looked at: shares of an interval, and the weights of each, (time,), float64."""
+
+    share: Doubles
+    weight: Doubles
+
+
+class Turns(NamedTuple):
+    """Instant of a slot in which each row turns to the slot's level, and how long after its start.
+
+    Parameters
+    ----------
+    instant, early_s : ndarray of shape (v,), int64 and float64
+        The instant, and the time, s.
+    instant_s : float
+        Duration of an instant, s.
+    """
+
+    instant: Ints
+    early_s: Doubles
+    instant_s: float
+
+
+class Light(NamedTuple):
+    """Least weight that a pixel of each column has, and what ``sin^2`` of 1 adds, (u,), float32."""
+
+    least: Floats
+    span: Floats
+
+
 @compiled(fastmath=True)
 def fill_cells(
     levels: Bytes,
@@ -41,21 +71,33 @@ def fill_cells(
     shown: Bytes,
     targets: Floats,
     taus: Doubles,
-    turn: Ints,
-    early_s: Doubles,
-    instant_s: float,
+    turns: Turns,
     borders: Floats,
     points: Points,
-    times: Doubles,
-    time_weights: Doubles,
-    gain: Floats,
+    times: Times,
+    light: Light,
     weights: Floats,
     cells: Floats,
 ) -> None:
-    """Fill the cells of a band; what belongs to pixels has a row more at its top and at its bottom."""
+    """Fill the cells of a band.
+
+    Parameters
+    ----------
+    levels, gamma, shown, targets, taus, turns
+        As of :func:`optsim.forward.relaxation.walk`, with a row more at the top and at the bottom of the
+        band; ``gamma`` and ``shown`` are changed in place. Retardances are at most a whole wave.
+    borders : ndarray of shape (pitch, 3), float32
+        From :func:`optsim.forward.fringing.border_shares`.
+    points, times, light
+        Where and when the panel is looked at, and what it makes of light.
+    weights : ndarray of shape (t, v, u), float32
+        Of the pixels, these rows too.
+    cells : ndarray of shape (t, y, x), float32
+        Filled.
+    """
     n_slots, rows, cols = levels.shape
     n_instants, (pitch, n_points) = cells.shape[0], points.means.shape
-    n_sub = n_instants // n_slots
+    n_sub, instant_s = n_instants // n_slots, turns.instant_s
     # A pixel more at the left and at the right, like its neighbour.
     now = np.empty((rows, cols + 2), np.float32)
     alone = np.empty((rows, cols + 2), np.float32)
@@ -72,22 +114,22 @@ def fill_cells(
         seen[:] = 0
         for part in range(2):
             for r in range(rows):
-                before_s = min(max((turn[r] - sub) * instant_s + early_s[r], 0.0), instant_s)
+                before_s = min(max((turns.instant[r] - sub) * instant_s + turns.early_s[r], 0.0), instant_s)
                 share[r] = (before_s if part == 0 else instant_s - before_s) / instant_s
             if share.max() <= 0:
                 continue
             drive, wanted = targets[slot + part], shown if part == 0 else levels[slot]
-            for j in range(times.size):
+            for j in range(times.share.size):
                 for r in range(rows):
                     _relax_row(
-                        gamma[r], drive, wanted[r], taus, times[j] * share[r] * instant_s, now[r, 1:-1]
+                        gamma[r], drive, wanted[r], taus, times.share[j] * share[r] * instant_s, now[r, 1:-1]
                     )
                     now[r, 0], now[r, cols + 1] = now[r, 1], now[r, cols]
-                    of_time = np.float32(time_weights[j] * share[r])
+                    of_time = np.float32(times.weight[j] * share[r])
                     for u in range(cols + 2):
                         alone[r, u] += of_time * _cosine(now[r, u])
                 for p in range(rows - 2):
-                    of_time = np.float32(time_weights[j] * share[p + 1])
+                    of_time = np.float32(times.weight[j] * share[p + 1])
                     for a in range(n_points):
                         _mix_rows(points.shares[a], now[p : p + 3], line)
                         for b in range(n_points):
@@ -107,7 +149,7 @@ def fill_cells(
                 for k in range(pitch):
                     _mean_rows(points.means[k], along, blurred)
                     _open_cells(
-                        borders[k], open_line, points.borders[k], line, blurred, gain[p + 1],
+                        borders[k], open_line, points.borders[k], line, blurred, light,
                         cells[t, p * pitch + i, k::pitch],
                     )  # fmt: skip
         if sub == n_sub - 1:
@@ -121,16 +163,18 @@ def _open_cells(
     still: Floats,
     alone: Floats,
     blurred: Floats,
-    gain: Floats,
+    light: Light,
     cells: Floats,
 ) -> None:
+    least, span = light.least, light.span
     before, own, after = borders
     first, middle, last = still
     half = np.float32(0.5)
     for u in range(cells.size):
         mixed = before * opened[u] + own * opened[u + 1] + after * opened[u + 2]
         beyond = first * alone[u] + middle * alone[u + 1] + last * alone[u + 2] - blurred[u]
-        cells[u] = max(mixed + half * gain[u] * beyond, np.float32(0))
+        # No rim is darker than any pixel could be: there are not points enough to see that.
+        cells[u] = max(mixed + half * span[u] * beyond, least[u])
 
 
 @compiled(fastmath=True)

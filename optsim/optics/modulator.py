@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.config import Part
-from optsim.forward.fringing import border_shares
 from optsim.forward.mueller import depolariser, mirror, retarder_45
 from optsim.forward.panel import PanelResponse
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
@@ -160,22 +159,21 @@ class Modulator(Part):
             scan_s=self.scan_s * rows / there,
         )
 
-    def fringing(
+    def rims(
         self,
         levels: Bytes,
         start: PanelState,
         response: PanelResponse,
         slot_s: float,
         instants_per_slot: int,
-        gain: Floats,
+        leaks: Doubles,
         pitch: int,
-    ) -> tuple[Doubles, Rims | None]:
-        """Borders between pixels of ``pitch`` fine cells, and their rims; else as :class:`Rims`."""
-        borders = border_shares(self.fringing_px, pitch)
+    ) -> Rims | None:
+        """Rims of pixels of ``pitch`` fine cells, else as :class:`Rims`; None where mixing has to do."""
         if self.fringing_px < _SHARP_PX or self.rim_model == "mixed":
-            return borders, None
+            return None
         blur = self.fringing_px, pitch, self.rim_model
-        return borders, Rims(levels, start, response, slot_s, instants_per_slot, gain, *blur)
+        return Rims(levels, start, response, slot_s, instants_per_slot, leaks, *blur)
 
     def lateness_s(self, slots_shown: int, serial_number: int) -> float:
         """How much more than ``delay_s`` a frame is late that begins after so many slots, s."""

@@ -41,7 +41,7 @@ class PanelState:
     Parameters
     ----------
     retardance_rad : ndarray of shape (v, u), float32
-        Round-trip retardance, 0 (dark) to pi (bright).
+        Round-trip retardance: 0 is dark, pi brightest.
     levels : ndarray of shape (v, u), uint8
         Drive levels of the last slot: rows whose turn comes late go on towards them.
     slots_shown : int
