@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from optsim import metrics
 from optsim.experiment import Experiment, load_experiment
 from optsim.loop import calibrate, capture, set_light, stream
 from optsim.metrics import luminous_efficacy_lm_w
@@ -16,9 +17,9 @@ from optsim.scoring import Scorer
 ROWS, COLS = 24, 32
 
 
-def small(*assignments: str, n_frames: int = 2) -> Experiment:
+def small(*assignments: str, n_frames: int = 2, preset: str = "demo") -> Experiment:
     return load_experiment(
-        "demo",
+        preset,
         [
             f"n_frames={n_frames}",
             f"camera.panel_rows={ROWS}",
@@ -205,3 +206,16 @@ def test_all_methods_are_scored_on_the_pixels_that_all_hold_valid() -> None:
     assert scores["bold"]["flag"] == "identical"
     held = {c["method"]: c["valid"] for c in judge.board.coverage(judge.tallies) if c["region"] == "all"}
     assert held == {"bold": 1.0, "timid": pytest.approx(1 - 4 / ROWS)}
+
+
+def test_other_decoders_of_the_adaptive_scheme_are_no_rivals_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = small(preset="figure4")
+    asked: dict[str, object] = {}
+
+    def judge(_: object, **names: object) -> list[object]:
+        asked.update(names)
+        return []
+
+    monkeypatch.setattr(metrics, "judge_hypothesis", judge)
+    scorer(experiment, flat(experiment, 0.1)).results()
+    assert asked == {"no_rivals": ["adaptive", "adaptive_mean"]}
