@@ -247,11 +247,11 @@ class CodedCamera(Part):
     ) -> tuple[Shutter, PanelState]:
         """Return what the panel lets through in a frame, fully on as 1, and the panel after it."""
         levels, panel, response = self._shown(code, panel)
-        weights, after = slot_weights(levels, panel, response, self.slot_s, n_sub, self.column_leaks)
+        answer = panel, response, self.slot_s, n_sub, self.column_leaks
+        weights, after = slot_weights(levels, *answer)
         weights[self.coded_slots * n_sub :] = 0
-        course = levels[: self.coded_slots], panel, response, self.slot_s, n_sub, self.column_leaks
-        borders = border_shares(self.modulator.fringing_px, pitch)
-        return Shutter(weights, borders, self.modulator.rims(*course, pitch)), after
+        rims = self.modulator.rims(levels[: self.coded_slots], *answer, pitch)
+        return Shutter(weights, border_shares(self.modulator.fringing_px, pitch), rims), after
 
     def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:
         """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2."""

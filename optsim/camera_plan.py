@@ -279,7 +279,7 @@ def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | Left
 
 
 def _by_hand(camera: CodedCamera, cut: Coarser | LeftOut) -> bool:
-    """Whether the one number of a short cut isn't at its default any more."""
+    """Whether the one field of a short cut isn't at its default any more."""
     if isinstance(cut, LeftOut):
         return False
     part: Part = getattr(camera, cut.part)

@@ -200,9 +200,9 @@ def test_where_all_pixels_do_the_same_nothing_is_looked_at(monkeypatch):
     rims, weights, _ = rims_of(levels, PanelResponse())
     looks = []
     fill = rims_module._fill_together
-    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[8].share.size) or fill(*a))
+    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[6].times) or fill(*a))
     cells = cell_weights(rims, weights)
-    assert looks == [0]
+    assert [each.weight.tolist() for each in looks] == [[0]]
     np.testing.assert_allclose(cells, weights.repeat(3, 1).repeat(3, 2), rtol=1e-6)
 
 
@@ -234,6 +234,30 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
         np.testing.assert_allclose(exposed(slots), expected, rtol=1e-5, atol=1e-9)
 
 
+def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch):
+    """A block that begins and ends within pixels, a corner of the panel, and 20 rows: three bands.
+
+    The floor acts on instants or on their sum: 5e-5 of the light of a pixel that is on.
+    """
+    rng = np.random.default_rng(9)
+    levels = rng.choice(np.array([0, 90, 255], np.uint8), (5, 20, 7))
+    rims, weights, _ = rims_of(levels, PanelResponse(delay_s=1e-3), 2)
+    still = rng.random((60, 21)).astype(np.float32)
+    boxes = ((7, 4, 23, 5), (58, 20, 2, 1))
+    blocks = [Block(row, col, rng.normal(size=(10, *size)).astype(np.float32)) for row, col, *size in boxes]
+    whole = cell_weights(rims, weights) * still
+    for block in blocks:
+        _, tall, wide = block.excess.shape
+        here = np.s_[:, block.row : block.row + tall, block.col : block.col + wide]
+        whole[here] += cell_weights(rims, weights)[here] * block.excess
+    video = Video(60, 21, 3, SLOT_S, 2, 5, 5, lambda _: Segment(still, still, tuple(blocks), 10))
+    for few in (0, 10**9):
+        for module in ("rims", "integrate"):
+            monkeypatch.setattr(f"optsim.forward.{module}.FEW", few)
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+        np.testing.assert_allclose(found, whole.sum(axis=0) * SLOT_S / 2, rtol=1e-5, atol=5e-5 * SLOT_S)
+
+
 def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
     rng = np.random.default_rng(9)
     rims, weights, _ = rims_of(levels_of("random", 4), PanelResponse())
@@ -241,9 +265,9 @@ def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
     video = Video(18, 21, 3, SLOT_S, 1, 4, 4, lambda _: segment)
     whole = sum(cell_weights(rims, weights)[t] * segment.instant(t) for t in range(4)) * SLOT_S
     for few in (0, 10**9):
-        monkeypatch.setattr("optsim.forward.integrate._FINE_FEW", few)
+        monkeypatch.setattr(rims_module, "FEW", few)
         found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
-        np.testing.assert_allclose(found, whole, rtol=1e-5)
+        np.testing.assert_allclose(found, whole, rtol=1e-5, atol=5e-5 * SLOT_S)
 
 
 @pytest.mark.parametrize("change", [{}, {"delay_s": 1e-3, "scan_s": 1e-3}, {"tau_on_s": 0.0}])
@@ -271,7 +295,7 @@ def test_a_radau_rule_is_right_for_polynomials(n):
 @pytest.mark.parametrize("pitch", [1, 2, 3, 5])
 def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
     rims, _, _ = rims_of(levels_of("random"), PanelResponse(), sigma=sigma)
-    points = replace(rims, pitch=pitch).points
+    points = replace(rims, pitch=pitch).looks.points
     np.testing.assert_allclose(points.means.sum(axis=1), 1, rtol=1e-5)
     np.testing.assert_allclose(points.borders, border_shares(sigma, pitch), atol=0.005 + 0.2 * sigma**2)
 

@@ -9,7 +9,6 @@ one key image, and only the blocks are walked instant by instant.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,7 @@ from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
 from optsim.forward.fringing import fine_image
 from optsim.forward.rims import Rims, fine_weights, relaxed
-from optsim.quantities import Doubles, Floats, Segment, Video
-
-# As many fine cells as FEW panel pixels have.
-_FINE_FEW = 9 * FEW
+from optsim.quantities import Doubles, Floats, PanelState, Segment, Video
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +83,7 @@ def integrate_exposure(video: Video, first_slot: int, shutter: Shutter) -> Float
         elif first < len(rims.levels):
             # After the last coded slot the shutter is closed.
             shown = shown[: (len(rims.levels) - first) * video.instants_per_slot]
-            panel = fine_weights(rims, shown, partial(_add_fine, energy, segment), panel, first)
+            panel = _fine_segment(energy, rims, segment, shown, panel, first)
     energy *= video.slot_s / video.instants_per_slot
     return energy.astype(np.float32)
 
@@ -121,44 +117,46 @@ def _add_small_segment(energy: Doubles, segment: Segment, weights: Floats, share
             energy[window] += fine_image(weights[t].astype(np.float64), shares)[window] * block.excess[t]
 
 
-def _add_fine(energy: Doubles, segment: Segment, weights: Floats, top: int) -> None:
-    """Add a segment's first instants under weights of fine cells, (t, y, x), that begin at a row."""
-    n, height, _ = weights.shape
-    few = n * energy.size < _FINE_FEW
-    energy, rows = energy[top : top + height], slice(top, top + height)
+def _fine_segment(
+    energy: Doubles, rims: Rims, segment: Segment, weights: Floats, panel: PanelState, first: int
+) -> PanelState:
+    """Add a segment's first instants, with the rims of pixels; return the panel after them."""
+    n, pitch = len(weights), rims.pitch
     rising = (np.arange(n, dtype=np.float64) + 0.5) / segment.n_instants
-    lines = ((1 - rising, segment.start), (rising, segment.stop))
-    for line, key in [(np.ones(n), segment.start)] if segment.stop is segment.start else lines:
-        if few:
-            energy += np.tensordot(line, weights, 1) * key[rows]
-        else:
-            _add_fine_base(energy, key[rows], line, weights)
+    lines = [(1 - rising, segment.start), (rising, segment.stop)]
+    if segment.stop is segment.start:
+        lines = [(np.ones(n), segment.start)]
+    moving = np.zeros(weights.shape[1:], np.bool_)
     for block in segment.blocks:
         _, tall, wide = block.excess.shape
-        above, below = max(block.row - top, 0), min(block.row + tall - top, height)
-        if above < below:
-            window = np.s_[..., above:below, block.col : block.col + wide]
-            excess = block.excess[:n, above + top - block.row : below + top - block.row]
-            if few:
-                energy[window] += np.einsum("tyx,tyx->yx", excess, weights[window])
-            else:
-                _add_fine_block(energy[window], excess, weights[window])
+        down, across = ((at, at + size + pitch - 1) for at, size in ((block.row, tall), (block.col, wide)))
+        moving[slice(*(at // pitch for at in down)), slice(*(at // pitch for at in across))] = True
+
+    add_products = _add_few_products if weights.size < FEW else _add_products
+
+    def add(sums: Floats, cells: Floats, top: int) -> None:
+        height = sums.shape[1]
+        for of_key, (_, key) in zip(sums, lines, strict=True):
+            energy[top : top + height] += of_key * key[top : top + height]
+        for block in segment.blocks:
+            _, tall, wide = block.excess.shape
+            above, below = max(block.row, top), min(block.row + tall, top + height)
+            if above < below:
+                columns = slice(block.col, block.col + wide)
+                excess = block.excess[:n, above - block.row : below - block.row]
+                opened = cells[:, above - top : below - top, columns]
+                add_products(energy[above:below, columns], excess, opened)
+
+    keys = np.stack([line for line, _ in lines]).astype(np.float32)
+    return fine_weights(rims, weights, keys, moving, add, panel, first)
+
+
+def _add_few_products(energy: Doubles, excess: Floats, weights: Floats) -> None:
+    energy += np.einsum("tyx,tyx->yx", excess, weights, dtype=np.float64)
 
 
 @compiled()
-def _add_fine_base(energy: Doubles, key: Floats, line: Doubles, weights: Floats) -> None:
-    total = np.empty(energy.shape[1])
-    for y in range(energy.shape[0]):
-        total[:] = 0
-        for t in range(line.size):
-            for x in range(total.size):
-                total[x] += line[t] * weights[t, y, x]
-        for x in range(total.size):
-            energy[y, x] += total[x] * key[y, x]
-
-
-@compiled()
-def _add_fine_block(energy: Doubles, excess: Floats, weights: Floats) -> None:
+def _add_products(energy: Doubles, excess: Floats, weights: Floats) -> None:
     for t in range(excess.shape[0]):
         for y in range(energy.shape[0]):
             for x in range(energy.shape[1]):

@@ -59,15 +59,23 @@ def _blurred(block: Block, psf: FieldPsf, factor: Floats) -> tuple[Block, list[C
         lit = np.flatnonzero(around.any(axis=(1, 2)))
         if not lit.size:
             return
+        # What light reaches: it is often a part of a tile only.
+        rows = _reached(np.flatnonzero(around.any(axis=(0, 2))), ends_y[1] - ends_y[0], half)
+        cols = _reached(np.flatnonzero(around.any(axis=(0, 1))), ends_x[1] - ends_x[0], half)
+        kernels, hats_y, hats_x = _nodes(psf, shape, ends_y, ends_x)
+        part = np.empty((lit.size, rows.stop - rows.start, cols.stop - cols.start), np.float32)
+        window = around[:, rows.start : rows.stop + 2 * half, cols.start : cols.stop + 2 * half]
+        _collect(window if lit.size == n else window[lit], kernels, hats_y[:, rows], hats_x[:, cols], part)
+        part *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]][rows, cols]
         target = image[:, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left]
-        every = lit.size == n
-        part = target if every else np.empty((lit.size, *target.shape[1:]), np.float32)
-        _collect(around if every else around[lit], *_nodes(psf, shape, ends_y, ends_x), part)
-        part *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]]
-        if not every:
-            target[lit] = part
+        target[lit, rows, cols] = part
 
     return Block(top, left, image), [partial(tile, y, x) for y in tiles_y for x in tiles_x]
+
+
+def _reached(lit: Ints, size: int, half: int) -> slice:
+    """Part of a tile of a size that collects from lit places, counted from ``half`` before it."""
+    return slice(max(int(lit[0]) - 2 * half, 0), min(int(lit[-1]) + 1, size))
 
 
 def _borders(size: int, cells: int, half: int) -> Ints:

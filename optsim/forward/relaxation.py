@@ -6,6 +6,8 @@ by one in a compiled loop, few of them all together: loading the loop would take
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from optsim.forward.bands import in_bands
@@ -15,6 +17,14 @@ from optsim.quantities import Bytes, Doubles, Floats, Ints
 TABLE_CELLS = 4096
 # Nearer than this to its target a pixel stays there: it changes a weight by less than 1e-14.
 _SETTLED_RAD = 1e-7
+
+
+class Drive(NamedTuple):
+    """Retardance that levels ask for, its cosine and its sine, float64: of a slot (256,), or of all."""
+
+    target: Doubles
+    cosine: Doubles
+    sine: Doubles
 
 
 def walk(
@@ -61,11 +71,16 @@ def walk(
         )  # fmt: skip
         return
 
+    drives, tables = (
+        Drive(targets, np.cos(targets), np.sin(targets)),
+        (table[:, 0].copy(), table[:, 1].copy()),
+    )
+
     def band(first: int, end: int) -> None:
         part = slice(first, end)
         _run(
-            levels[:, part], retardance[part], shown[part], targets, np.cos(targets), np.sin(targets), taus,
-            turn[part], early_s[part], instant_s, leaks, spans, table, weights[:, part],
+            levels[:, part], retardance[part], shown[part], drives, taus, turn[part], early_s[part],
+            instant_s, leaks, spans, tables, weights[:, part],
         )  # fmt: skip
 
     in_bands(len(shown), band)
@@ -135,42 +150,37 @@ def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:
     return np.where(tau > 0, length_s / np.maximum(tau, 1e-30), np.where(length_s > 0, np.inf, 0.0))
 
 
-@compiled()
+@compiled(fastmath=True)
 def _relax(
-    gamma: float,
-    target: float,
-    cosine: float,
-    sine: float,
+    gamma: Floats,
+    levels: Bytes,
+    drive: Drive,
     length_s: float,
-    decays: tuple[float, float],
     taus: Doubles,
-    table: Doubles,
-) -> tuple[float, float]:
-    """Retardance after an interval, and the integral of its cosine over it, s."""
-    step = gamma - target
-    if abs(step) < _SETTLED_RAD:
-        return gamma, cosine * length_s
-    side = 0 if step < 0 else 1
-    rest = step * decays[side]
-    si_step, cin_step = _look_up(abs(step), table)
-    si_rest, cin_rest = _look_up(abs(rest), table)
-    si = si_step - si_rest if step > 0 else si_rest - si_step
-    return target + rest, cosine * (length_s - taus[side] * (cin_step - cin_rest)) - sine * taus[side] * si
-
-
-@compiled()
-def _look_up(size: float, table: Doubles) -> tuple[float, float]:
-    place = size * (TABLE_CELLS / (2 * np.pi))
-    cell = min(int(place), TABLE_CELLS - 1)
-    part = place - cell
-    si = table[cell, 0] + part * (table[cell + 1, 0] - table[cell, 0])
-    return si, table[cell, 1] + part * (table[cell + 1, 1] - table[cell, 1])
-
-
-@compiled()
-def _decays(length_s: float, taus: Doubles) -> tuple[float, float]:
+    tables: tuple[Doubles, Doubles],
+    swept: Doubles,
+) -> None:
+    """Take a row of pixels through an interval, and add the integrals of their cosines over it, s."""
     on = np.exp(-length_s / taus[0]) if taus[0] > 0 else 0.0
-    return on, np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
+    off = np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
+    si, cin = tables
+    scale, last = TABLE_CELLS / (2 * np.pi), TABLE_CELLS - 1
+    # No branches, 32-bit places and lone tables: so this loop is vectorised.
+    for u in range(gamma.size):
+        level = levels[u]
+        target, cosine, sine = drive.target[level], drive.cosine[level], drive.sine[level]
+        step = gamma[u] - target
+        up = step < 0
+        rest, tau = step * (on if up else off), taus[0] if up else taus[1]
+        far, near = abs(step) * scale, abs(rest) * scale
+        i, j = np.int32(far), np.int32(near)
+        i, j = i if i < last else np.int32(last), j if j < last else np.int32(last)
+        a, b = far - i, near - j
+        # Of si and cin, what they change by over the interval.
+        along = si[i] + a * (si[i + 1] - si[i]) - si[j] - b * (si[j + 1] - si[j])
+        across = cin[i] + a * (cin[i + 1] - cin[i]) - cin[j] - b * (cin[j + 1] - cin[j])
+        swept[u] += cosine * (length_s - tau * across) - sine * tau * (-along if up else along)
+        gamma[u] = target + rest
 
 
 @compiled()
@@ -178,51 +188,34 @@ def _run(
     levels: Bytes,
     retardance: Floats,
     shown: Bytes,
-    targets: Doubles,
-    cosines: Doubles,
-    sines: Doubles,
+    drives: Drive,
     taus: Doubles,
     turn: Ints,
     early_s: Doubles,
     instant_s: float,
     leaks: Doubles,
     spans: Doubles,
-    table: Doubles,
+    tables: tuple[Doubles, Doubles],
     weights: Floats,
 ) -> None:
     """Walk through the slots; a row's turn comes in instant ``turn``, ``early_s`` after its start."""
     n_slots, rows, cols = levels.shape
     n_sub = weights.shape[0] // n_slots
-    whole = _decays(instant_s, taus)
+    swept = np.empty(cols)
     for slot in range(n_slots):
+        old = Drive(drives.target[slot], drives.cosine[slot], drives.sine[slot])
+        new = Drive(drives.target[slot + 1], drives.cosine[slot + 1], drives.sine[slot + 1])
         for v in range(rows):
-            split = _decays(early_s[v], taus), _decays(instant_s - early_s[v], taus)
             for sub in range(n_sub):
-                row = weights[slot * n_sub + sub, v]
                 # Lengths before and after the row's turn, of which one is usually nothing.
-                if sub == turn[v]:
-                    first_s, then_s, first, then = early_s[v], instant_s - early_s[v], split[0], split[1]
-                elif sub < turn[v]:
-                    first_s, then_s, first, then = instant_s, 0.0, whole, whole
-                else:
-                    first_s, then_s, first, then = 0.0, instant_s, whole, whole
+                before_s = early_s[v] if sub == turn[v] else instant_s if sub < turn[v] else 0.0
+                swept[:] = 0
+                if before_s > 0:
+                    _relax(retardance[v], shown[v], old, before_s, taus, tables, swept)
+                if before_s < instant_s:
+                    _relax(retardance[v], levels[slot, v], new, instant_s - before_s, taus, tables, swept)
+                row = weights[slot * n_sub + sub, v]
                 for u in range(cols):
-                    gamma, cosine = float(retardance[v, u]), 0.0
-                    if first_s > 0:
-                        old = shown[v, u]
-                        gamma, cosine = _relax(
-                            gamma, targets[slot, old], cosines[slot, old], sines[slot, old],
-                            first_s, first, taus, table,
-                        )  # fmt: skip
-                    if then_s > 0:
-                        new = levels[slot, v, u]
-                        gamma, after = _relax(
-                            gamma, targets[slot + 1, new], cosines[slot + 1, new], sines[slot + 1, new],
-                            then_s, then, taus, table,
-                        )  # fmt: skip
-                        cosine += after
-                    retardance[v, u] = gamma
                     # Dark is dark: the table's error must not make light negative.
-                    row[u] = leaks[u] + spans[u] * max(0.5 - 0.5 * cosine / instant_s, 0.0)
-            for u in range(cols):
-                shown[v, u] = levels[slot, v, u]
+                    row[u] = leaks[u] + spans[u] * max(0.5 - 0.5 * swept[u] / instant_s, 0.0)
+            shown[v] = levels[slot, v]

@@ -1,5 +1,9 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""The compiled loop of :mod:`optsim.forward.rims`: pixels of a band relax, and their rims are looked at."""
+"""The compiled loop of :mod:`optsim.forward.rims`: pixels of a band relax, and their rims are looked at.
+
+Light that stands still needs the cells' sums over time only. All is linear but for the floor below, so what
+was seen is added up first, and cells are made of the sums; where something moves, of each instant.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +68,45 @@ class Light(NamedTuple):
     span: Floats
 
 
+class Looks(NamedTuple):
+    """Where and when a panel is looked at, and what it makes of light.
+
+    Parameters
+    ----------
+    borders : ndarray of shape (pitch, 3), float32
+        From :func:`optsim.forward.fringing.border_shares`.
+    points : Points
+        Along a pixel.
+    times : Times
+        In an instant, or in the part of one before or after a row's turn; the last is its end.
+    light : Light
+        Of each column.
+    """
+
+    borders: Floats
+    points: Points
+    times: Times
+    light: Light
+
+
+class Seen(NamedTuple):
+    """What was seen of a band in an instant, or in several, each with a weight.
+
+    Parameters
+    ----------
+    opened : ndarray of shape (v + 2, u + 2), float32
+        Weights of pixels, one more on every side.
+    alone : ndarray of shape (v + 2, u + 2), float32
+        Mean cosines of their own retardances.
+    blurred : ndarray of shape (v, point, point, u), float32
+        Mean cosines of the blurred retardance at the points of each pixel.
+    """
+
+    opened: Floats
+    alone: Floats
+    blurred: Floats
+
+
 @compiled(fastmath=True)
 def fill_cells(
     levels: Bytes,
@@ -72,123 +115,140 @@ def fill_cells(
     targets: Floats,
     taus: Doubles,
     turns: Turns,
-    borders: Floats,
-    points: Points,
-    times: Times,
-    light: Light,
+    looks: Looks,
     weights: Floats,
+    keys: Floats,
+    moving: Ints,
+    sums: Floats,
     cells: Floats,
 ) -> None:
-    """Fill the cells of a band.
+    """Fill the cells of a band: their sums over time, and those of each instant where something moves.
 
     Parameters
     ----------
     levels, gamma, shown, targets, taus, turns
         As of :func:`optsim.forward.relaxation.walk`, with a row more at the top and at the bottom of the
         band; ``gamma`` and ``shown`` are changed in place. Retardances are at most a whole wave.
-    borders : ndarray of shape (pitch, 3), float32
-        From :func:`optsim.forward.fringing.border_shares`.
-    points, times, light
-        Where and when the panel is looked at, and what it makes of light.
+    looks : Looks
+        How rims are found.
     weights : ndarray of shape (t, v, u), float32
         Of the pixels, these rows too.
-    cells : ndarray of shape (t, y, x), float32
+    keys : ndarray of shape (key, t), float32
+        Share of each instant in each sum.
+    moving : ndarray of shape (run, 2), int64
+        Columns, first and after the last, that are wanted in each instant.
+    sums : ndarray of shape (key, y, x), float32
         Filled.
+    cells : ndarray of shape (t, y, x), float32
+        Filled in these columns.
     """
     n_slots, rows, cols = levels.shape
-    n_instants, (pitch, n_points) = cells.shape[0], points.means.shape
+    n_instants, n_points, points, times = (
+        weights.shape[0],
+        looks.points.shares.shape[0],
+        looks.points,
+        looks.times,
+    )
     n_sub, instant_s = n_instants // n_slots, turns.instant_s
+    wide, inner = (rows, cols + 2), (rows - 2, n_points, n_points, cols)
     # A pixel more at the left and at the right, like its neighbour.
-    now = np.empty((rows, cols + 2), np.float32)
-    alone = np.empty((rows, cols + 2), np.float32)
-    line = np.empty(cols + 2, np.float32)
-    open_line = np.empty(cols + 2, np.float32)
-    opened = np.empty((rows, cols + 2), np.float32)
-    seen = np.empty((rows - 2, n_points, n_points, cols), np.float32)
-    along = np.empty((n_points, cols), np.float32)
-    blurred = np.empty(cols, np.float32)
+    target, step = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
+    now, line = np.empty(wide, np.float32), np.empty(cols + 2, np.float32)
+    seen = Seen(np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty(inner, np.float32))
+    opened, alone = np.zeros((len(keys), *wide), np.float32), np.zeros((len(keys), *wide), np.float32)
+    blurred = np.zeros((len(keys), *inner), np.float32)
     share = np.empty(rows)
     for t in range(n_instants):
         slot, sub = t // n_sub, t % n_sub
-        alone[:] = 0
-        seen[:] = 0
+        seen.alone[:] = 0
+        seen.blurred[:] = 0
         for part in range(2):
             for r in range(rows):
                 before_s = min(max((turns.instant[r] - sub) * instant_s + turns.early_s[r], 0.0), instant_s)
                 share[r] = (before_s if part == 0 else instant_s - before_s) / instant_s
             if share.max() <= 0:
                 continue
-            drive, wanted = targets[slot + part], shown if part == 0 else levels[slot]
+            _begin(gamma, targets[slot + part], shown if part == 0 else levels[slot], target, step)
             for j in range(times.share.size):
                 for r in range(rows):
-                    _relax_row(
-                        gamma[r], drive, wanted[r], taus, times.share[j] * share[r] * instant_s, now[r, 1:-1]
-                    )
+                    _relax_row(target[r], step[r], taus, times.share[j] * share[r] * instant_s, now[r, 1:-1])
                     now[r, 0], now[r, cols + 1] = now[r, 1], now[r, cols]
                     of_time = np.float32(times.weight[j] * share[r])
                     for u in range(cols + 2):
-                        alone[r, u] += of_time * _cosine(now[r, u])
+                        seen.alone[r, u] += of_time * _cosine(now[r, u])
                 for p in range(rows - 2):
                     of_time = np.float32(times.weight[j] * share[p + 1])
                     for a in range(n_points):
                         _mix_rows(points.shares[a], now[p : p + 3], line)
                         for b in range(n_points):
-                            _add_cosines(seen[p, a, b], line, points.shares[b], of_time)
-            for r in range(rows):
-                _relax_row(gamma[r], drive, wanted[r], taus, share[r] * instant_s, gamma[r])
-        for r in range(rows):
-            for u in range(cols):
-                opened[r, u + 1] = weights[t, r, u]
-            opened[r, 0], opened[r, cols + 1] = opened[r, 1], opened[r, cols]
-        for p in range(rows - 2):
-            for i in range(pitch):
-                _mix_rows(borders[i], opened[p : p + 3], open_line)
-                _mix_rows(points.borders[i], alone[p : p + 3], line)
-                for b in range(n_points):
-                    _mean_rows(points.means[i], seen[p, :, b], along[b])
-                for k in range(pitch):
-                    _mean_rows(points.means[k], along, blurred)
-                    _open_cells(
-                        borders[k], open_line, points.borders[k], line, blurred, light,
-                        cells[t, p * pitch + i, k::pitch],
-                    )  # fmt: skip
+                            _add_cosines(seen.blurred[p, a, b], line, points.shares[b], of_time)
+            gamma[:] = now[:, 1:-1]
+        seen.opened[:, 1:-1] = weights[t]
+        seen.opened[:, 0], seen.opened[:, -1] = weights[t, :, 0], weights[t, :, -1]
+        for key in range(len(keys)):
+            _add(opened[key], keys[key, t], seen.opened)
+            _add(alone[key], keys[key, t], seen.alone)
+            _add(blurred[key], keys[key, t], seen.blurred)
+        for first, end in moving:
+            _open_cells(seen, looks, np.float32(1), first, end, cells[t])
         if sub == n_sub - 1:
             shown[:] = levels[slot]
+    for key in range(len(keys)):
+        of_key = Seen(opened[key], alone[key], blurred[key])
+        _open_cells(of_key, looks, keys[key].sum(), 0, cols, sums[key])
 
 
 @compiled(fastmath=True)
-def _open_cells(
-    borders: Floats,
-    opened: Floats,
-    still: Floats,
-    alone: Floats,
-    blurred: Floats,
-    light: Light,
-    cells: Floats,
-) -> None:
-    least, span = light.least, light.span
-    before, own, after = borders
-    first, middle, last = still
+def _add(total: Floats, share: np.floating, part: Floats) -> None:
+    to, what = total.ravel(), part.ravel()
+    for i in range(to.size):
+        to[i] += share * what[i]
+
+
+@compiled(fastmath=True)
+def _open_cells(seen: Seen, looks: Looks, instants: np.floating, first: int, end: int, cells: Floats) -> None:
+    """Fill the cells of some columns from what was seen in so many instants."""
+    points, (least, span) = looks.points, looks.light
+    pitch, n_points = points.means.shape
+    n = end - first
+    opened, alone, blurred = np.empty(n + 2, np.float32), np.empty(n + 2, np.float32), np.empty(n, np.float32)
+    along = np.empty((n_points, n), np.float32)
     half = np.float32(0.5)
-    for u in range(cells.size):
-        mixed = before * opened[u] + own * opened[u + 1] + after * opened[u + 2]
-        beyond = first * alone[u] + middle * alone[u + 1] + last * alone[u + 2] - blurred[u]
-        # No rim is darker than any pixel could be: there are not points enough to see that.
-        cells[u] = max(mixed + half * span[u] * beyond, least[u])
+    for y in range(cells.shape[0]):
+        p, i = y // pitch, y % pitch
+        _mix_rows(looks.borders[i], seen.opened[p : p + 3, first : end + 2], opened)
+        _mix_rows(points.borders[i], seen.alone[p : p + 3, first : end + 2], alone)
+        for b in range(n_points):
+            _mean_rows(points.means[i], seen.blurred[p, :, b, first:end], along[b])
+        for k in range(pitch):
+            _mean_rows(points.means[k], along, blurred)
+            before, own, after = looks.borders[k]
+            left, middle, right = points.borders[k]
+            row = cells[y, first * pitch + k : end * pitch : pitch]
+            for u in range(n):
+                mixed = before * opened[u] + own * opened[u + 1] + after * opened[u + 2]
+                beyond = left * alone[u] + middle * alone[u + 1] + right * alone[u + 2] - blurred[u]
+                # No rim is darker than any pixel could be: there are not points enough to see that.
+                row[u] = max(mixed + half * span[first + u] * beyond, instants * least[first + u])
 
 
 @compiled(fastmath=True)
-def _relax_row(
-    gamma: Floats, drive: Floats, levels: Bytes, taus: Doubles, time_s: float, after: Floats
-) -> None:
+def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Floats) -> None:
+    """Find where pixels are going to, and how far they are from there."""
+    for r in range(gamma.shape[0]):
+        for u in range(gamma.shape[1]):
+            target[r, u] = drive[levels[r, u]]
+            step[r, u] = gamma[r, u] - target[r, u]
+
+
+@compiled(fastmath=True)
+def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after: Floats) -> None:
     """Retardance of a row of pixels after a time; at once where a constant is nothing, but not in no time."""
     still = 0.0 if time_s > 0 else 1.0
     on = np.float32(np.exp(-time_s / taus[0]) if taus[0] > 0 else still)
     off = np.float32(np.exp(-time_s / taus[1]) if taus[1] > 0 else still)
-    for u in range(gamma.size):
-        target = drive[levels[u]]
-        step = gamma[u] - target
-        after[u] = target + step * (on if step < 0 else off)
+    for u in range(target.size):
+        after[u] = target[u] + step[u] * (on if step[u] < 0 else off)
 
 
 @compiled(fastmath=True)
@@ -200,11 +260,11 @@ def _mix_rows(shares: Floats, rows: Floats, line: Floats) -> None:
 
 @compiled(fastmath=True)
 def _mean_rows(means: Floats, rows: Floats, mean: Floats) -> None:
-    mean[:] = 0
-    for a in range(means.size):
-        if means[a] != 0:
-            for u in range(mean.size):
-                mean[u] += means[a] * rows[a, u]
+    """Weighted sum of rows, of which there are three or more."""
+    _mix_rows(means[:3], rows[:3], mean)
+    for a in range(3, means.size):
+        for u in range(mean.size):
+            mean[u] += means[a] * rows[a, u]
 
 
 @compiled(fastmath=True)

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -34,8 +34,8 @@ from optsim.forward.fringing import border_shares, fine_image
 from optsim.forward.panel import PanelResponse, drive_targets, row_turns
 from optsim.forward.radau import middles, moment_weights, radau
 from optsim.forward.relaxation import paces
-from optsim.forward.rim_loops import Light, Points, Times, Turns, fill_cells
-from optsim.quantities import Bytes, Doubles, Floats, PanelState
+from optsim.forward.rim_loops import Light, Looks, Points, Times, Turns, fill_cells
+from optsim.quantities import Bools, Bytes, Doubles, Floats, Ints, PanelState
 
 RimModel = Literal["fine", "coarse", "mixed"]
 # Free nodes on each side of a pixel, and in an instant. Where fringing reaches 0.12 pixels far the error is
@@ -98,48 +98,59 @@ class Rims:
         """Retardance that each level asks for in the slot before the first, and in each slot, rad."""
         return drive_targets(self.response, self.start.slots_shown, len(self.levels)).astype(np.float32)
 
-    @cached_property
-    def light(self) -> Light:
-        """What retardance makes of light in each column."""
+    @property
+    def looks(self) -> Looks:
+        """Where and when the panel is looked at, and what it makes of light."""
         span = (1 - self.leaks) / self.response.white
-        return Light(np.minimum(self.leaks, 1).astype(np.float32), span.astype(np.float32))
+        return Looks(
+            border_shares(self.sigma_px, self.pitch).astype(np.float32),
+            _points(self.sigma_px, self.pitch, _NODES[self.model][0]),
+            _times(float(self.taus.max()) / self.instant_s, _NODES[self.model][1]),
+            Light(np.minimum(self.leaks, 1).astype(np.float32), span.astype(np.float32)),
+        )
 
-    @cached_property
-    def points(self) -> Points:
-        """Points along a pixel."""
-        n = _NODES[self.model][0]
-        cells: Doubles = ndtr(-middles(self.pitch * _SAMPLES) / self.sigma_px).reshape(self.pitch, -1)
-        nodes, _ = radau(cells.ravel(), np.ones(cells.size), n)
-        before = np.stack([moment_weights(nodes, cell, np.ones(_SAMPLES)) for cell in cells])
-        after = before[::-1, ::-1]
-        own = 1 - before.sum(axis=1) - after.sum(axis=1)
-        means = np.column_stack([before, own, after])
-        # Nodes of the far border: less than single precision shows.
-        means[np.abs(means) < 1e-7] = 0
-        nothing = np.zeros(n)
-        left, right = np.concatenate([nodes, [0], nothing]), np.concatenate([nothing, [0], nodes[::-1]])
-        first, last = (np.sin(np.pi / 2 * share) ** 2 for share in (left, right))
-        borders = means @ np.stack([first, 1 - first - last, last], axis=1)
-        shares = np.stack([left, 1 - left - right, right], axis=1)
-        return Points(*(each.astype(np.float32) for each in (shares, means, borders)))
 
-    @cached_property
-    def times(self) -> Times:
-        """Times at which the panel is looked at."""
-        tau = float(self.taus.max()) / self.instant_s
-        # Nothing is on its way where the panel answers at once.
-        if tau < _AT_ONCE:
-            return Times(np.ones(1), np.ones(1))
-        # Denser early on, so that short constants are seen.
-        x: Doubles = middles(_SAMPLES)
-        end = np.exp(-1 / tau)
-        nodes, weights = radau(np.exp(-np.power(x, 3) / tau) - end, 3 * x * x, _NODES[self.model][1])
-        times = -tau * np.log(nodes + end)
-        return Times(np.append(times, 1.0), np.append(weights, 1 - weights.sum()))
+@lru_cache(maxsize=8)
+def _points(sigma_px: float, pitch: int, n: int) -> Points:
+    """Points along a pixel, with n nodes on each side."""
+    cells: Doubles = ndtr(-middles(pitch * _SAMPLES) / sigma_px).reshape(pitch, -1)
+    nodes, _ = radau(cells.ravel(), np.ones(cells.size), n)
+    before = np.stack([moment_weights(nodes, cell, np.ones(_SAMPLES)) for cell in cells])
+    after = before[::-1, ::-1]
+    own = 1 - before.sum(axis=1) - after.sum(axis=1)
+    means = np.column_stack([before, own, after])
+    # Nodes of the far border: less than single precision shows.
+    means[np.abs(means) < 1e-7] = 0
+    nothing = np.zeros(n)
+    left, right = np.concatenate([nodes, [0], nothing]), np.concatenate([nothing, [0], nodes[::-1]])
+    first, last = (np.sin(np.pi / 2 * share) ** 2 for share in (left, right))
+    borders = means @ np.stack([first, 1 - first - last, last], axis=1)
+    shares = np.stack([left, 1 - left - right, right], axis=1)
+    return Points(*(each.astype(np.float32) for each in (shares, means, borders)))
+
+
+@lru_cache(maxsize=8)
+def _times(tau: float, n: int) -> Times:
+    """Find n times in an instant, and its end, for the larger constant in instants."""
+    # Nothing is on its way where the panel answers at once.
+    if tau < _AT_ONCE:
+        return Times(np.ones(1), np.ones(1))
+    # Denser early on, so that short constants are seen.
+    x: Doubles = middles(_SAMPLES)
+    end = np.exp(-1 / tau)
+    nodes, weights = radau(np.exp(-np.power(x, 3) / tau) - end, 3 * x * x, n)
+    times = -tau * np.log(nodes + end)
+    return Times(np.append(times, 1.0), np.append(weights, 1 - weights.sum()))
 
 
 def fine_weights(
-    rims: Rims, weights: Floats, add: Callable[[Floats, int], None], panel: PanelState, first: int
+    rims: Rims,
+    weights: Floats,
+    keys: Floats,
+    moving: Bools,
+    add: Callable[[Floats, Floats, int], None],
+    panel: PanelState,
+    first: int,
 ) -> PanelState:
     """Find the weights of fine cells, band by band of the panel's rows.
 
@@ -149,9 +160,14 @@ def fine_weights(
         Of the exposure.
     weights : ndarray of shape (t, v, u), float32
         Of panel pixels, in the instants of some slots.
+    keys : ndarray of shape (key, t), float32
+        Sums over time that are wanted of all cells: share of each instant.
+    moving : ndarray of shape (v, u), bool
+        Pixels whose cells are wanted in each instant, too.
     add : callable
-        Called with the weights of a band's cells, (t, y, x), float32, which are overwritten by the next
-        band's, and the fine row at which they begin; from several threads.
+        Called with a band's sums, (key, y, x), float32, the weights of its cells in each instant, (t, y, x),
+        float32, right where they are wanted, and the fine row at which both begin; they are overwritten by
+        the next band's. From several threads.
     panel : PanelState
         The panel when the first of the slots begins.
     first : int
@@ -168,35 +184,41 @@ def fine_weights(
     _, n_rows, n_cols = weights.shape
     turn, early_s = row_turns(rims.response, n_rows, rims.instant_s)
     targets = rims.targets[first : first + n_slots + 1]
-    borders = border_shares(rims.sigma_px, rims.pitch).astype(np.float32)
-    # Found here, once, and not by each thread.
-    points, times, light, never = rims.points, rims.times, rims.light, Times(np.empty(0), np.empty(0))
+    looks = rims.looks
+    # Where all pixels do the same there are no rims.
+    once = looks._replace(times=Times(np.ones(1), np.zeros(1)))
     # Arrays of few numbers are worked through whole.
     few = weights.size < FEW
     run, height = (_fill_together, n_rows) if few else (fill_cells, _BAND)
 
     def band(top: int, bottom: int) -> None:
-        cells = np.empty((len(weights), height * rims.pitch, n_cols * rims.pitch), np.float32)
+        size = height * rims.pitch, n_cols * rims.pitch
+        sums, cells = np.empty((len(keys), *size), np.float32), np.empty((len(weights), *size), np.float32)
         for row in range(top, bottom, height):
             end = min(row + height, bottom)
             # Beyond the panel's edge the nearest pixel counts.
             around = np.clip(np.arange(row - 1, end + 1), 0, n_rows - 1)
             shown, gamma, driven = panel.levels[around], panel.retardance_rad[around], levels[:, around]
-            # Where all pixels do the same there are no rims.
             turns = Turns(turn[around], early_s[around], rims.instant_s)
             even = all(
                 (each == each.flat[0]).all() for each in (shown, gamma, turns.instant, turns.early_s, *driven)
             )
-            found = cells[:, : (end - row) * rims.pitch]
+            found = [each[:, : (end - row) * rims.pitch] for each in (sums, cells)]
             run(
-                driven, gamma, shown, targets, rims.taus, turns, borders, points, never if even else times,
-                light, weights[:, around], found,
+                driven, gamma, shown, targets, rims.taus, turns, once if even else looks, weights[:, around],
+                keys, _runs(moving[row:end]), *found,
             )  # fmt: skip
             after.retardance_rad[row:end], after.levels[row:end] = gamma[1:-1], shown[1:-1]
-            add(found, row * rims.pitch)
+            add(found[0], found[1], row * rims.pitch)
 
     in_bands(n_rows, band)
     return after
+
+
+def _runs(wanted: Bools) -> Ints:
+    """Find runs of columns in which any row, (v, u), is wanted: first and after the last, (run, 2)."""
+    ends = np.diff(wanted.any(axis=0), prepend=False, append=False)  # pyright: ignore
+    return np.flatnonzero(ends).reshape(-1, 2)
 
 
 def _spread(n: int, shares: Floats) -> Floats:
@@ -230,10 +252,11 @@ def cell_weights(rims: Rims, weights: Floats) -> Floats:
     found = np.zeros((n, rows * rims.pitch, cols * rims.pitch), np.float32)
     n_open = len(rims.levels) * rims.instants_per_slot
 
-    def add(cells: Floats, row: int) -> None:
+    def add(_: Floats, cells: Floats, row: int) -> None:
         found[:n_open, row : row + cells.shape[1]] = cells
 
-    fine_weights(rims, weights[:n_open], add, rims.start, 0)
+    no_keys, everywhere = np.zeros((0, n_open), np.float32), np.ones((rows, cols), np.bool_)
+    fine_weights(rims, weights[:n_open], no_keys, everywhere, add, rims.start, 0)
     return found
 
 
@@ -244,41 +267,54 @@ def _fill_together(
     targets: Floats,
     taus: Doubles,
     turns: Turns,
-    borders: Floats,
-    points: Points,
-    times: Times,
-    light: Light,
+    looks: Looks,
     weights: Floats,
+    keys: Floats,
+    moving: Ints,
+    sums: Floats,
     cells: Floats,
 ) -> None:
     """As :func:`optsim.forward.rim_loops.fill_cells`, all pixels at a time."""
-    n_sub, (pitch, n_points) = len(weights) // len(levels), points.means.shape
-    instant_s = turns.instant_s
+    n_sub, points, instant_s = len(weights) // len(levels), looks.points, turns.instant_s
+    n_points = len(points.shares)
     down, across = (_spread(n, points.shares) for n in shown.shape)
     down = down[n_points:-n_points]
-    looked = (len(shown) - 2, n_points, shown.shape[1], n_points)
-    least, span = (each.repeat(pitch) for each in light)
-    for t, found in enumerate(cells):
+    inner = (len(shown) - 2, n_points, shown.shape[1], n_points)
+    alone, blurred = np.zeros(weights.shape, np.float32), np.zeros((len(weights), *inner), np.float32)
+    for t in range(len(weights)):
         slot, sub = divmod(t, n_sub)
         before_s = np.clip((turns.instant - sub) * instant_s + turns.early_s, 0, instant_s)[:, None]
-        alone, seen = np.zeros(shown.shape), np.zeros(looked, np.float32)
         for at, level, length_s in ((slot, shown, before_s), (slot + 1, levels[slot], instant_s - before_s)):
             if not length_s.any():
                 continue
             target = targets[at, level]
             step = gamma - target
             pace = paces(step, length_s, taus)
-            for time, weight in zip(*times, strict=True):
+            now = gamma
+            for time, weight in zip(*looks.times, strict=True):
                 now = (target + step * np.exp(-time * pace)).astype(np.float32)
                 share = (weight * length_s / instant_s).astype(np.float32)
-                alone += share * np.cos(now)
-                cosines = np.cos(down @ now @ across.T).reshape(looked)
-                seen += share[1:-1, :, None, None] * cosines
-            gamma[:] = target + step * np.exp(-pace)
-        mixed = fine_image(weights[t], borders)[pitch:-pitch]
-        blurred = np.einsum("vaub,ia,jb->viuj", seen, points.means, points.means, optimize=True)
-        beyond = fine_image(alone, points.borders)[pitch:-pitch] - blurred.reshape(found.shape)
-        # No rim is darker than any pixel could be: there are not points enough to see that.
-        np.maximum(mixed + span * beyond / 2, least, out=found)
+                alone[t] += share * np.cos(now)
+                cosines = np.cos(down @ now @ across.T).reshape(inner)
+                blurred[t] += share[1:-1, :, None, None] * cosines
+            gamma[:] = now
         if sub == n_sub - 1:
             shown[:] = levels[slot]
+    if len(moving):
+        _open_together(weights, alone, blurred, looks, np.ones(len(weights)), cells)
+    of_keys = [np.tensordot(keys, each, 1) for each in (weights, alone, blurred)]
+    _open_together(of_keys[0], of_keys[1], of_keys[2], looks, keys.sum(axis=1), sums)
+
+
+def _open_together(
+    opened: Floats, alone: Floats, blurred: Floats, looks: Looks, instants: Floats | Doubles, cells: Floats
+) -> None:
+    """Fill cells, (n, y, x), from what was seen in so many instants."""
+    points, pitch = looks.points, len(looks.borders)
+    least, span = (each.repeat(pitch) for each in looks.light)
+    for weights, own, around, n, found in zip(opened, alone, blurred, instants, cells, strict=True):
+        mixed = fine_image(weights, looks.borders)[pitch:-pitch]
+        means = np.einsum("vaub,ia,jb->viuj", around, points.means, points.means, optimize=True)
+        beyond = fine_image(own, points.borders)[pitch:-pitch] - means.reshape(found.shape)
+        # No rim is darker than any pixel could be: there are not points enough to see that.
+        np.maximum(mixed + span * beyond / 2, n * least, out=found)
