@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -17,7 +17,6 @@ from optsim.cli_groups import cache_app, config_app
 from optsim.cli_options import (
     Backend,
     ExperimentName,
-    Footage,
     Json,
     Names,
     Seed,
@@ -27,6 +26,7 @@ from optsim.cli_options import (
     with_tolerance,
 )
 from optsim.cli_reconstruct import reconstruct_files
+from optsim.cli_train import train
 from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
 
 app = typer.Typer(
@@ -41,6 +41,7 @@ _INTERRUPTED = 130
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
 app.command("reconstruct")(reconstruct_files)
+app.command("train")(train)
 
 
 def _version(wanted: bool) -> None:
@@ -265,26 +266,6 @@ def explain(
             page.print(item)
     if not record["geometry"]["fits"]:
         raise typer.Exit(2)
-
-
-@app.command()
-def train(
-    prior: Annotated[Literal["dictionary", "mixture"], typer.Argument(help="What to learn.")] = "dictionary",
-    out: Annotated[Path | None, typer.Option(help="File to write; default the shipped one.")] = None,
-    size: Annotated[int | None, typer.Option(min=1, max=20000, help="Atoms or Gaussians.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of footage, patches and start.")] = 1,
-    footage: Footage = None,
-    backend: Backend = None,
-) -> None:
-    """Learn a prior from renders of scenes/training_mix, moving leaves with its textures, or both."""
-    from optsim.console import people, progress_bars
-    from optsim.train import train_shipped
-
-    with progress_bars() as progress:
-        path = train_shipped(
-            prior, out, size=size, seed=seed, footage=footage, backend=backend, progress=progress
-        )
-    people.print(f"Wrote {path}")
 
 
 @app.command()

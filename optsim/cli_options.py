@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -20,10 +20,6 @@ Tolerance = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
 Backend = Annotated[
     str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
-]
-Footage = Annotated[
-    Literal["scene", "leaves", "both"] | None,
-    typer.Option(help="What to learn from; default as for the shipped ones."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
 Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]

@@ -1,8 +1,8 @@
-"""``optsim train``: make training footage, learn a prior, write the small file that ships."""
+"""``optsim train``: make or take training footage, learn a prior, write its small file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
@@ -13,12 +13,14 @@ import numpy as np
 from optsim import __version__
 from optsim.cache import Cache, hash_of
 from optsim.errors import ConfigError
+from optsim.imported_clips import ImportedClip
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, Timing, View
+from optsim.reconstruct.checkpoint import checkpoint_path
 from optsim.reconstruct.dictionary import save_dictionary
 from optsim.reconstruct.mixture import save_mixture
 from optsim.reconstruct.mixture_training import train_mixture
-from optsim.reconstruct.training import train_dictionary
+from optsim.reconstruct.training import Method, train_dictionary
 from optsim.scene import Scene
 
 SCENE = "training_mix"
@@ -99,31 +101,39 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
     return clips
 
 
-def train_shipped(
+def train_prior(
     prior: Prior,
     out: Path | None,
     *,
     size: int | None = None,
+    method: Method | None = None,
     seed: int = 1,
     footage: Footage | None = None,
+    clips: Sequence[ImportedClip] = (),
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Path:
-    """Learn a prior from the training scene, moving leaves with its textures or both, and write it.
+    """Learn a prior from imported footage, the training scene, moving leaves or several of these.
+
+    What has been learned is kept beside the file to write after each iteration; the same call goes on there.
 
     Parameters
     ----------
     prior : {"dictionary", "mixture"}
         Atoms for sparse coding, or Gaussians for the mixture decoder; of 8 x 8 pixels x 36 slots.
     out : Path, optional
-        File to write; by default the one that the package ships.
+        File to write; by default the one that the package ships, but not with imported clips.
     size : int, optional
         Atoms or Gaussians.
+    method : {"mod", "ksvd"}, optional
+        How a dictionary's atoms are updated.
     seed : int
         Of footage, patches and where learning begins.
-    footage : {"scene", "leaves", "both"}
+    footage : {"scene", "leaves", "both"}, optional
         Renders of the training scene's variations, clips of :mod:`optsim.scene.moving_leaves`, or both; by
-        default what the shipped prior learned from.
+        default what the shipped prior learned from, and none of them beside imported clips.
+    clips : sequence of ImportedClip
+        Footage of one's own.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -137,35 +147,62 @@ def train_shipped(
     Raises
     ------
     ConfigError
-        When the file to write is no .npz.
+        When the file to write is no .npz, is missing where it must be said, or a mixture is given a method.
     """
-    path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
-    if path.suffix != ".npz":
-        raise ConfigError(f"--out {path}: expected a name that ends in .npz")
-    footage = footage or _SHIPPED[prior]
-    sized = "" if size is None else f" --size {size}"
-    record: dict[str, Any] = {
-        "command": f"optsim train {prior}{sized} --seed {seed} --footage {footage}",
-        "scene": SCENE,
-        "optsim": __version__,
-    }
-    clips: list[Floats] = []
-    if footage != "scene":
-        clips += leaf_clips(seed=seed, progress=progress)
-        record["moving_leaves"] = len(clips)
-    if footage != "leaves":
+    path = prior_path(prior, out, method, imported=bool(clips))
+    chosen = footage or (None if clips else _SHIPPED[prior])
+    words = [
+        *([] if size is None else [f"--size {size}"]),
+        *([] if method is None else [f"--method {method}"]),
+        f"--seed {seed}",
+        *([] if chosen is None else [f"--footage {chosen}"]),
+        *(f"--clips {clip.name}" for clip in clips),
+    ]
+    record: dict[str, Any] = {"command": " ".join(["optsim train", prior, *words]), "optsim": __version__}
+    films: list[Floats] = []
+    if clips:
+        films += [clip.read(progress) for clip in clips]
+        record["clips"] = [clip.record() for clip in clips]
+    if chosen is not None:
+        record["scene"] = SCENE
+    if chosen in ("leaves", "both"):
+        leaves = leaf_clips(seed=seed, progress=progress)
+        films += leaves
+        record["moving_leaves"] = len(leaves)
+    if chosen in ("scene", "both"):
         rendered = training_clips(seed=seed, backend=backend, progress=progress)
-        clips += rendered.values()
+        films += rendered.values()
         record |= {"variations": list(rendered), "samples": _SAMPLES}
+    unfinished = checkpoint_path(path)
     common: dict[str, Any] = {
         "rng": np.random.default_rng(seed),
         "provenance": record,
+        "checkpoint": unfinished,
         "progress": progress,
     }
     if prior == "dictionary":
-        wanted = {} if size is None else {"n_atoms": size}
-        save_dictionary(path, train_dictionary(clips, **wanted, **common))
+        wanted: dict[str, Any] = {} if size is None else {"n_atoms": size}
+        save_dictionary(path, train_dictionary(films, method=method or "mod", **wanted, **common))
     else:
         wanted = {} if size is None else {"n_components": size}
-        save_mixture(path, train_mixture(clips, **wanted, **common))
+        save_mixture(path, train_mixture(films, **wanted, **common))
+    unfinished.unlink(missing_ok=True)
+    return path
+
+
+def prior_path(prior: Prior, out: Path | None, method: Method | None, *, imported: bool) -> Path:
+    """File that a training will write; errors as of :func:`train_prior`."""
+    if prior == "mixture" and method is not None:
+        raise ConfigError(
+            f"--method {method}: got it with a mixture, which learns by EM, expected it with a dictionary; "
+            "cure: leave it out"
+        )
+    if out is None and imported:
+        raise ConfigError(
+            f"--out: missing; what is learned from --clips would replace the shipped {prior}; "
+            f"cure: --out my_{prior}.npz"
+        )
+    path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
+    if path.suffix != ".npz":
+        raise ConfigError(f"--out {path}: expected a name that ends in .npz")
     return path

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -11,8 +12,9 @@ from scipy.cluster.vq import kmeans2
 from optsim.errors import ValueCheckError
 from optsim.progress import Progress, silent
 from optsim.quantities import Doubles, Floats
+from optsim.reconstruct.checkpoint import Checkpoint, open_checkpoint
 from optsim.reconstruct.mixture import Mixture
-from optsim.reconstruct.training import training_patches
+from optsim.reconstruct.training_patches import training_patches
 
 # A covariance learns from its own patches and, as if there were so many times the rank of these, from all.
 _PRIOR_PATCHES = 0.05
@@ -35,6 +37,7 @@ def train_mixture(
     n_patches: int = 40_000,
     iterations: int = 25,
     provenance: Mapping[str, object] | None = None,
+    checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Mixture:
     """Learn a mixture of Gaussians by expectation maximisation in a subspace of principal components.
@@ -55,6 +58,9 @@ def train_mixture(
         Effort.
     provenance : Mapping, optional
         What to remember about the clips.
+    checkpoint : Path, optional
+        File in which the state is kept after each iteration, and from which the same learning goes on, as in
+        :func:`optsim.reconstruct.training.train_dictionary`.
     progress : Progress
         Told after each iteration.
 
@@ -71,13 +77,14 @@ def train_mixture(
             f"components of rank {rank}"
         )
     signals /= _brightness(signals.reshape(-1, patch * patch, slots), rng)[:, None]
+    kept = open_checkpoint(checkpoint, signals, "mixture", n_components, rank, patch, slots, iterations)
     base = signals.mean(axis=0, dtype=np.float64).astype(np.float32)
     signals -= base
     basis = _basis(signals, rank, slots)
     z = (signals @ basis.T).astype(np.float64)
     energy = np.einsum("ne,ne->n", signals, signals)
     left = energy - (z**2).sum(axis=1)
-    shares, means, covariances, likelihood = _fit(z, rng, n_components, iterations, progress)
+    shares, means, covariances, likelihood = _fit(z, rng, n_components, iterations, kept, progress)
     rest = _rest(left / max(1, signals.shape[1] - rank), z, shares, means, covariances)
     record = {
         "method": "EM",
@@ -124,44 +131,69 @@ def _brightness(blocks: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _fit(
-    z: Doubles, rng: np.random.Generator, n_components: int, iterations: int, progress: Progress
+    z: Doubles,
+    rng: np.random.Generator,
+    n_components: int,
+    iterations: int,
+    kept: Checkpoint,
+    progress: Progress,
 ) -> tuple[Doubles, Doubles, Doubles, float]:
-    """Shares, means, covariances, and the mean log likelihood of the last step but one."""
-    n, rank = z.shape
-    pooled = z.T @ z / n
-    _, nearest = kmeans2(z[:, :_FIRST], n_components, iter=20, minit="++", rng=rng)
-    member = np.zeros((n, n_components))
-    member[np.arange(n), nearest] = 1
-    shares, means = np.zeros(n_components), np.zeros((n_components, rank))
-    covariances = np.zeros((n_components, rank, rank))
-    likelihood = -np.inf
-    for step in range(iterations):
-        for k, weight in enumerate(member.T):
-            some = np.flatnonzero(weight > _NEGLIGIBLE)
-            part, count = weight[some], float(weight.sum())
-            shares[k] = count / n
-            means[k] = part @ z[some] / (count + 1)
-            off = (z[some] - means[k]).astype(np.float32)
-            inner = (off * part[:, None].astype(np.float32)).T @ off
-            prior = _PRIOR_PATCHES * rank
-            covariances[k] = (inner + prior * pooled) / (count + prior)
-        shares = np.maximum(shares, _LEAST_SHARE)
-        shares /= shares.sum()
-        logs = log_densities(z, shares, means, covariances)
-        top = logs.max(axis=1, keepdims=True)
-        member = np.exp(logs - top)
-        total = member.sum(axis=1, keepdims=True)
-        member /= total
-        likelihood = float((top[:, 0] + np.log(total[:, 0])).mean())
+    """Shares, means, covariances, and the mean log likelihood under them."""
+    before = kept.read("shares", "means", "covariances")
+    if before is None:
+        done, (shares, means, covariances), likelihood = 0, (np.zeros(0),) * 3, -np.inf
+        member = _nearest(z, rng, n_components)
+    else:
+        done, (shares, means, covariances) = before
+        member, likelihood = _memberships(z, shares, means, covariances)
+    progress("train", done, iterations)
+    pooled = z.T @ z / len(z)
+    for step in range(done, iterations):
+        shares, means, covariances = _most_likely(z, member, pooled)
+        member, likelihood = _memberships(z, shares, means, covariances)
+        kept.write(step + 1, shares=shares, means=means, covariances=covariances)
         progress("train", step + 1, iterations)
     return shares, means, covariances, likelihood
 
 
+def _nearest(z: Doubles, rng: np.random.Generator, n_components: int) -> Doubles:
+    """First members, (n, k): 1 for the nearest of the means that k-means finds, otherwise 0."""
+    _, nearest = kmeans2(z[:, :_FIRST], n_components, iter=20, minit="++", rng=rng)
+    member = np.zeros((len(z), n_components))
+    member[np.arange(len(z)), nearest] = 1
+    return member
+
+
+def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """Shares, means and covariances for given memberships, (n, k)."""
+    (n, rank), n_components = z.shape, member.shape[1]
+    shares, means = np.zeros(n_components), np.zeros((n_components, rank))
+    covariances = np.zeros((n_components, rank, rank))
+    for k, weight in enumerate(member.T):
+        some = np.flatnonzero(weight > _NEGLIGIBLE)
+        part, count = weight[some], float(weight.sum())
+        shares[k] = count / n
+        means[k] = part @ z[some] / (count + 1)
+        off = (z[some] - means[k]).astype(np.float32)
+        inner = (off * part[:, None].astype(np.float32)).T @ off
+        prior = _PRIOR_PATCHES * rank
+        covariances[k] = (inner + prior * pooled) / (count + prior)
+    shares = np.maximum(shares, _LEAST_SHARE)
+    return shares / shares.sum(), means, covariances
+
+
+def _memberships(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> tuple[Doubles, float]:
+    """How far each patch belongs to each component, (n, k), and the mean log likelihood."""
+    logs = log_densities(z, shares, means, covariances)
+    top = logs.max(axis=1, keepdims=True)
+    member = np.exp(logs - top)
+    total = member.sum(axis=1, keepdims=True)
+    return member / total, float((top[:, 0] + np.log(total[:, 0])).mean())
+
+
 def _rest(left: Doubles, z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> Doubles:
     """Mean over each component's patches of the variance that the basis leaves out: array of shape (k,)."""
-    logs = log_densities(z, shares, means, covariances)
-    member = np.exp(logs - logs.max(axis=1, keepdims=True))
-    member /= member.sum(axis=1, keepdims=True)
+    member, _ = _memberships(z, shares, means, covariances)
     return (left @ member / np.maximum(member.sum(axis=0), 1)).clip(0)
 
 

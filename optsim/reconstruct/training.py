@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from optsim.errors import ValueCheckError
 from optsim.progress import Progress, silent
-from optsim.quantities import Doubles, Floats, Ints
+from optsim.quantities import Floats, Ints
+from optsim.reconstruct.atom_updates import dense, k_svd_atoms, least_squares_atoms, renewed
+from optsim.reconstruct.checkpoint import Checkpoint, open_checkpoint
 from optsim.reconstruct.dictionary import Dictionary, unit
 from optsim.reconstruct.gram_pursuit import pursue_products
+from optsim.reconstruct.training_patches import training_patches
 
+Method = Literal["mod", "ksvd"]
+_NAMES: dict[Method, str] = {"mod": "MOD with OMP", "ksvd": "approximate K-SVD with OMP"}
 _BLOCK = 2048
 _PATCHES_AN_ATOM = 30
-# Patches darker than this, relative to the mean of their clip, hold only noise.
-_LEAST_MEAN = 1e-3
 
 
 def train_dictionary(
@@ -28,15 +33,21 @@ def train_dictionary(
     n_patches: int | None = None,
     atoms_per_patch: int = 10,
     iterations: int = 12,
+    method: Method = "mod",
     provenance: Mapping[str, object] | None = None,
+    checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Dictionary:
-    """Learn a dictionary by the method of optimal directions.
+    """Learn a dictionary by the method of optimal directions or by approximate K-SVD.
 
-    Alternates sparse coding by OMP with the least-squares update ``D = X C' (C C')^-1`` (Engan, Aase and
-    Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624); atoms that nobody uses are replaced by the patches
-    that are coded worst. Patches are drawn where clips change, scaled to the same brightness, turned,
-    mirrored and reversed in time. Atom 0 is the constant patch, and stays.
+    Alternates sparse coding by OMP with an update of the atoms (:mod:`.atom_updates`); atoms that nobody uses
+    are replaced by the patches that are coded worst. Patches are drawn where clips change, scaled to the same
+    brightness, turned, mirrored and reversed in time. Atom 0 is the constant patch, and stays.
+
+    Both learn equally well. On patches of clips of leaves that they have not seen, 512 atoms leave 0.1781
+    of the rms by MOD and 0.1783 by K-SVD after 12 alternations on 15,000 patches, 1024 atoms 0.1687 and
+    0.1685 after 10 on 30,000; these decode moving photographs equally well, to 0.01 dB. On a core, the
+    codes took 0.8 and 3.1 s an alternation, MOD's update 0.5 and 2.1 s, K-SVD's 0.3 and 0.7 s.
 
     Parameters
     ----------
@@ -48,8 +59,14 @@ def train_dictionary(
         Size of the dictionary.
     n_patches, atoms_per_patch, iterations : int
         Effort: training patches (30 an atom unless told), cap of the sparse codes, alternations.
+    method : {"mod", "ksvd"}
+        How atoms are updated: all at once by least squares, or one after the other with their coefficients.
     provenance : Mapping, optional
         What to remember about the clips.
+    checkpoint : Path, optional
+        File in which the state is kept after each alternation, and from which the same learning goes on: with
+        the same result as without a stop, to the bit where the machine and its number of threads are the
+        same. The caller removes it in the end.
     progress : Progress
         Told after each alternation.
 
@@ -69,58 +86,65 @@ def train_dictionary(
     first = rng.choice(len(signals), n_atoms - 1, replace=False)
     detail = signals[first] - signals[first].mean(axis=1, keepdims=True)
     atoms = unit(np.concatenate([constant, detail]))
-    left = np.zeros(0, np.float32)
-    for step in range(iterations):
-        support, amounts, left = _code(signals, atoms, atoms_per_patch)
-        atoms = _update(signals, atoms, support, amounts, left)
-        progress("train", step + 1, iterations)
+    kept = open_checkpoint(checkpoint, signals, method, n_atoms, patch, slots, atoms_per_patch, iterations)
+    atoms, error = learn_atoms(signals, atoms, atoms_per_patch, iterations, method, kept, progress)
     record = {
-        "method": "MOD with OMP",
+        "method": _NAMES[method],
         "atoms_per_patch": atoms_per_patch,
         "iterations": iterations,
         "patches": len(signals),
-        "relative_rms_error": float(np.sqrt(left.sum() / (signals.astype(np.float64) ** 2).sum())),
+        "relative_rms_error": error,
         **(provenance or {}),
     }
     return Dictionary(atoms.reshape(n_atoms, patch, patch, slots), record)
 
 
-def training_patches(
-    clips: Sequence[Floats], rng: np.random.Generator, patch: int, slots: int, n_patches: int
-) -> Floats:
-    """Brightness-normalised patches of shape (patch, v * u * slot), from each clip by its size."""
-    size = sum(clip.size for clip in clips)
-    kept: list[Floats] = []
-    for clip in clips:
-        share = -(-n_patches * clip.size // size)
-        n, rows, cols = clip.shape
-        if n < slots or rows < patch or cols < patch:
-            raise ValueCheckError(
-                f"training clip: got shape {clip.shape}, expected at least ({slots}, {patch}, {patch})"
-            )
-        # Twice what is needed, to keep the half that changes most in relation to its brightness.
-        corners = rng.integers((n - slots + 1, rows - patch + 1, cols - patch + 1), size=(2 * share, 3))
-        found = np.stack([clip[t : t + slots, v : v + patch, u : u + patch] for t, v, u in corners])
-        means = found.mean(axis=(1, 2, 3), keepdims=True)
-        found = found[(means > _LEAST_MEAN * clip.mean()).ravel()]
-        found = found / found.mean(axis=(1, 2, 3), keepdims=True)
-        motion = found.std(axis=1).mean(axis=(1, 2))
-        chance = rng.random(len(found)) ** (1 / (motion + 0.02 * motion.mean() + 1e-9))
-        best = np.argsort(chance)[::-1][:share]
-        kept += [_turned(found[i], rng) for i in best]
-    stack = np.stack(kept)
-    # Equal energy: a few patches across a bright edge would outweigh all others.
-    energy = np.sqrt((stack.astype(np.float64) ** 2).mean(axis=(1, 2, 3), keepdims=True))
-    stack = (stack / energy).astype(np.float32)
-    return np.moveaxis(stack, 1, -1).reshape(len(stack), -1)
+def learn_atoms(
+    signals: Floats,
+    atoms: Floats,
+    cap: int,
+    iterations: int,
+    method: Method,
+    kept: Checkpoint,
+    progress: Progress = silent,
+) -> tuple[Floats, float]:
+    """Alternate sparse codes and updates of the atoms.
 
+    Parameters
+    ----------
+    signals : ndarray of shape (n, e), float32
+        What to learn from.
+    atoms : ndarray of shape (k, e), float32
+        First ones, of unit length; the first of all stays.
+    cap : int
+        Atoms that a code has at most.
+    iterations, method, progress
+        As of :func:`train_dictionary`.
+    kept : Checkpoint
+        Where the state is kept after each alternation, and begins if there is one.
 
-def _turned(block: Floats, rng: np.random.Generator) -> Floats:
-    """One of the 16 turns, mirrors and time reversals of a block of shape (slot, v, u)."""
-    block = np.rot90(block, int(rng.integers(4)), axes=(1, 2))
-    if rng.integers(2):
-        block = block[:, :, ::-1]
-    return block[::-1] if rng.integers(2) else block
+    Returns
+    -------
+    atoms : ndarray of shape (k, e), float32
+        Of unit length.
+    error : float
+        Rms of what the last codes left, relative to the signals; 0 without any.
+    """
+    energy = (signals.astype(np.float64) ** 2).sum()
+    done, (atoms, error) = kept.read("atoms", "error") or (0, [atoms, np.zeros(())])
+    progress("train", done, iterations)
+    for step in range(done, iterations):
+        support, amounts, left = _code(signals, atoms, cap)
+        error = np.asarray(np.sqrt(left.sum() / energy))
+        if method == "ksvd":
+            learned, _ = k_svd_atoms(signals, atoms, support, amounts)
+        else:
+            learned = least_squares_atoms(signals, atoms, support, amounts)
+        uses = np.bincount(support[support >= 0], minlength=len(atoms))
+        atoms = unit(renewed(learned, uses, signals, left))
+        kept.write(step + 1, atoms=atoms, error=error)
+        progress("train", step + 1, iterations)
+    return atoms, float(error)
 
 
 def _code(signals: Floats, atoms: Floats, cap: int) -> tuple[Ints, Floats, Floats]:
@@ -134,36 +158,6 @@ def _code(signals: Floats, atoms: Floats, cap: int) -> tuple[Ints, Floats, Float
         block = signals[part]
         products = np.ascontiguousarray(block @ atoms.T)
         pursue_products(products, gram, support[part], amounts[part])
-        codes = _dense(support[part], amounts[part], len(atoms))
+        codes = dense(support[part], amounts[part], len(atoms))
         left[part] = ((block - codes @ atoms) ** 2).sum(axis=1)
     return support, amounts, left
-
-
-def _dense(support: Ints, amounts: Floats, n_atoms: int) -> Floats:
-    codes = np.zeros((len(support), n_atoms), np.float32)
-    rows, places = np.nonzero(support >= 0)
-    codes[rows, support[rows, places]] = amounts[rows, places]
-    return codes
-
-
-def _update(signals: Floats, atoms: Floats, support: Ints, amounts: Floats, left: Floats) -> Floats:
-    """Least-squares atoms for given codes; unused ones start again from the worst patches."""
-    n_atoms = len(atoms)
-    square = np.zeros((n_atoms, n_atoms))
-    cross = np.zeros(atoms.shape)
-    for first in range(0, len(signals), _BLOCK):
-        part = slice(first, first + _BLOCK)
-        codes = _dense(support[part], amounts[part], n_atoms)
-        square += codes.T @ codes
-        cross += codes.T @ signals[part]
-    uses = np.bincount(support[support >= 0], minlength=n_atoms)
-    ridge = 1e-6 * np.trace(square) / n_atoms
-    system: Doubles = square + ridge * np.eye(n_atoms)
-    solved: Doubles = np.asarray(np.linalg.solve(system, cross + ridge * atoms), np.float64)
-    # Fewer uses than this is fitting one patch, not learning from many.
-    idle = uses < 5
-    idle[0] = False
-    worst = signals[np.argsort(left)[::-1][: int(idle.sum())]]
-    solved[idle] = worst - worst.mean(axis=1, keepdims=True)
-    solved[0] = 1
-    return unit(solved.astype(np.float32))

@@ -236,7 +236,7 @@ class FootageTruth:
         for slot in range(self.timing.n_slots):
             first, weights = self.frames_of(slot)
             used = files if len(files) == 1 else files[first : first + len(weights)]
-            content = [_digest(file) for file in used]
+            content = [content_hash(file) for file in used]
             keys.append(hash_of("footage", same, slot, first, content))
         return keys
 
@@ -273,7 +273,7 @@ def _still(entry: Arrays) -> Segment:
     return Segment(image, image, (), 1)
 
 
-def _digest(path: Path) -> str:
+def content_hash(path: Path) -> str:
     """SHA-256 of a file's content: a changed recording is another truth, a moved one is not."""
     status = path.stat()
     return _digest_of(path, status.st_size, status.st_mtime_ns)

@@ -14,6 +14,8 @@ import numpy as np
 from optsim.errors import ConfigError, StorageError, ValueCheckError, unknown_name
 from optsim.scene.recording.film import Pixels, Recording, as_recording, with_channels
 
+ARRAYS = (".npz", ".npy", ".mat")
+
 
 def film(path: Path, key: str | None, axes: str | None) -> Recording:
     """Open an array file; npy stays on disk, npz and mat are loaded once."""
@@ -32,6 +34,29 @@ def film(path: Path, key: str | None, axes: str | None) -> Recording:
     return as_recording(
         (path,), len(film), lambda first: (np.asarray(with_channels(frame)) for frame in film[first:])
     )
+
+
+def array_axes(path: Path) -> str | None:
+    """Axes of a file's only array: time first where numpy wrote it, last where MATLAB did; else None.
+
+    Raises
+    ------
+    StorageError, ConfigError
+        When it cannot be read or holds several arrays.
+    ValueCheckError
+        When an array has other than three or four axes.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ARRAYS:
+        return None
+    found = {3: "yxt", 4: "yxct"} if suffix == ".mat" else {3: "tyx", 4: "tyxc"}
+    stored = _load(path, None)
+    if stored.ndim not in found:
+        raise ValueCheckError(
+            f"{path}: the array has shape {stored.shape}, expected the axes {' or '.join(found.values())}: "
+            "t(ime), y, x and c(hannel)"
+        )
+    return found[stored.ndim]
 
 
 def array_names(path: Path) -> list[str]:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from optsim.errors import ConfigError, StorageError
 from optsim.scene.recording import arrays, images
+from optsim.scene.recording.arrays import ARRAYS
 from optsim.scene.recording.film import Recording, as_recording
 
 IMAGES = (".exr", ".png", ".tif", ".tiff")
-ARRAYS = (".npz", ".npy", ".mat")
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm")
 
 

@@ -1,0 +1,159 @@
+"""Learning priors: both updates of atoms, and that going on after a stop is the same as not stopping."""
+
+import numpy as np
+import pytest
+
+from optsim.reconstruct.atom_updates import dense, k_svd_atoms
+from optsim.reconstruct.checkpoint import Checkpoint, checkpoint_path
+from optsim.reconstruct.dictionary import unit
+from optsim.reconstruct.mixture_training import train_mixture
+from optsim.reconstruct.training import learn_atoms, train_dictionary
+
+NOT_KEPT = Checkpoint(None, "")
+
+
+def planted(rng, n_atoms=30, size=24, n=1500, cap=3, noise=0.05):
+    """Random atoms, the first of them constant, and signals of three of them each."""
+    atoms = unit(np.concatenate([np.ones((1, size)), rng.standard_normal((n_atoms - 1, size))]))
+    support = np.stack([rng.choice(n_atoms, cap, replace=False) for _ in range(n)])
+    amounts = (rng.uniform(0.5, 1.5, (n, cap)) * rng.choice((-1, 1), (n, cap))).astype(np.float32)
+    signals = dense(support, amounts, n_atoms) @ atoms
+    signals += noise * rng.standard_normal(signals.shape).astype(np.float32)
+    return atoms, support, amounts, signals.astype(np.float32)
+
+
+# --- approximate K-SVD ----------------------------------------------------------------------------------
+
+
+def test_k_svd_lowers_the_error_pass_by_pass_for_fixed_supports():
+    rng = np.random.default_rng(0)
+    _, support, amounts, signals = planted(rng)
+    support[::7, 2] = -1
+    atoms = unit(np.concatenate([np.ones((1, 24)), rng.standard_normal((29, 24))]))
+    constant = atoms[0].copy()
+    errors = [np.linalg.norm(signals - dense(support, amounts, 30) @ atoms)]
+    for _ in range(6):
+        atoms, amounts = k_svd_atoms(signals, atoms, support, amounts)
+        errors.append(np.linalg.norm(signals - dense(support, amounts, 30) @ atoms))
+    assert (np.diff(errors) < 0).all(), errors
+    assert errors[-1] < 0.5 * errors[0]
+    np.testing.assert_array_equal(atoms[0], constant)
+    np.testing.assert_allclose(np.linalg.norm(atoms, axis=1), 1, rtol=1e-5)
+
+
+def test_k_svd_is_the_papers_step_atom_by_atom():
+    """Against its equations with whole arrays in double precision, one atom after the other."""
+    rng = np.random.default_rng(1)
+    atoms, support, amounts, signals = planted(rng, n_atoms=8, n=60)
+    atoms = unit(np.concatenate([atoms[:1], atoms[1:] + 0.2 * rng.standard_normal(atoms[1:].shape)]))
+    found, coefficients = k_svd_atoms(signals, atoms, support, amounts)
+    d, codes = atoms.astype(np.float64), dense(support, amounts, 8).astype(np.float64)
+    for k in range(1, 8):
+        users = codes[:, k] != 0
+        others = codes[users].copy()
+        others[:, k] = 0
+        left = signals[users] - others @ d
+        d[k] = left.T @ codes[users, k]
+        d[k] /= np.linalg.norm(d[k])
+        codes[users, k] = left @ d[k]
+    np.testing.assert_allclose(found, d, atol=2e-5)
+    np.testing.assert_allclose(dense(support, coefficients, 8), codes, atol=2e-5)
+
+
+@pytest.mark.parametrize("method", ["mod", "ksvd"])
+def test_planted_atoms_are_found_again(method):
+    """Of 29 random atoms, signals with 5 % of noise: on average over eight seeds 23 within 8 degrees.
+
+    Measured 24.9 by least squares and 25.6 by K-SVD, each seed 20 to 29: where learning begins with signals,
+    some atoms end as mixtures of two. Before learning it is none.
+    """
+    before, after = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        atoms, _, _, signals = planted(rng)
+        first = unit(np.concatenate([atoms[:1], signals[rng.choice(len(signals), 29, replace=False)]]))
+        found, _ = learn_atoms(signals, first, 3, 30, method, NOT_KEPT)
+        for counts, these in ((before, first), (after, found)):
+            near = np.abs(atoms[1:] @ these.T).max(axis=1) > np.cos(np.deg2rad(8))
+            counts.append(int(near.sum()))
+    assert np.mean(after) >= 23, after
+    assert min(after) >= 17, after
+    assert max(before) <= 2, before
+
+
+# --- stops ----------------------------------------------------------------------------------------------
+
+CLIPS = [np.random.default_rng(9).random((40, 40, 40), dtype=np.float32) ** 3]
+LEARN = {
+    "mod": (train_dictionary, {"n_atoms": 20, "patch": 4, "slots": 6, "n_patches": 300, "method": "mod"}),
+    "ksvd": (train_dictionary, {"n_atoms": 20, "patch": 4, "slots": 6, "n_patches": 300, "method": "ksvd"}),
+    "mixture": (train_mixture, {"n_components": 3, "rank": 24, "patch": 4, "slots": 6, "n_patches": 900}),
+}
+
+
+class Stop(Exception):
+    """Stands for Ctrl-C."""
+
+
+def learn(prior, checkpoint, stop_after=None, seed=0, **changed):
+    """Learn for five iterations; return what was learned and the iterations told of."""
+    train, settings = LEARN[prior]
+    told = []
+
+    def progress(stage, done, total):
+        told.append(done)
+        if done == stop_after:
+            raise Stop
+
+    try:
+        settings = settings | {"iterations": 5} | changed
+        rng = np.random.default_rng(seed)
+        return train(CLIPS, rng=rng, checkpoint=checkpoint, progress=progress, **settings), told
+    except Stop:
+        return None, told
+
+
+def arrays(learned):
+    return {name: value for name, value in vars(learned).items() if name != "provenance"}
+
+
+def assert_same(one, other):
+    assert one.provenance == other.provenance
+    for name, value in arrays(one).items():
+        np.testing.assert_array_equal(value, arrays(other)[name], err_msg=name)
+
+
+@pytest.mark.parametrize("prior", LEARN)
+@pytest.mark.parametrize("stop_after", [1, 3, 5])
+def test_going_on_is_the_same_to_the_bit_as_not_stopping(prior, stop_after, tmp_path):
+    whole, steps = learn(prior, None)
+    assert steps == [0, 1, 2, 3, 4, 5]
+    path = checkpoint_path(tmp_path / "mine.npz")
+    assert path == tmp_path / "mine.partial.npz"
+    assert learn(prior, path, stop_after)[0] is None
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.partial.npz"]
+    again, steps = learn(prior, path)
+    assert steps == list(range(stop_after, 6)), "it goes on, rather than to begin again"
+    assert_same(whole, again)
+
+
+@pytest.mark.parametrize("prior", LEARN)
+@pytest.mark.parametrize(
+    "changed", [{"seed": 1}, {"iterations": 4}, {"n_patches": 910}, "size", "method", "footage", "damaged"]
+)
+def test_other_settings_footage_or_a_damaged_file_begin_again(prior, changed, tmp_path, monkeypatch):
+    path = tmp_path / "mine.partial.npz"
+    learn(prior, path, 3)
+    if changed == "size":
+        changed = {"n_components": 4} if prior == "mixture" else {"n_atoms": 21}
+    elif changed == "method":
+        changed = {"rank": 20} if prior == "mixture" else {"method": "ksvd" if prior == "mod" else "mod"}
+    elif changed == "footage":
+        monkeypatch.setitem(globals(), "CLIPS", [CLIPS[0] ** 1.1])
+        changed = {}
+    elif changed == "damaged":
+        path.write_bytes(path.read_bytes()[:1000])
+        changed = {}
+    found, steps = learn(prior, path, **changed)
+    assert steps[0] == 0
+    assert_same(found, learn(prior, None, **changed)[0])
