@@ -25,6 +25,22 @@ from optsim.errors import StorageError, ValueCheckError
 _HALF_MAX = 65504.0
 
 
+def writable_folder(place: Path, what: str, cure: str) -> Path:
+    """Folder that a file or folder could be made in: the place itself, or the first above it that exists.
+
+    Raises
+    ------
+    StorageError
+        When it is a file or must not be written to; before anything long is begun.
+    """
+    existing = next(each for each in [place.absolute(), *place.absolute().parents] if each.exists())
+    if not existing.is_dir():
+        raise StorageError(f"{existing} is a file, expected a folder ({what}); {cure}")
+    if not os.access(existing, os.W_OK):
+        raise StorageError(f"{existing} is not writable ({what}); {cure}")
+    return existing
+
+
 @contextlib.contextmanager
 def atomic(path: Path) -> Generator[Path, None, None]:
     """Yield a temporary path beside ``path``; rename it into place if the block succeeds."""

@@ -22,7 +22,7 @@ from optsim.camera import CodedCamera
 from optsim.errors import StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
-from optsim.files import read_json, write_exr, write_json, write_png8, write_png16
+from optsim.files import read_json, writable_folder, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import Gallery
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
@@ -102,17 +102,13 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     if folder is not None:
         needs["run folder"] = (run_mb, folder)
     for what, (need_mb, place) in needs.items():
-        existing = next(p for p in [place.absolute(), *place.absolute().parents] if p.exists())
+        existing = writable_folder(place, what, "set OPTSIM_CACHE or --out")
         free_mb = shutil.disk_usage(existing).free / 1e6
         if need_mb > free_mb:
             raise StorageError(
                 f"not enough disk for the {what} at {place}: needs about {need_mb:.0f} MB, free are "
                 f"{free_mb:.0f} MB. Cure: free some, 'optsim cache clear', or set OPTSIM_CACHE or --out"
             )
-        if not existing.is_dir():
-            raise StorageError(f"{existing} is a file, expected a folder ({what}); set OPTSIM_CACHE or --out")
-        if not os.access(existing, os.W_OK):
-            raise StorageError(f"{existing} is not writable ({what}); set OPTSIM_CACHE or --out")
     return {
         "backend": renderer(experiment, backend)[0],
         "disk_needed_mb": {what: round(mb) for what, (mb, _) in needs.items()},

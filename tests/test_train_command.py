@@ -25,6 +25,10 @@ def optsim(capsys, monkeypatch, tmp_path):
     [
         (("--clips", "good.npy"), "--out: missing; what is learned from --clips would replace the shipped"),
         (("--clips", "good.npy", "--out", "mine.txt"), "expected a name that ends in .npz"),
+        (
+            ("--clips", "good.npy", "--out", "good.npy/mine.npz"),
+            "good.npy is a file, expected a folder (--out)",
+        ),
         (("--clips", "good.npy", "--clips", "short.npy", "--out", "mine.npz"), "short.npy: got 9 frames"),
         (("--frames-per-slot", "2", "--out", "mine.npz"), "--frames-per-slot: got without --clips"),
         (("--linearisation", "srgb", "--black-level", "3"), "--linearisation, --black-level: got without"),
