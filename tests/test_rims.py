@@ -148,6 +148,14 @@ def test_no_rim_is_darker_than_a_dark_pixel(monkeypatch, few):
     cells = cell_weights(rims, weights)
     assert cells.min() == np.float32(0.0024)
     assert np.mean(cells == cells.min()) > 1e-3
+    # Nor are they in the sums over time of light that stands still: here a panel that is dark but for a cross.
+    levels = np.zeros((5, *SIDE), np.uint8)
+    levels[:, 2, 2:5] = levels[:, 1:4, 3] = 255
+    rims, weights, _ = rims_of(levels, response, model="coarse", sigma=0.25)
+    still = np.ones((18, 21), np.float32)
+    video = Video(18, 21, 3, SLOT_S, 1, 5, 5, lambda _: Segment(still, still, (), 5))
+    found = integrate_exposure(video, 0, Shutter(weights, border_shares(0.25, 3), rims)) / SLOT_S
+    assert found.min() == pytest.approx(5 * 0.0024, rel=1e-5)
 
 
 @pytest.mark.parametrize("overlap", [True, False])
@@ -243,7 +251,7 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch)
     levels = rng.choice(np.array([0, 90, 255], np.uint8), (5, 20, 7))
     rims, weights, _ = rims_of(levels, PanelResponse(delay_s=1e-3), 2)
     still = rng.random((60, 21)).astype(np.float32)
-    boxes = ((7, 4, 23, 5), (58, 20, 2, 1))
+    boxes = ((7, 4, 23, 5), (10, 15, 6, 4), (58, 20, 2, 1))
     blocks = [Block(row, col, rng.normal(size=(10, *size)).astype(np.float32)) for row, col, *size in boxes]
     whole = cell_weights(rims, weights) * still
     for block in blocks:
