@@ -148,7 +148,7 @@ def test_no_rim_is_darker_than_a_dark_pixel(monkeypatch, few):
     cells = cell_weights(rims, weights)
     assert cells.min() == np.float32(0.0024)
     assert np.mean(cells == cells.min()) > 1e-3
-    # Nor are they in the sums over time of light that stands still: here a panel that is dark but for a cross.
+    # Nor is any in the sum over time that still light gets: here of a panel that is dark but for a cross.
     levels = np.zeros((5, *SIDE), np.uint8)
     levels[:, 2, 2:5] = levels[:, 1:4, 3] = 255
     rims, weights, _ = rims_of(levels, response, model="coarse", sigma=0.25)

@@ -116,6 +116,15 @@ def test_data_sheet_instances_reproduce_their_own_derived_figures():
     assert 20 * np.log10(cmos.full_well_e / cmos.read_noise_e) == pytest.approx(73, abs=0.5)
 
 
+def test_dark_electrons_are_not_smeared():
+    sensor = plain(rows=100, cols=6, smear_share=1e-3, dark_current_e_s=1000.0)
+    expected = np.full((100, 6), 200.0)
+    assert np.abs(sensor.smear_e(expected, 0.2)).max() < 1e-9
+    expected[50, 2] += 5e6
+    of_light = plain(rows=100, cols=6, smear_share=1e-3, dark_current_e_s=0.0).smear_e(expected - 200, 0.2)
+    np.testing.assert_allclose(sensor.smear_e(expected, 0.2), of_light, atol=1e-9)
+
+
 def test_smear_is_the_column_sum_times_shield_and_dwell_and_passes_a_full_well():
     sensor = plain(rows=100, cols=6, smear_share=1e-3, readout_s=0.04, read_noise_e=0.0, gain_e=1.1)
     expected = np.zeros((100, 6))

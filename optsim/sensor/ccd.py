@@ -175,9 +175,18 @@ class Ccd(Part):
         return electrons * (1 - self.bend_at_full_well * x2 * x2 * x)
 
     def smear_e(self, expected_e: Doubles, exposure_s: float) -> Doubles:
-        """Electrons that smear adds to every pixel of a column on average, (x,): wells never limit it."""
-        dwell_s = self.readout_s / self.rows
-        return self.smear_share * dwell_s / exposure_s * np.maximum(expected_e, 0).sum(axis=0)
+        """Electrons that smear adds to every pixel of a column on average, (x,): wells never limit it.
+
+        Parameters
+        ----------
+        expected_e : ndarray of shape (y, x), float64
+            Electrons of the exposure on average. The dark ones are no light: nothing of them is smeared.
+        exposure_s : float
+            Time in which they were collected.
+        """
+        dwell_s, dark_e = self.readout_s / self.rows, self.dark_rate_e_s * exposure_s
+        light_e = np.maximum(expected_e, dark_e).sum(axis=0) - len(expected_e) * dark_e
+        return self.smear_share * dwell_s / exposure_s * light_e
 
     def signal_e(self, electrons: Doubles, smear_e: Doubles | float, serial_number: int) -> Doubles:
         """Signal of collected electrons before read noise, electrons: clip, smear, bend and fixed pattern."""
