@@ -242,15 +242,19 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
         np.testing.assert_allclose(exposed(slots), expected, rtol=1e-5, atol=1e-9)
 
 
-def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch):
+@pytest.mark.parametrize(("most_leak", "scale"), [(0.002, 1.0), (0.3, 0.0)])
+def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch, most_leak, scale):
     """A block that begins and ends within pixels, a corner of the panel, and 20 rows: three bands.
 
-    The floor acts on instants or on their sum: 5e-5 of the light of a pixel that is on.
+    The floor acts on instants or on their sum: 5e-5 of the light of a pixel that is on. Where leaks differ
+    much from column to column it is more, so nothing stands still there.
     """
     rng = np.random.default_rng(9)
     levels = rng.choice(np.array([0, 90, 255], np.uint8), (5, 20, 7))
-    rims, weights, _ = rims_of(levels, PanelResponse(delay_s=1e-3), 2)
-    still = rng.random((60, 21)).astype(np.float32)
+    response, leaks = PanelResponse(delay_s=1e-3), np.linspace(0.002, most_leak, 7)
+    rims = replace(rims_of(levels, response, 2)[0], leaks=leaks)
+    weights, _ = slot_weights(levels, rims.start, response, SLOT_S, 2, leaks)
+    still = np.float32(scale) * rng.random((60, 21)).astype(np.float32)
     boxes = ((7, 4, 23, 5), (10, 15, 6, 4), (58, 20, 2, 1))
     blocks = [Block(row, col, rng.normal(size=(10, *size)).astype(np.float32)) for row, col, *size in boxes]
     whole = cell_weights(rims, weights) * still
