@@ -143,13 +143,8 @@ def fill_cells(
         Filled in these columns.
     """
     n_slots, rows, cols = levels.shape
-    n_instants, n_points, points, times = (
-        weights.shape[0],
-        looks.points.shares.shape[0],
-        looks.points,
-        looks.times,
-    )
-    n_sub, instant_s = n_instants // n_slots, turns.instant_s
+    points, times, n_instants = looks.points, looks.times, len(weights)
+    n_points, n_sub, instant_s = len(points.shares), n_instants // n_slots, turns.instant_s
     wide, inner = (rows, cols + 2), (rows - 2, n_points, n_points, cols)
     # A pixel more at the left and at the right, like its neighbour.
     target, step = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
