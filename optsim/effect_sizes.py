@@ -6,11 +6,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from optsim.effects import ALL, Effect, switched
+from optsim.effects import ALL, Changes, Effect, switched
 from optsim.forward.bands import side_by_side
 from optsim.probe import FULL_RIMS, NOTHING, Probe
+
+# A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
+_LARGEST_BLUR_PX = 8.0
 
 
 @dataclass(frozen=True)
@@ -21,13 +25,14 @@ class EffectSize:
     ----------
     effect, what : str
         Name and a few words.
-    size : float
-        Rms change of the frame by the effect as this camera has it, relative to the noise.
+    size : float or None
+        Rms change of the frame by the effect as this camera has it, relative to the noise; None where only
+        rendering the scene would tell.
     """
 
     effect: str
     what: str
-    size: float
+    size: float | None
 
 
 # As in a plan.
@@ -35,11 +40,36 @@ class EffectSize:
 def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
 
-    def found(name: str, effect: Effect) -> EffectSize:
+    def found(name: str, effect: Effect) -> tuple[float, str]:
         against = FULL_RIMS if name == "fringing" else NOTHING
-        return EffectSize(name, effect.what, probe.size(switched({name: "ideal"}), against))
+        if _moves_pixels(effect, probe):
+            against = probe.mapping
+        return probe.size(_over(against, switched({name: "ideal"})), against), name
 
-    # The frame with all of them comes first: each is compared with it.
+    # The frames with all of them come first: each is compared with one of these.
     probe.size(NOTHING, NOTHING)
+    probe.size(probe.mapping, probe.mapping)
     sizes = side_by_side(partial(found, *each) for each in ALL.items() if not each[1].in_scene)
-    return sorted(sizes, key=lambda each: -each.size)
+    return [EffectSize(name, ALL[name].what, size) for size, name in sorted(sizes, reverse=True)]
+
+
+def size_of_defocus(probe: Probe, blur_px: float) -> float:
+    """Size of what a disc of confusion changes, of a diameter in panel pixels, were all of the scene so.
+
+    A Gaussian of the disc's variance stands for it, as part of the objective's own. The PSF is taken as the
+    same all over the field: what interpolating it misplaces depends on the blur, and would count as defocus.
+    """
+    lens, diameter_px = probe.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
+    sigma_m = diameter_px / 4 * probe.camera.modulator.pitch_m
+    even = {"field_error": 1.0}
+    blurred = {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}
+    return probe.size({"objective": even | blurred}, {"objective": even})
+
+
+def _moves_pixels(effect: Effect, probe: Probe) -> bool:
+    return any(fields.keys() & probe.mapping.get(part, {}).keys() for part, fields in effect.ideal.items())
+
+
+def _over(under: Changes, over: Changes) -> Changes:
+    """Both changes; where they meet, those that are over."""
+    return {part: {**under.get(part, {}), **over.get(part, {})} for part in dict.fromkeys((*under, *over))}

@@ -3,6 +3,8 @@
 The nominal state is the hardware as its data-sheet instance has it. A switch changes fields of parts, so
 whatever is set by hand in the same table wins over it. Pessimistic values have no source unless the part
 or the hardware says otherwise: they are this project's judgement of what a bad specimen would do.
+
+Shot noise has no switch: it is the light's own, no camera is without it, and only more light lowers it.
 """
 
 from __future__ import annotations
@@ -57,8 +59,9 @@ ALL: dict[str, Effect] = {
         {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
         {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
     ),
+    # What is called the panel's ripple: from slot to slot. Within a slot it is not modelled.
     "fields": Effect(
-        "colour fields and polarities that are driven differently",
+        "colour fields and polarities that are driven differently: ripple from slot to slot",
         {"modulator": {"field_drive": (1.0, 1.0, 1.0), "polarity_drive": 0.0}},
         {"modulator": {"field_drive": (1.03, 1.0, 0.97), "polarity_drive": 0.03}},
     ),
@@ -86,6 +89,12 @@ ALL: dict[str, Effect] = {
         "splitter that passes less at the ends of the rows",
         {"splitter": {"acceptance_rad": 1.0}},
         {"splitter": {"acceptance_rad": 0.02}},
+    ),
+    # No source for 50 nm: at 450 and 650 nm four times the leak that the nominal coating adds.
+    "splitter_colour": Effect(
+        "splitter that leaks more, and passes less, far from 550 nm; nothing in 550 nm",
+        {"splitter": {"chromatic_m": 1.0}},
+        {"splitter": {"chromatic_m": 50e-9}},
     ),
     "polarised_scene": Effect(
         "light that gloss polarised, seen through the splitter",
@@ -141,6 +150,31 @@ ALL: dict[str, Effect] = {
         {"relay": {"distortion": 0.0, "keystone_y": 0.0, "keystone_x": 0.0}},
         {"relay": {"distortion": -0.01, "keystone_y": 0.002}},
     ),
+    # Known to the bench, which maps the panel as it stands; what moves after that is an experiment's drift.
+    # No source for any: a CCD pixel each way, as far as picking the centre of three allows, a millimetre in a
+    # metre, lenses within 0.3 % of their focal length, and a blur of a CCD pixel at f/8. Smaller rather than
+    # larger, since the prototype's image just fits its CCD.
+    "alignment": Effect(
+        "panel imaged onto the CCD shifted, turned, at another scale and out of focus",
+        {
+            "relay": {
+                "shift_y_px": 0.0,
+                "shift_x_px": 0.0,
+                "rotation_rad": 0.0,
+                "magnification_error": 0.0,
+                "defocus_m": 0.0,
+            }
+        },
+        {
+            "relay": {
+                "shift_y_px": 1.0,
+                "shift_x_px": 1.0,
+                "rotation_rad": 1e-3,
+                "magnification_error": -3e-3,
+                "defocus_m": 36e-6,
+            }
+        },
+    ),
     "lateral_colour": Effect(
         "image of the relay that is larger in red light than in blue; nothing in 550 nm",
         {"relay": {"lateral_colour": 0.0}},
@@ -165,6 +199,20 @@ ALL: dict[str, Effect] = {
         "response that bends below the full well",
         {"sensor": {"bend_at_full_well": 0.0}},
         {"sensor": {"bend_at_full_well": 0.06}},
+    ),
+    # 15 e-: no source.
+    "read_noise": Effect(
+        "noise of the CCD's output, without any light",
+        {"sensor": {"read_noise_e": 0.0}},
+        {"sensor": {"read_noise_e": 15.0}},
+    ),
+    # 16 bits are the finest that frames hold. Two fewer than nominal have a source for both sensors: 12 in
+    # the published simulation of the ICX674, 10 in a camera with the IMX174 (Grasshopper3 Technical
+    # Reference).
+    "quantisation": Effect(
+        "digital numbers that are whole; ideal: of 16 bits",
+        {"sensor": {"finer_bits": 8}},
+        {"sensor": {"finer_bits": -2}},
     ),
 }
 

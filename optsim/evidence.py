@@ -72,7 +72,7 @@ NOT_MODELLED: tuple[str, ...] = (
     "ghosts of the objective; glare is uniform",
     "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",
     "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
-    "twist of the liquid crystal; ripple of the panel within a slot",
+    "twist of the liquid crystal; ripple of the panel within a slot (from slot to slot: the effect fields)",
     "the error of the panel's grey curve beyond its exponent",
     "light that the relay's PSF throws beyond the panel's image",
     "shading of the relay; defocus across a tilted panel; mirrors and gaps apart within a panel pixel",

@@ -13,6 +13,9 @@ from optsim.forward.radiometry import photons_per_joule
 if TYPE_CHECKING:
     from optsim.camera import CodedCamera
     from optsim.camera_plan import CameraPlan
+    from optsim.effect_sizes import EffectSize
+    from optsim.focus import Focus
+    from optsim.probe import Probe
 
 Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
@@ -43,14 +46,18 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         misfit = str(error)
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
-    truth = describe_truth(experiment)
+    truth, light = describe_truth(experiment), scene_light(experiment)
     plan = None if misfit else plan_camera(camera, illumination(experiment), experiment.tolerance)
+    found: list[EffectSize] = []
+    if plan:
+        in_scene = scene_effects(plan.near, truth.focus, polarised=light.azimuth_rad is not None)
+        found = sorted([*effect_sizes(plan.near), *in_scene], key=_unknown_last)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
         "experiment": experiment.name,
         "truth": f"{truth.name} ({truth.variation}): {truth.description}",
-        "light": scene_light(experiment).why,
+        "light": light.why,
         "band": band_record(camera),
         "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
         "misfit": misfit,
@@ -71,9 +78,43 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "contrast_budget": contrast_budget(camera),
         "drift": experiment.drift,
-        "effects": [asdict(each) for each in effect_sizes(plan.near)] if plan else [],
+        "noise_e": plan.near.noise_e() if plan else None,
+        "effects": [asdict(each) for each in found],
         "plan": plan_record(plan) if plan else None,
     }
+
+
+def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
+    """Say how large the effects are that act where light is rendered, as far as that is known before.
+
+    Parameters
+    ----------
+    probe : Probe
+        Near probe of the camera.
+    focus : Focus or None
+        What the lens does to the scene; None of footage, which has been through a lens already.
+    polarised : bool
+        Whether the scene is rendered with its polarisation.
+    """
+    from optsim.effect_sizes import EffectSize, size_of_defocus
+    from optsim.effects import ALL
+
+    blur_px = 0.0 if focus is None or focus.choice == "everywhere" else max(focus.near_px, focus.far_px)
+    corner_px = focus.corner_px if focus else 0.0
+    sizes = {
+        "depth_of_field": size_of_defocus(probe, blur_px),
+        "objective_distortion": None if corner_px else 0.0,
+        "polarised_scene": None if polarised else 0.0,
+    }
+    more = {
+        "depth_of_field": f": {blur_px:.2g} panel pixels at most, here everywhere" if blur_px else "",
+        "objective_distortion": f": {corner_px:.2g} panel pixels in the corners" if corner_px else "",
+    }
+    return [EffectSize(name, ALL[name].what + more.get(name, ""), size) for name, size in sizes.items()]
+
+
+def _unknown_last(each: EffectSize) -> tuple[bool, float]:
+    return each.size is None, -(each.size or 0.0)
 
 
 def band_record(camera: CodedCamera) -> dict[str, float]:
@@ -208,12 +249,16 @@ def _latency_rows(latency: dict[str, Any]) -> list[Row]:
 def _what_matters(record: dict[str, Any]) -> list[object]:
     """Table of effects and plan."""
     effects, plan = cast("list[dict[str, Any]]", record["effects"]), cast("dict[str, Any]", record["plan"])
+    noise_e, light_e = cast("tuple[float, float]", record["noise_e"])
     return [
         table(
-            "what each imperfection changes in a frame of a small probe, rms, in units of the noise "
-            "(depth of field and distortion of the objective need the scene: see the first lines)",
+            "what each imperfection changes in a frame of a small probe, rms, in units of the noise of "
+            f"{noise_e:.3g} e- (that of light itself is {light_e / noise_e:.3f} of it, and has no switch)",
             ("effect", "size in noise", "what it is"),
-            [(row["effect"], row["size"], row["what"]) for row in effects],
+            [
+                (row["effect"], "needs a render" if row["size"] is None else row["size"], row["what"])
+                for row in effects
+            ],
         ),
         table(
             f"plan: what is left out, or coarser, adds up to {plan['predicted']:.2g} of a frame's noise "

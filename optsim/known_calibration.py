@@ -90,10 +90,10 @@ def _known(
 ) -> Calibration:
     """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
     sensor = camera.sensor
-    read_noise_dn = float(np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5))
-    black_dn = sensor.black_dn + offset_e / sensor.gain_e
+    read_noise_dn = sensor.dark_noise_e / sensor.step_e
+    black_dn = sensor.zero_dn + offset_e / sensor.step_e
     # Four sigma below the clip: of saturated pixels one in 30 000 is missed.
-    clip_dn = np.minimum(black_dn + full_well_e / sensor.gain_e, sensor.max_dn)
+    clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
     row, col, valid = picks
     return Calibration(
         source=source,
@@ -104,11 +104,11 @@ def _known(
         pick_row=row,
         pick_col=col,
         valid=valid,
-        responsivity_dn=(responsivity_e / sensor.gain_e).astype(np.float32),
+        responsivity_dn=(responsivity_e / sensor.step_e).astype(np.float32),
         black_dn=black_dn.astype(np.float32),
         saturation_dn=(clip_dn - 4 * read_noise_dn).astype(np.float32),
         read_noise_dn=read_noise_dn,
-        dn_per_e=1 / sensor.gain_e,
+        dn_per_e=1 / sensor.step_e,
         crosstalk=crosstalk,
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,

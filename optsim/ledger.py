@@ -119,5 +119,5 @@ def photon_ledger(
 def _snr(electrons: float, dark_e: float, sensor: Ccd, pixels: int) -> float:
     """Signal-to-noise ratio by EMVA 1288 (release 4.0 Linear, section 2.6), quantisation included."""
     clipped = min(electrons, sensor.full_well_e)
-    noise = sensor.read_noise_e**2 + sensor.gain_e**2 / 12
+    noise = sensor.dark_noise_e**2
     return pixels * clipped / math.sqrt(pixels * (clipped + dark_e + noise))

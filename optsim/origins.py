@@ -205,9 +205,9 @@ def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn:
     bent = ccd.bent(held + smear_e)
     bent_e = float(chance @ bent)
     shot_e = float(np.sqrt(chance @ (bent - bent_e) ** 2))
-    quantisation_e = ccd.gain_e / np.sqrt(12)
+    quantisation_e = ccd.step_e / np.sqrt(12)
     sigma_e = np.sqrt(shot_e**2 + smear_e + ccd.read_noise_e**2 + quantisation_e**2)
-    dn = (bent_e + dsnu_e) / ccd.gain_e + ccd.black_dn
+    dn = (bent_e + dsnu_e) / ccd.step_e + ccd.zero_dn
     at_well = "at the full well" if mean_e >= ccd.full_well_e else "no"
     return Reading(
         collected_e=mean_e,
@@ -216,13 +216,13 @@ def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn:
         lost_to_bend_e=float(chance @ (held + smear_e - bent)),
         dsnu_e=dsnu_e,
         signal_e=bent_e + dsnu_e,
-        gain_e=ccd.gain_e,
-        black_dn=ccd.black_dn,
+        gain_e=ccd.step_e,
+        black_dn=ccd.zero_dn,
         shot_noise_e=shot_e,
         smear_noise_e=float(np.sqrt(smear_e)),
         read_noise_e=ccd.read_noise_e,
         quantisation_noise_e=float(quantisation_e),
-        sigma_dn=float(sigma_e / ccd.gain_e),
+        sigma_dn=float(sigma_e / ccd.step_e),
         expected_dn=min(max(dn, 0.0), float(ccd.max_dn)),
         clipped="by the converter" if dn >= ccd.max_dn else at_well,
         drawn_dn=drawn_dn,

@@ -9,13 +9,17 @@ the picture, one. One half of the panel shows a random code, the other an exposu
 follows the experiment's light rule.
 
 The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
-frame's predicted noise. What a calibration takes out again, such as shading, counts in full.
+frame's predicted noise; noise that it brings adds in squares. What a calibration takes out again, such as
+shading, counts in full.
+
+A near probe's image lies in the middle and is, relatively, as little distorted as the camera's, so that its
+few pixels are hardly moved. ``mapping`` moves them as far.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -51,6 +55,9 @@ _MARGIN_PX = 4
 WHITE_OVER_INTERIOR = 40.0
 _STEP_PX = 0.5  # fine samples a slot that the patch moves
 _SEEN = 4  # one slot in so many shows the patch: each takes as long as all that stands still
+_SHIFTS = ("shift_y_px", "shift_x_px")
+# Fields of the relay that move what is far from the middle the farther.
+_SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
 # Slots that the four densities of the mosaic are open, as shares of a frame.
 _DENSITIES = (1 / 36, 1 / 12, 11 / 36, 1.0)
 
@@ -85,10 +92,13 @@ class Probe:
         Behind the neutral density of the light rule.
     radiance : RadianceVideo
         The scene.
+    mapping : Changes
+        What moves the pixels of this probe's image as far as those of the camera that it stands for.
     """
 
     camera: CodedCamera
     radiance: RadianceVideo
+    mapping: Changes = field(default_factory=dict[str, dict[str, float]])
 
     # Most changes leave most of what a frame is made from as it is.
     @cached_property
@@ -135,8 +145,18 @@ class Probe:
         both = usable & unclipped
         if not both.any():
             return float("inf")
-        noise_e = np.sqrt(np.mean(whole[usable] + self.camera.sensor.read_noise_e**2))
-        return float(np.sqrt(np.mean((whole - without)[both] ** 2)) / noise_e)
+        dark, less = (changed(self.camera, each).sensor.dark_noise_e ** 2 for each in (of, changes))
+        square = np.mean((whole - without)[both] ** 2) + abs(dark - less)
+        return float(np.sqrt(square / np.mean(whole[usable] + dark)))
+
+    def noise_e(self) -> tuple[float, float]:
+        """Noise of the frame, rms, electrons: all of it, and what of it is the light's own.
+
+        Of a frame that has no pixels or clips in all of them, it is that of the dark.
+        """
+        whole, usable = self._whole(NOTHING)
+        light = float(np.mean(whole[usable])) if usable.any() else 0.0
+        return (light + self.camera.sensor.dark_noise_e**2) ** 0.5, light**0.5
 
     def _whole(self, changes: Changes) -> tuple[Doubles, Bools]:
         return self._once(("frame", repr(changes)), lambda: self.frame(changes))
@@ -148,7 +168,24 @@ def near_probe(camera: CodedCamera, light: Illumination) -> Probe:
         part: {"wing_share": max(getattr(camera, part).wing_share, NEAR_WINGS)}
         for part in ("objective", "relay")
     }
-    return _lit(shrunk(changed(camera, reach)), light)
+    small = shrunk(changed(camera, reach))
+    return replace(_lit(small, light), mapping=_as_far(camera, small))
+
+
+def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
+    """Shift, rotation and scales that move the pixels of a small camera as far as those of the camera.
+
+    But not out of its picture: a pixel that moves as far as its margin gets quite other light than before.
+    """
+    relay, times = camera.relay, camera.panel_cols / small.panel_cols
+    most = _MARGIN_PX / (np.hypot(small.panel_rows, small.panel_cols) / 2 * small.ratio)
+    shifts = {name: _within(getattr(relay, name), _MARGIN_PX) for name in _SHIFTS}
+    scales = {name: _within(getattr(relay, name) * times, most) for name in _SCALES}
+    return {"relay": shifts | scales}
+
+
+def _within(value: float, limit: float) -> float:
+    return float(np.clip(value, -limit, limit))
 
 
 def far_probe(camera: CodedCamera, light: Illumination) -> Probe:

@@ -43,6 +43,8 @@ class Relay(LensGroup):
         Shift of the panel's image from the centre of the CCD, CCD pixels.
     rotation_rad : float
         Rotation of the panel's image, rad.
+    magnification_error : float
+        By how much larger than ``magnification`` says the panel's image is, relative.
     keystone_y, keystone_x : float
         By how much smaller the last used row, or column, is imaged than the middle one, relative.
     distortion : float
@@ -62,6 +64,7 @@ class Relay(LensGroup):
     shift_y_px: float = 0.0
     shift_x_px: float = 0.0
     rotation_rad: float = Field(default=0.0, ge=-0.05, le=0.05)
+    magnification_error: float = Field(default=0.0, ge=-0.02, le=0.02)
     keystone_y: float = Field(default=0.0, ge=-0.2, le=0.2)
     keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
     distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
@@ -84,6 +87,7 @@ class Relay(LensGroup):
     ) -> RelayGeometry:
         """Where (y, x) cells on the panel, each of so many CCD pixels in 550 nm, land on a CCD of (y, x)."""
         larger = 1 + self.lateral_colour * (wavelength_m - MONO_WAVELENGTH_M) / _COLOURS_M
+        larger *= 1 + self.magnification_error
         return RelayGeometry(
             rows=cells[0],
             cols=cells[1],

@@ -36,6 +36,7 @@ _ROUNDING_E, _ROUNDING_SHARE = 1e-6, 1e-14
 # More than any well holds and less than the most that a Poisson generator takes.
 _MOST_E = 1e18
 _STREAMS = 8
+_FEWEST_BITS, _MOST_BITS = 8, 16
 # Where dark currents are stated.
 _DATA_SHEET_C = 25.0
 _PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
@@ -77,6 +78,9 @@ class Ccd(Part):
         Of the converter.
     black_dn : float
         Black level.
+    finer_bits : int
+        Bits that the converter has beyond ``bits`` for the same range of light, of which ``gain_e`` and
+        ``black_dn`` then tell no more than before; 8 to 16 in all, since frames hold no more.
     bend_at_full_well : float
         Share of the signal that is missing at the full well; grows with the fifth power of the signal up to
         there and stays beyond, where smear may take it.
@@ -97,11 +101,12 @@ class Ccd(Part):
     prnu: float = Field(ge=0, le=0.1)
     dsnu_e: float = Field(ge=0)
     gain_e: float = Field(gt=0)
-    bits: int = Field(ge=8, le=16)
+    bits: int = Field(ge=_FEWEST_BITS, le=_MOST_BITS)
     black_dn: float = Field(ge=0)
     bend_at_full_well: float = Field(ge=0, le=0.1)
     readout_s: float = Field(gt=0)
     smear_share: float = Field(default=0.0, ge=0, le=1)
+    finer_bits: int = Field(default=0, ge=-8, le=8)
     temperature_c: float = Field(default=_DATA_SHEET_C, ge=-60, le=100)
     dark_doubling_k: float = Field(default=7.0, ge=3, le=20)
 
@@ -148,9 +153,29 @@ class Ccd(Part):
         return efficiency
 
     @property
+    def converter_bits(self) -> int:
+        """Bits of the digital numbers."""
+        return min(max(self.bits + self.finer_bits, _FEWEST_BITS), _MOST_BITS)
+
+    @property
     def max_dn(self) -> int:
         """Largest digital number."""
-        return 2**self.bits - 1
+        return 2**self.converter_bits - 1
+
+    @property
+    def step_e(self) -> float:
+        """Electrons per digital number, finer bits included."""
+        return self.gain_e * 2.0 ** (self.bits - self.converter_bits)
+
+    @property
+    def zero_dn(self) -> float:
+        """Black level in digital numbers, finer bits included."""
+        return self.black_dn * 2.0 ** (self.converter_bits - self.bits)
+
+    @property
+    def dark_noise_e(self) -> float:
+        """Temporal noise of a frame without any electrons, rms: read noise and rounding."""
+        return float(np.hypot(self.read_noise_e, self.step_e * 12**-0.5))
 
     @property
     def pixel_area_m2(self) -> float:
@@ -234,7 +259,7 @@ class Ccd(Part):
             electrons = draw.poisson(np.clip(expected, 0, _MOST_E)).astype(np.float64)
             signal = self._bent_signal(electrons, smear) + dark[rows]
             signal += draw.standard_normal(signal.shape, np.float32) * noise
-            np.clip(np.rint(signal / self.gain_e + self.black_dn), 0, self.max_dn, out=signal)
+            np.clip(np.rint(signal / self.step_e + self.zero_dn), 0, self.max_dn, out=signal)
             dn[rows] = signal
 
         # As many streams of noise as strips, whatever the number of cores: frames don't depend on it.
