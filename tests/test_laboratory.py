@@ -13,6 +13,7 @@ import pytest
 
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
+from optsim.effects import with_effects
 from optsim.errors import BenchError
 from optsim.forward.fringing import border_shares, fine_image
 from optsim.hardware.cameras import demo, prototype
@@ -270,3 +271,21 @@ def test_glare_is_told_apart() -> None:
     assert blind.mix(light)[:20, 23:50].mean(axis=0).sum() < 0.5 * theirs.sum()
     blind = replace(found, glare=replace(found.glare, ghost=0.0))
     assert blind.mix(light)[-20:-5, -20:-5].mean() < 0.5 * true.mix(light)[-20:-5, -20:-5].mean()
+
+
+@pytest.mark.parametrize("state", ["ideal", "pessimistic"])
+def test_a_bench_finds_another_converter_and_a_misaligned_panel(state: str) -> None:
+    switches = {"read_noise": state, "quantisation": state, "alignment": "pessimistic"}
+    other = with_effects(demo().model_copy(update={"panel_rows": 48, "panel_cols": 64}), switches)
+    found = calibrate_from(measure_bench(other, np.random.default_rng(11)))
+    row, col, _ = other.relay_geometry().picks(3)
+    # Centres lie near borders of pixels somewhere in the field; elsewhere the same pixel is picked.
+    assert (found.valid & (np.abs(found.pick_row - row) + np.abs(found.pick_col - col) > 0)).mean() < 0.1
+    assert found.dn_per_e * other.sensor.step_e == pytest.approx(1, rel=0.01)
+    noise_dn = other.sensor.dark_noise_e / other.sensor.step_e
+    # Rounding alone leaves darks alike but where a dark electron came: its noise, too, is in darks.
+    assert (
+        0.99 * noise_dn
+        < found.read_noise_dn
+        < np.hypot(noise_dn, 1.05 * other.dark_e**0.5 / other.sensor.step_e)
+    )
