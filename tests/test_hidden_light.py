@@ -30,7 +30,8 @@ def room(rng, *windows):
 def merged(images, true, known, seed=1, kernel=KERNEL):
     """Last of four frames of the mosaic, merged with what is known of the glare that they have.
 
-    Of one image, or of four; by a camera whose kernel may have changed since.
+    Of one image, or of four; by a camera whose kernel may have changed since. Each pixel by itself: the
+    room is white noise, which no neighbour knows.
     """
     images = images if isinstance(images, list) else [images] * 4
     rng = np.random.default_rng(seed)
@@ -45,7 +46,7 @@ def merged(images, true, known, seed=1, kernel=KERNEL):
         dn = rng.poisson(np.minimum(electrons, 1e6)) + rng.normal(0, 3, image.shape) + BLACK_DN
         counts = np.rint(dn.clip(0, 16_383)).astype(np.uint16)
         frames[index] = CodedFrame(index, counts, frame.code)
-    *_, layer = HdrMerge().layers(frames, calibration)
+    *_, layer = HdrMerge(neighbours=False).layers(frames, calibration)
     return layer
 
 

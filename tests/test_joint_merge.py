@@ -10,10 +10,12 @@ from optsim.calibrate.sample import noise_variance, predicted_variance, take
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
 from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.hdr_merge import _unsettled
+from optsim.reconstruct.frame_merge import _unsettled
 from optsim.reconstruct.joint_merge import _least_squares, solved_together
 
 ROWS, COLS = 24, 32
+# Each pixel by itself: the textures here are white noise, which no neighbour knows.
+MERGE = HdrMerge(neighbours=False)
 KERNEL = np.array([[0.02, 0.05, 0.02], [0.05, 0.72, 0.05], [0.02, 0.05, 0.02]], np.float32)
 
 
@@ -111,7 +113,7 @@ def test_what_its_neighbours_saturate_comes_out_with_its_texture():
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL, glare=Glare(veil=0.01))
     row, col = np.mgrid[:12, :16]
     image, inside = window(7.5 * (1 + 0.3 * np.sin(col / 3) * np.cos(row / 4)))
-    *_, layer = HdrMerge().decode(film_with_veil(calibration, image), calibration)
+    *_, layer = MERGE.decode(film_with_veil(calibration, image), calibration)
     assert not layer.interpolated.any()
     stops = np.log2(layer.irradiance_w_m2[0] / image)
     # Without stray light, seeds 2, 3 and 4: 0.09 to 0.10 stops.
@@ -124,12 +126,13 @@ def test_what_its_neighbours_saturate_comes_out_with_its_texture():
     np.testing.assert_allclose(layer.irradiance_w_m2[0][dark], 0.2, rtol=0.2)
 
 
-def test_what_no_frame_measured_blackens_none_of_its_neighbours():
+@pytest.mark.parametrize("neighbours", [False, True])
+def test_what_no_frame_measured_blackens_none_of_its_neighbours(neighbours):
     """A quarter of the window saturates in all frames; what is taken for it must suit the others."""
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
     image, inside = window(9.5 * np.random.default_rng(4).uniform(0.5, 1.5, (12, 16)))
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(3))
-    *_, layer = HdrMerge().decode(frames, calibration)
+    *_, layer = HdrMerge(neighbours=neighbours).decode(frames, calibration)
     hidden = layer.interpolated & inside
     assert 0.1 < hidden[inside].mean() < 0.5
     ratio = (layer.irradiance_w_m2[0] / image)[inside & ~hidden]
@@ -139,19 +142,21 @@ def test_what_no_frame_measured_blackens_none_of_its_neighbours():
 
 
 @pytest.mark.parametrize("light", [14.0, 30.0, 60.0])
-def test_a_window_that_saturates_in_all_frames_blackens_no_pixel_beside_it(light):
+@pytest.mark.parametrize("neighbours", [False, True])
+def test_a_window_that_saturates_in_all_frames_blackens_no_pixel_beside_it(light, neighbours):
     """Taken for what their shortest exposure says, its pixels may be several times too bright."""
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
     image, inside = window(light)
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(7))
-    *_, layer = HdrMerge().decode(frames, calibration)
+    *_, layer = HdrMerge(neighbours=neighbours).decode(frames, calibration)
     assert layer.interpolated[inside].mean() > 0.7
     beside = ndimage.binary_dilation(inside, np.ones((3, 3))) & ~inside & ~layer.interpolated
     assert beside.sum() > 30
     assert np.median(layer.irradiance_w_m2[0][beside]) > 0.1
 
 
-def test_what_saturates_in_long_exposures_is_not_dark_whatever_its_short_one_says():
+@pytest.mark.parametrize("neighbours", [False, True])
+def test_what_saturates_in_long_exposures_is_not_dark_whatever_its_short_one_says(neighbours):
     """What it gives its neighbours tells how bright it is. All frames are taken for one light here."""
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
     image = np.full((ROWS, COLS), 0.2, np.float32)
@@ -159,7 +164,7 @@ def test_what_saturates_in_long_exposures_is_not_dark_whatever_its_short_one_say
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
     shortest = int(np.argmin([frame.code.levels[:, 10, 10].sum() for frame in frames]))
     frames[shortest].dn[10, 10] = 114
-    *_, layer = HdrMerge(threshold_sigma=1e9).decode(frames, calibration)
+    *_, layer = HdrMerge(threshold_sigma=1e9, neighbours=neighbours).decode(frames, calibration)
     assert not layer.interpolated[10, 10]
     found, sigma = layer.irradiance_w_m2[0, 10, 10], layer.uncertainty_w_m2[0, 10, 10]
     # 69 +- 46: of light beside so much darker ones attribution knows little.
@@ -205,7 +210,7 @@ def test_where_nothing_saturates_nothing_is_solved_together(monkeypatch):
     def never(*_):
         raise AssertionError("skip what a scene doesn't need")
 
-    monkeypatch.setattr("optsim.reconstruct.hdr_merge.solved_together", never)
+    monkeypatch.setattr("optsim.reconstruct.frame_merge.solved_together", never)
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(6))
-    *_, layer = HdrMerge().decode(frames, calibration)
+    *_, layer = MERGE.decode(frames, calibration)
     np.testing.assert_allclose(layer.irradiance_w_m2[0], image, rtol=0.2)

@@ -26,8 +26,10 @@ REASON = (
     "Four of them, and 0.1 % for choosing samples by their own noise near the clip."
 )
 FILES = (
+    "optsim/reconstruct/frame_merge.py",
     "optsim/reconstruct/hdr_merge.py",
     "optsim/reconstruct/joint_merge.py",
+    "optsim/reconstruct/neighbour_pooling.py",
     "optsim/reconstruct/hidden_light.py",
     "optsim/calibrate/glare.py",
     "optsim/reconstruct/layer.py",

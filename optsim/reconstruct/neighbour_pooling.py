@@ -1,0 +1,84 @@
+"""What a pixel can't measure well by itself, its neighbours tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from optsim.quantities import Bools, Floats
+from optsim.reconstruct.layer import positive_mean
+
+# Linear interpolation between the samples of one exposure of a 2 x 2 mosaic; the pixel itself is apart.
+_AROUND = {(0, 1): 0.5, (0, -1): 0.5, (1, 0): 0.5, (-1, 0): 0.5} | dict.fromkeys(
+    [(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25
+)
+# Six passes more change the PSNR of `night_street` by 0.05 dB.
+_PASSES = 4
+_LEAST = 1e-30  # of variances, W^2 m^-4: divisions
+
+
+def pooled(
+    mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, least: Floats, contrast: float
+) -> tuple[Floats, Floats]:
+    """Mean of each pixel and those of its eight neighbours that were measured, and its variance.
+
+    Normalised convolution (H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081): a pixel's
+    certainty is one over its variance, a neighbour's is less by as much as neighbours differ. Differences are
+    taken to be Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
+    doi:10.1016/0167-2789(92)90242-F), of a scale that is a share of the light: small ones are averaged over,
+    edges stay, and what is measured well is left alone. Means are not made positive
+    before, and variances are those of the pooled light, not of each pixel's own: both would bias the dark.
+
+    Parameters
+    ----------
+    mean : ndarray of shape (v, u), float32
+        Irradiance, W m^-2; below zero by noise. A guess, and positive, where nothing was measured.
+    variance : callable
+        Of irradiance as of ``mean``, nowhere negative: the variance that the mean would have by it, W^2 m^-4.
+    measured : ndarray of shape (v, u), bool
+        What isn't tells its neighbours nothing.
+    least : ndarray of shape (v, u), float32
+        Irradiance below which saturated samples let no pixel fall; none where it is zero.
+    contrast : float
+        Scale of the differences, over the light.
+
+    Returns
+    -------
+    light, variance : ndarray of shape (v, u), float32
+        Irradiance that isn't negative, and its variance: that of the mean, more where neighbours contradict
+        it by more than was allowed for (R. T. Birge, Phys. Rev. 40, 1932, doi:10.1103/PhysRev.40.207), but no
+        more than the pixel's own. What is at ``least`` is as uncertain as bright.
+    """
+    means, known = np.pad(mean, 1), np.pad(measured, 1)
+    estimate = mean
+    own = spread = surprise = np.zeros_like(mean)
+    bounded = least > 0
+    for _ in range(_PASSES):
+        light = np.maximum(estimate, 0)
+        own = np.maximum(variance(light), _LEAST)
+        variances, there = np.pad(own, 1), np.pad(estimate, 1)
+        certainty, total = 1 / own.astype(np.float64), mean / own.astype(np.float64)
+        misfit, told = np.zeros_like(certainty), np.zeros_like(certainty)
+        for share, around in _neighbours(mean.shape):
+            differ = contrast * light * np.abs(there[around] - estimate)
+            heard = share * known[around]
+            weight = heard / np.maximum(variances[around] + differ, _LEAST)
+            certainty += weight
+            total += weight * means[around]
+            misfit += weight * (means[around] - estimate) ** 2
+            told += heard
+        surprise = misfit / np.maximum(told, 1)
+        estimate, spread = (total / certainty).astype(np.float32), (1 / certainty).astype(np.float32)
+        bounded = (least > 0) & (estimate <= least)
+        estimate = np.where(bounded, least, estimate)
+    light = np.where(measured, positive_mean(estimate, spread), estimate)
+    error = np.where(bounded, light**2, spread * np.maximum(surprise, 1))
+    return light, np.minimum(error, own).astype(np.float32)
+
+
+def _neighbours(shape: tuple[int, ...]) -> Iterator[tuple[float, tuple[slice, slice]]]:
+    """Weight of each neighbour, and where it is in an image padded by one."""
+    rows, cols = shape
+    for (row, col), share in _AROUND.items():
+        yield share, (slice(1 + row, 1 + row + rows), slice(1 + col, 1 + col + cols))
