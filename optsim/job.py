@@ -215,7 +215,7 @@ def execute(
         "methods": {m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}" for m in experiment.methods},
         **scorer.results(),
         "plan": plan_record(plan),
-        "masks": scorer.masks(frames),
+        **scorer.masks(frames),
         "noise_ceiling": ceiling,
         "evidence": evidence.status(),
         "not_modelled": list(evidence.NOT_MODELLED),

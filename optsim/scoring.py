@@ -126,24 +126,30 @@ class Scorer:
             "hypothesis": metrics.judge_hypothesis(scores, no_rivals=adaptive),
         }
 
-    def masks(self, frames: Frames) -> list[dict[str, Any]]:
-        """Agreement of each adaptive method's mask with the oracle, frame by frame."""
-        rows: list[dict[str, Any]] = []
-        for method in self.experiment.methods:
-            if method.scheme.kind != "motion_adaptive":
-                continue
-            for frame in frames[method.name]:
-                found = metrics.mask_agreement(frame.code.moving, self._moving[frame.index])
-                rows.append(
-                    {
-                        "method": method.name,
-                        "frame": frame.index,
-                        "precision": found.precision,
-                        "recall": found.recall,
-                        "iou": found.iou,
-                    }
-                )
-        return rows
+    def masks(self, frames: Frames) -> dict[str, Any]:
+        """Agreement of each adaptive method's mask with the oracle, frame by frame and by phase."""
+        tallies = [
+            metrics.MaskTally(
+                method.name,
+                frame.index,
+                metrics.mask_agreement(frame.code.moving, self._moving[frame.index]),
+            )
+            for method in self.experiment.methods
+            if method.scheme.kind == "motion_adaptive"
+            for frame in frames[method.name]
+        ]
+        rows = [
+            {
+                "method": tally.method,
+                "frame": tally.index,
+                "precision": tally.agreement.precision,
+                "recall": tally.agreement.recall,
+                "iou": tally.agreement.iou,
+            }
+            for tally in tallies
+        ]
+        pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)
+        return {"masks": rows, "pooled_masks": pooled}
 
     def photons(self, frames: Frames) -> list[dict[str, Any]]:
         """Photoelectrons that each method used, at the picked pixels, over all frames."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skimage.io import imread
 
 from optsim import job
 from optsim.errors import ConfigError, StorageError
@@ -56,6 +57,26 @@ def test_results_follow_their_schema_and_hold_no_nan(folder: Path) -> None:
     assert all(u["within_one"] > 0.05 for u in results["uncertainty"] if u["region"] == "static")
     assert results["latency"]["hypothetical"]
     assert results["noise_ceiling"]
+
+
+def test_masks_are_scored_by_phase_and_the_report_shows_them(folder: Path) -> None:
+    results = read_json(folder / "results.json")
+    pooled = {p["phase"]: p for p in results["pooled_masks"] if p["method"] == "adaptive"}
+    # Latency 1 of six frames; warm-up ends with the second frame that has arrived.
+    frames = {"warm-up": (0, 1), "merging": (2, 3, 4), "steady": (5,)}
+    assert len(results["pooled_masks"]) == len(pooled) == 3
+    table = (folder / "report.html").read_text().split('id="masks"')[1].split("</table>")[0]
+    for phase, found in pooled.items():
+        masks = [imread(folder / "masks" / "adaptive" / f"{k:06d}.png") > 0 for k in frames[phase]]
+        assert found["marked"] == pytest.approx(np.mean(masks))
+        for share in ("moves", "marked", "precision", "recall", "iou"):
+            assert f">{100 * found[share]:.1f} %<" in table
+    # All of it is marked until something is known.
+    assert (pooled["warm-up"]["marked"], pooled["warm-up"]["recall"]) == (1, 1)
+    assert pooled["warm-up"]["precision"] == pooled["warm-up"]["moves"] == pooled["warm-up"]["iou"]
+    # One frame in that phase: its own shares.
+    last = next(m for m in results["masks"] if m["frame"] == 5)
+    assert {k: last[k] for k in ("precision", "recall", "iou")}.items() <= pooled["steady"].items()
 
 
 def test_every_frame_code_and_mask_is_written(folder: Path, experiment: Experiment) -> None:

@@ -15,6 +15,7 @@ from optsim.metrics import (
     TRUTH_NOISE,
     FrameTally,
     LogRmse,
+    MaskTally,
     PhotometricScale,
     Psnr,
     Pu21Psnr,
@@ -22,6 +23,7 @@ from optsim.metrics import (
     judge_hypothesis,
     mask_agreement,
     oracle_moving,
+    pooled_mask_records,
 )
 from optsim.quantities import Reconstruction
 
@@ -84,6 +86,38 @@ def test_mask_agreement_counts() -> None:
     assert mask_agreement(np.ones((1, 6), bool), np.zeros((1, 6), bool)).precision == 0.0
     with pytest.raises(ValueCheckError, match="of one size"):
         mask_agreement(mask, oracle[:, 1:])
+
+
+def test_masks_are_pooled_by_pixels_and_by_phase() -> None:
+    """Latency 1: frames 0 and 1 are warm-up, 2 to 4 merging, then steady."""
+    oracle = np.zeros((4, 10), bool)
+    oracle[0, :8] = True
+    late = np.roll(oracle, 2, axis=1)  # 6 hits, 2 false alarms, 2 misses
+    still = np.zeros_like(oracle)
+    one = oracle & (np.arange(10) == 0)
+    pairs = {0: (~still, oracle), 2: (late, oracle), 3: (still, oracle), 4: (one, one), 5: (still, still)}
+    tallies = [MaskTally("a", k, mask_agreement(*pair)) for k, pair in pairs.items()]
+    warm_up, merging, steady = pooled_mask_records(tallies, latency_frames=1)
+    assert warm_up == {
+        "method": "a",
+        "phase": "warm-up",
+        "moves": 8 / 40,
+        "marked": 1.0,
+        "precision": 8 / 40,
+        "recall": 1.0,
+        "iou": 8 / 40,
+    }
+    # 7 hits of 9 marked and of 17 that move; means of the frames' shares would be 7/8, 7/12 and 8/15.
+    assert (merging["moves"], merging["marked"]) == (17 / 120, 9 / 120)
+    assert (merging["precision"], merging["recall"], merging["iou"]) == (7 / 9, 7 / 17, 7 / 19)
+    assert (steady["moves"], steady["marked"]) == (0, 0)
+    assert steady["precision"] is steady["recall"] is steady["iou"] is None
+    # Marked where nothing moves, and the other way round: one of the shares has a meaning.
+    (alarm,) = pooled_mask_records([MaskTally("a", 9, mask_agreement(one, still))], latency_frames=1)
+    assert (alarm["precision"], alarm["recall"], alarm["iou"]) == (0, None, 0)
+    (missed,) = pooled_mask_records([MaskTally("a", 9, mask_agreement(still, one))], latency_frames=1)
+    assert (missed["precision"], missed["recall"], missed["iou"]) == (None, 0, 0)
+    assert pooled_mask_records([], latency_frames=1) == []
 
 
 # --- score board ----------------------------------------------------------------------------------

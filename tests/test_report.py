@@ -15,7 +15,15 @@ import pytest
 from optsim import metrics, report
 from optsim.errors import StorageError, ValueCheckError
 from optsim.files import read_json, write_json
-from optsim.metrics import PhotometricScale, ScoreBoard, judge_hypothesis, mask_agreement, oracle_moving
+from optsim.metrics import (
+    MaskTally,
+    PhotometricScale,
+    ScoreBoard,
+    judge_hypothesis,
+    mask_agreement,
+    oracle_moving,
+    pooled_mask_records,
+)
 from optsim.quantities import Reconstruction
 from optsim.report import headline, plots, words
 from optsim.report.pictures import (
@@ -62,7 +70,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
     rng = np.random.default_rng(7)
     scale = PhotometricScale(white_w_m2_sr=0.5, irradiance_per_radiance=0.02)
     board = ScoreBoard(metrics.ALL, scale, 1, SLOTS)
-    tallies, ceiling, masks, shots, pairs = [], [], [], {}, []
+    tallies, ceiling, masks, marked, shots, pairs = [], [], [], [], {}, []
     previous = None
     for index in range(n_frames):
         reference, outside = truth_frame(index, rows, cols)
@@ -82,6 +90,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             tallies.append(board.tally(name, r, reference, moving))
             if name == "adaptive":
                 agreement = mask_agreement(r.moving, moving)
+                marked.append(MaskTally(name, index, agreement))
                 masks.append(
                     {
                         "method": name,
@@ -218,6 +227,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             for m, region, n in (("hdr_mosaic", "all", 100), ("normal", "moving", 0))
         ],
         "masks": masks,
+        "pooled_masks": pooled_mask_records(marked, latency_frames=1),
         "noise_ceiling": board.records(ceiling),
         "hypothesis": judge_hypothesis(scores),
         "evidence": [
@@ -418,6 +428,27 @@ def test_uncertainties_are_told_where_a_method_states_them(run_folder: Path, res
     # Runs from before this version say nothing of them.
     older = {key: value for key, value in results.items() if key != "uncertainty"}
     assert 'id="uncertainty"' not in report.write_report(run_folder, older).read_text()
+
+
+def test_masks_are_told_by_phase_and_a_dash_where_they_have_no_meaning(
+    run_folder: Path, results: dict[str, Any]
+) -> None:
+    row = {"method": "adaptive", "phase": "steady", "moves": 0.05, "marked": 0.125}
+    shares = {"precision": 0.3, "recall": 0.75, "iou": 0.2727}
+    still = {"method": "late", "phase": "steady", "moves": 0.0, "marked": 0.0}
+    nothing = dict.fromkeys(shares)
+    told = {**results, "pooled_masks": [row | shares, still | nothing]}
+    page = report.write_report(run_folder, told).read_text()
+    table = page.split("Motion mask against the oracle</h3>")[1].split("</table>")[0]
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", table)
+    assert cells[:7] == ["adaptive", "steady", "5.0 %", "12.5 %", "30.0 %", "75.0 %", "27.3 %"]
+    assert cells[7:] == ["late", "steady", "0.0 %", "0.0 %", "–", "–", "–"]
+    for share in (float("nan"), "none"):
+        with pytest.raises(ValueCheckError, match=r"pooled_masks\.0\.iou"):
+            report.check_results({**told, "pooled_masks": [row | shares | {"iou": share}]})
+    # Runs from before this version have the masks frame by frame only.
+    older = {key: value for key, value in results.items() if key != "pooled_masks"}
+    assert 'id="masks"' not in report.write_report(run_folder, older).read_text()
 
 
 def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, Any]) -> None:

@@ -26,7 +26,7 @@ from optsim.coding import MotionAdaptive, RandomExposure
 from optsim.forward.neighbourhoods import grown
 from optsim.hardware import prototype
 from optsim.known_calibration import ideal_calibration
-from optsim.metrics import MaskAgreement, mask_agreement, oracle_moving
+from optsim.metrics import MaskAgreement, mask_agreement, oracle_moving, pooled_agreement
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats
 from optsim.reconstruct import GaussianMixture, Union
@@ -116,8 +116,7 @@ class Score:
 
 def pooled(scores: list[Score]) -> dict[str, float | None]:
     """Precision, recall, IoU and loss in dB of several frames together."""
-    counts = [(a.hits, a.false_alarms, a.misses, a.correct_static) for a in (s.agreement for s in scores)]
-    mask = MaskAgreement(*(sum(column) for column in zip(*counts, strict=True)))
+    mask = pooled_agreement(s.agreement for s in scores)
     ratio = sum(s.squared for s in scores) / sum(s.squared_random for s in scores)
     return {
         "precision": mask.precision,

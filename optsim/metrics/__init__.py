@@ -7,7 +7,14 @@ Every metric takes luminance in cd/m^2, (slot, v, u), float32, and streams: ``su
 from optsim.metrics.hypothesis import judge_hypothesis
 from optsim.metrics.log_error import LogRmse
 from optsim.metrics.metric import Metric
-from optsim.metrics.oracle import MaskAgreement, mask_agreement, oracle_moving
+from optsim.metrics.oracle import (
+    MaskAgreement,
+    MaskTally,
+    mask_agreement,
+    oracle_moving,
+    pooled_agreement,
+    pooled_mask_records,
+)
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
@@ -22,6 +29,7 @@ __all__ = [
     "FrameTally",
     "LogRmse",
     "MaskAgreement",
+    "MaskTally",
     "Metric",
     "PhotometricScale",
     "Psnr",
@@ -34,6 +42,8 @@ __all__ = [
     "mask_agreement",
     "oracle_moving",
     "phase_of",
+    "pooled_agreement",
+    "pooled_mask_records",
     "tally_uncertainty",
     "uncertainty_records",
 ]

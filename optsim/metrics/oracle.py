@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import cast
+from typing import TypedDict, cast
 
 import numpy as np
 
 from optsim.errors import ValueCheckError
+from optsim.metrics.scoring import Phase, by_method_and_phase
 from optsim.quantities import Bools, Floats, checked
 
 SIGMAS = 2.0
@@ -70,6 +72,9 @@ def oracle_moving(
 class MaskAgreement:
     """Counts of a mask against the oracle; shares are None where they have no meaning.
 
+    Precision and recall as in C. J. van Rijsbergen, Information Retrieval, 2nd ed. (1979), chapter 7;
+    intersection over union is the index of P. Jaccard, New Phytologist 11, 37 (1912).
+
     Parameters
     ----------
     hits, false_alarms, misses, correct_static : int
@@ -108,6 +113,67 @@ def mask_agreement(mask: Bools, oracle: Bools) -> MaskAgreement:
     in_mask, in_oracle = int(np.count_nonzero(mask)), int(np.count_nonzero(oracle))
     false_alarms, misses = in_mask - hits, in_oracle - hits
     return MaskAgreement(hits, false_alarms, misses, mask.size - hits - false_alarms - misses)
+
+
+@dataclass(frozen=True)
+class MaskTally:
+    """One method's mask in one coded frame, counted against the oracle.
+
+    Parameters
+    ----------
+    method : str
+        Whose mask.
+    index : int
+        Coded-frame index.
+    agreement : MaskAgreement
+        Of all panel pixels.
+    """
+
+    method: str
+    index: int
+    agreement: MaskAgreement
+
+
+class PooledMaskRecord(TypedDict):
+    """Masks of a phase against the oracle: shares of pixels that move and are marked, and how they agree."""
+
+    method: str
+    phase: Phase
+    moves: float
+    marked: float
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
+def pooled_agreement(agreements: Iterable[MaskAgreement]) -> MaskAgreement:
+    """Add up the counts of several frames.
+
+    A mean of the frames' own shares would let one in which hardly anything moves weigh as much as the others,
+    and one without a share had to be left out.
+    """
+    counts = [(a.hits, a.false_alarms, a.misses, a.correct_static) for a in agreements]
+    return MaskAgreement(*(sum(column) for column in zip(*counts, strict=True)))
+
+
+def pooled_mask_records(tallies: Iterable[MaskTally], latency_frames: int) -> list[PooledMaskRecord]:
+    """Pool masks by method and phase; phases without frames are left out."""
+    found: list[PooledMaskRecord] = []
+    for (method, phase), group in by_method_and_phase(tallies, latency_frames).items():
+        mask = pooled_agreement(t.agreement for t in group)
+        pixels = mask.hits + mask.false_alarms + mask.misses + mask.correct_static
+        found.append(
+            {
+                "method": method,
+                "phase": phase,
+                "moves": (mask.hits + mask.misses) / pixels,
+                "marked": (mask.hits + mask.false_alarms) / pixels,
+                "precision": mask.precision,
+                "recall": mask.recall,
+                "iou": mask.iou,
+            }
+        )
+    return found
 
 
 def _share(part: int, whole: int) -> float | None:

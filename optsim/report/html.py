@@ -92,6 +92,7 @@ def _context(results: Results) -> dict[str, object]:
         "frame_plots": _series_plots(results, results["frame_series"], "coded frame", latency["frames"]),
         "slot_plots": _series_plots(results, results["slot_series"], "slot in the coded frame", None),
         "mask_plot": _mask_plot(results),
+        "pooled_masks": results.get("pooled_masks", []),
         "time_plot": plots.bar_plot(
             [(t["stage"], t["wall_s"], words.seconds(t["wall_s"])) for t in results["timings"]],
             title="Wall time of each stage",

@@ -177,6 +177,23 @@ class MaskScore(TypedDict):
 
 
 @with_config(_STRICT)
+class PooledMask(TypedDict):
+    """A method's motion masks of a phase against the oracle, all pixels of its frames counted together.
+
+    ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is null where nothing is marked,
+    ``recall`` where nothing moves, ``iou`` where both are so.
+    """
+
+    method: str
+    phase: Phase
+    moves: float
+    marked: float
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
+@with_config(_STRICT)
 class Verdict(TypedDict):
     """One registered claim and how it came out."""
 
@@ -264,6 +281,7 @@ class Results(TypedDict):
     slot_series: list[Series]
     uncertainty: NotRequired[list[Uncertainty]]
     masks: list[MaskScore]
+    pooled_masks: NotRequired[list[PooledMask]]
     noise_ceiling: list[Score]
     hypothesis: list[Verdict]
     plan: Plan
