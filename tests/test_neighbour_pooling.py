@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ideal_camera import film as filmed
 from ideal_camera import ideal_calibration, still_light
 
@@ -70,7 +72,8 @@ def test_noise_about_zero_averages_to_the_light_it_is_about():
     noisy = (light + rng.normal(size=light.shape)).astype(np.float32)
     found, variance = pooled(noisy, np.ones_like, EVERYWHERE, NOWHERE, 0.05)
     alone, _ = pooled(noisy, np.ones_like, ~EVERYWHERE, NOWHERE, 0.05)
-    np.testing.assert_array_equal(alone, noisy)  # nobody measured, nobody tells
+    # Nobody measured, nobody tells.
+    np.testing.assert_array_equal(alone, np.maximum(noisy, 0))
     # A pixel and three neighbours' worth of others: half the noise, of which the positive part is 0.5 or so.
     assert found.mean() < 0.6
     assert 1 / 4 < variance.mean() < 1 / 3
@@ -165,3 +168,22 @@ def test_the_paper_averages_no_neighbours():
     light = np.random.default_rng(5).uniform(0.01, 0.03, (ROWS, COLS)).astype(np.float32)
     alone, together = (decoded(light, HdrMosaic(), paper_literal=True, neighbours=n) for n in (False, True))
     np.testing.assert_array_equal(alone.irradiance_w_m2, together.irradiance_w_m2)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 2**32 - 1))
+def test_any_light_and_any_noise_give_light(seed):
+    """Finite and none negative, of 24 decades of irradiance either side of zero and of 48 of variance."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(1, 9, 2))
+    mean = 10.0 ** rng.uniform(-12, 12, shape) * rng.choice([1, -1, 0], shape)
+    own = (10.0 ** rng.uniform(-24, 24, shape) * rng.choice([1, 0], shape)).astype(np.float32)
+    measured = rng.random(shape) < 0.7
+    mean = np.where(measured, mean, np.abs(mean)).astype(np.float32)
+    least = np.where(rng.random(shape) < 0.2, np.abs(mean), 0).astype(np.float32)
+    light, variance = pooled(mean, lambda x: own + np.float32(1e-3) * x, measured, least, 0.05)
+    for each in (light, variance):
+        assert each.dtype == np.float32
+        assert np.isfinite(each).all()
+        assert (each >= 0).all()
+    assert (light >= least).all()

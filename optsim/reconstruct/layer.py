@@ -79,7 +79,8 @@ def positive_mean(mean: Floats, variance: Floats) -> Floats:
     result = mean.copy()
     near = mean < _FAR * sigma
     x, s = mean[near].astype(np.float64), sigma[near].astype(np.float64)
-    result[near] = x + s * np.sqrt(2 / np.pi) / erfcx(-x / s / np.sqrt(2))
+    # Far below zero these two cancel but for rounding.
+    result[near] = np.maximum(x + s * np.sqrt(2 / np.pi) / erfcx(-x / s / np.sqrt(2)), 0)
     return result
 
 

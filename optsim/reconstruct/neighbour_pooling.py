@@ -72,7 +72,7 @@ def pooled(
         estimate, spread = (total / certainty).astype(np.float32), (1 / certainty).astype(np.float32)
         bounded = (least > 0) & (estimate <= least)
         estimate = np.where(bounded, least, estimate)
-    light = np.where(measured, positive_mean(estimate, spread), estimate)
+    light = np.where(measured, positive_mean(estimate, spread), np.maximum(estimate, 0))
     error = np.where(bounded, light**2, spread * np.maximum(surprise, 1))
     return light, np.minimum(error, own).astype(np.float32)
 
