@@ -138,16 +138,7 @@ class Scorer:
             if method.scheme.kind == "motion_adaptive"
             for frame in frames[method.name]
         ]
-        rows = [
-            {
-                "method": tally.method,
-                "frame": tally.index,
-                "precision": tally.agreement.precision,
-                "recall": tally.agreement.recall,
-                "iou": tally.agreement.iou,
-            }
-            for tally in tallies
-        ]
+        rows = [{"method": t.method, "frame": t.index, **t.agreement.shares} for t in tallies]
         pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)
         return {"masks": rows, "pooled_masks": pooled}
 

@@ -68,6 +68,14 @@ def oracle_moving(
     return cast("Bools", high - low > threshold)
 
 
+class MaskShares(TypedDict):
+    """How a mask and the oracle agree; None where a share has no meaning."""
+
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
 @dataclass(frozen=True)
 class MaskAgreement:
     """Counts of a mask against the oracle; shares are None where they have no meaning.
@@ -100,6 +108,11 @@ class MaskAgreement:
     def iou(self) -> float | None:
         """Intersection over union."""
         return _share(self.hits, self.hits + self.false_alarms + self.misses)
+
+    @property
+    def shares(self) -> MaskShares:
+        """All three."""
+        return {"precision": self.precision, "recall": self.recall, "iou": self.iou}
 
 
 def mask_agreement(mask: Bools, oracle: Bools) -> MaskAgreement:
@@ -134,16 +147,13 @@ class MaskTally:
     agreement: MaskAgreement
 
 
-class PooledMaskRecord(TypedDict):
+class PooledMaskRecord(MaskShares):
     """Masks of a phase against the oracle: shares of pixels that move and are marked, and how they agree."""
 
     method: str
     phase: Phase
     moves: float
     marked: float
-    precision: float | None
-    recall: float | None
-    iou: float | None
 
 
 def pooled_agreement(agreements: Iterable[MaskAgreement]) -> MaskAgreement:
@@ -168,9 +178,7 @@ def pooled_mask_records(tallies: Iterable[MaskTally], latency_frames: int) -> li
                 "phase": phase,
                 "moves": (mask.hits + mask.misses) / pixels,
                 "marked": (mask.hits + mask.false_alarms) / pixels,
-                "precision": mask.precision,
-                "recall": mask.recall,
-                "iou": mask.iou,
+                **mask.shares,
             }
         )
     return found

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from optsim.quantities import Bools, Floats
+from optsim.quantities import Bools, Doubles, Floats
 from optsim.reconstruct.layer import positive_mean
 
 # Linear interpolation between the samples of one exposure of a 2 x 2 mosaic; the pixel itself is apart.
@@ -27,8 +27,8 @@ def pooled(
     certainty is one over its variance, a neighbour's is less by as much as neighbours differ. Differences are
     taken to be Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
     doi:10.1016/0167-2789(92)90242-F), of a scale that is a share of the light: small ones are averaged over,
-    edges stay, and what is measured well is left alone. Means are not made positive
-    before, and variances are those of the pooled light, not of each pixel's own: both would bias the dark.
+    edges stay, and what is measured well is left alone. Means are not made positive before, and variances are
+    those of the pooled light, not of each pixel's own: both would bias the dark.
 
     Parameters
     ----------
@@ -51,29 +51,31 @@ def pooled(
         more than the pixel's own. What is at ``least`` is as uncertain as bright.
     """
     means, known = np.pad(mean, 1), np.pad(measured, 1)
-    estimate = mean
-    own = spread = surprise = np.zeros_like(mean)
-    bounded = least > 0
-    for _ in range(_PASSES):
+    heard = [share * known[around] for share, around in _neighbours(mean.shape)]
+    floor = np.where(least > 0, least, np.float32(-np.inf))
+
+    def again(estimate: Floats) -> tuple[Floats, Doubles, Doubles, Floats]:
+        """Estimate, its variance if all agree, how far they do, and the pixel's own variance."""
         light = np.maximum(estimate, 0)
         own = np.maximum(variance(light), _LEAST)
         variances, there = np.pad(own, 1), np.pad(estimate, 1)
         certainty, total = 1 / own.astype(np.float64), mean / own.astype(np.float64)
-        misfit, told = np.zeros_like(certainty), np.zeros_like(certainty)
-        for share, around in _neighbours(mean.shape):
+        misfit = np.zeros_like(certainty)
+        for told, (_, around) in zip(heard, _neighbours(mean.shape), strict=True):
             differ = contrast * light * np.abs(there[around] - estimate)
-            heard = share * known[around]
-            weight = heard / np.maximum(variances[around] + differ, _LEAST)
+            weight = told / np.maximum(variances[around] + differ, _LEAST)
             certainty += weight
             total += weight * means[around]
             misfit += weight * (means[around] - estimate) ** 2
-            told += heard
-        surprise = misfit / np.maximum(told, 1)
-        estimate, spread = (total / certainty).astype(np.float32), (1 / certainty).astype(np.float32)
-        bounded = (least > 0) & (estimate <= least)
-        estimate = np.where(bounded, least, estimate)
+        surprise = misfit / np.maximum(sum(heard), 1)
+        return np.maximum((total / certainty).astype(np.float32), floor), 1 / certainty, surprise, own
+
+    estimate, spread, surprise, own = again(mean)
+    for _ in range(_PASSES - 1):
+        estimate, spread, surprise, own = again(estimate)
+    spread = spread.astype(np.float32)
     light = np.where(measured, positive_mean(estimate, spread), np.maximum(estimate, 0))
-    error = np.where(bounded, light**2, spread * np.maximum(surprise, 1))
+    error = np.where(estimate <= floor, light**2, spread * np.maximum(surprise, 1))
     return light, np.minimum(error, own).astype(np.float32)
 
 
