@@ -379,46 +379,6 @@ def test_own_matrices_equal_shared_ones_and_survive_dead_pixels(monkeypatch):
     assert around.mean() < 0.1, "a dead pixel's zero is left out, not believed"
 
 
-def test_union_takes_each_branch_in_its_place():
-    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
-    lights = crossing(6)
-    frames = film(calibration, MotionAdaptive(), lights, np.random.default_rng(1))
-    *_, joined = Union().decode(frames, calibration)
-    *_, still = HdrMerge().decode(frames, calibration)
-    *_, video = SparseCoding().decode(frames, calibration)
-    moving = frames[-1].code.moving
-    assert moving.any()
-    assert not moving.all()
-    np.testing.assert_array_equal(joined.moving, moving)
-    np.testing.assert_allclose(joined.irradiance_w_m2[:, moving], video.irradiance_w_m2[:, moving], atol=1e-6)
-    far = ~np.pad(moving, 8, mode="edge")
-    far = np.lib.stride_tricks.sliding_window_view(far, (17, 17)).all(axis=(2, 3))
-    assert far.any()
-    np.testing.assert_array_equal(joined.irradiance_w_m2[:, far], still.irradiance_w_m2[:, far])
-    steps = np.abs(np.diff(joined.irradiance_w_m2.mean(axis=0), axis=1))
-    assert steps.max() < 1.0
-    assert joined.uncertainty_w_m2 is None, "the video doesn't know"
-
-
-def test_union_is_as_sure_as_who_makes_the_picture():
-    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
-    frames = film(calibration, MotionAdaptive(), crossing(6), np.random.default_rng(1))
-    sure = GaussianMixture(uncertainty=True)
-    *_, joined = Union(moving=sure).decode(frames, calibration)
-    *_, still = HdrMerge().decode(frames, calibration)
-    *_, video = sure.layers(frames, calibration)
-    moving, spread = frames[-1].code.moving, joined.uncertainty_w_m2
-    np.testing.assert_allclose(spread[:, moving], video.uncertainty_w_m2[:, moving], rtol=1e-5)
-    np.testing.assert_array_equal(
-        spread[:, video.opacity == 0], still.uncertainty_w_m2[:, video.opacity == 0]
-    )
-    mixed = (video.opacity > 0) & (video.opacity < 1)
-    assert mixed.any()
-    both = np.stack([still.uncertainty_w_m2, video.uncertainty_w_m2])[:, :, mixed]
-    assert (spread[:, mixed] <= both.max(axis=0) * (1 + 1e-5)).all()
-    assert (spread[:, mixed] >= both.min(axis=0) * (1 - 1e-5)).all()
-
-
 @pytest.mark.parametrize(("literal", "neighbours"), [(False, False), (False, True), (True, False)])
 @pytest.mark.parametrize("kernel", [np.ones((1, 1), np.float32), KERNEL])
 def test_merge_errs_by_what_it_says(kernel, literal, neighbours):

@@ -126,7 +126,8 @@ def test_the_union_fades_from_one_branch_to_the_other(monkeypatch: pytest.Monkey
     still_valid = np.array([[True, True, True, False]])
 
     def layer(value: float, opacity: list[float], valid: np.ndarray, filled: np.ndarray) -> Any:
-        def layers(*_: Any) -> Iterator[Layer]:
+        def layers(_: Any, frames: Any, *__: Any) -> Iterator[Layer]:
+            next(iter(frames))
             image = np.full((36, 1, 4), value, np.float32)
             yield Layer(0, image, np.array([opacity], np.float32), valid, filled, moving, 36)
 
@@ -134,7 +135,9 @@ def test_the_union_fades_from_one_branch_to_the_other(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(HdrMerge, "layers", layer(1.0, [1, 1, 1, 1], still_valid, yes))
     monkeypatch.setattr(SparseCoding, "layers", layer(3.0, [1, 0.5, 0, 1], moving, no))
-    joined = next(iter(Union().decode([], ideal_calibration(1, 4))))
+    calibration = ideal_calibration(1, 4)
+    frames = film(calibration, RandomExposure(), [scene(0.5)[:, :1, :4]], None)
+    joined = next(iter(Union(video="coded").decode(frames, calibration)))
     np.testing.assert_allclose(joined.irradiance_w_m2[7], [[3, 2, 1, 3]])
     np.testing.assert_array_equal(joined.valid, [[True, True, True, True]])
     np.testing.assert_array_equal(joined.interpolated, [[False, False, True, False]])

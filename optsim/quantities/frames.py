@@ -102,7 +102,7 @@ class Reconstruction:
     interpolated : ndarray of shape (v, u), bool
         Filled from neighbours rather than measured.
     moving : ndarray of shape (v, u), bool
-        Pixels taken from the sparse decoder.
+        Pixels whose light the decoder took for changing.
     uncertainty_w_m2 : ndarray of shape (slot, v, u), float32, or None
         Standard deviation of the irradiance as the decoder itself predicts it, before negative light is
         clipped; without meaning where not valid. None where the decoder doesn't know.

@@ -40,7 +40,8 @@ class HdrMerge(Branch):
 
     What saturates in every frame is as bright as its glare says, region by region
     (:func:`~optsim.reconstruct.hidden_light.told_by_glare`), or just bright enough to saturate. What is
-    filled is as uncertain as bright.
+    filled is as uncertain as bright. ``moving`` is what changed since the frame before; all that nobody
+    compared counts as changed.
 
     Parameters
     ----------
@@ -80,6 +81,7 @@ class HdrMerge(Branch):
         """As :meth:`decode`: one image a frame."""
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
+        everywhere = np.ones(calibration.shape, np.bool_)
         for frame, sample in sampled(frames, calibration, crosstalk):
             recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
             samples = [kept.sample for kept in recent]
@@ -101,7 +103,7 @@ class HdrMerge(Branch):
                 np.ones(calibration.shape, np.float32),
                 valid,
                 ~together.found & sample.valid,
-                np.zeros(calibration.shape, np.bool_),
+                ~alive[1] if len(alive) > 1 and not self.paper_literal else everywhere,
                 calibration.slots_per_frame,
                 np.where(together.found, error, light).astype(np.float32)[None],
             )

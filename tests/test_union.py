@@ -1,0 +1,155 @@
+"""The union: a video where something moves, the merge of frames where nothing does."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from ideal_camera import SLOTS, film, ideal_calibration, still_light
+
+from optsim.coding import MotionAdaptive, RandomExposure
+from optsim.reconstruct import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
+from optsim.reconstruct.union import _nearness
+
+ROWS, COLS = 32, 40
+
+
+def crossing(n):
+    """A dim wall with a bright bar that crosses it."""
+    light = np.full((n * SLOTS, ROWS, COLS), 0.2, np.float32)
+    u = np.arange(COLS)
+    for slot in range(n * SLOTS):
+        light[slot, 8:20] += np.clip(1 - np.abs(u - 6 - 0.15 * slot) / 4, 0, 1).astype(np.float32)
+    return list(light.reshape(n, SLOTS, ROWS, COLS))
+
+
+def textured():
+    """A wall that no patch of a few atoms describes."""
+    return np.random.default_rng(4).uniform(0.05, 0.4, (ROWS, COLS)).astype(np.float32)
+
+
+def test_equation_1_takes_each_branch_in_its_place():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(6)
+    frames = film(calibration, MotionAdaptive(), lights, np.random.default_rng(1))
+    *_, joined = Union(video="coded").decode(frames, calibration)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, video = SparseCoding().decode(frames, calibration)
+    moving = frames[-1].code.moving
+    assert moving.any()
+    assert not moving.all()
+    np.testing.assert_array_equal(joined.moving, moving)
+    np.testing.assert_allclose(joined.irradiance_w_m2[:, moving], video.irradiance_w_m2[:, moving], atol=1e-6)
+    far = ~np.pad(moving, 8, mode="edge")
+    far = np.lib.stride_tricks.sliding_window_view(far, (17, 17)).all(axis=(2, 3))
+    assert far.any()
+    np.testing.assert_array_equal(joined.irradiance_w_m2[:, far], still.irradiance_w_m2[:, far])
+    steps = np.abs(np.diff(joined.irradiance_w_m2.mean(axis=0), axis=1))
+    assert steps.max() < 1.0
+    assert joined.uncertainty_w_m2 is None, "the video doesn't know"
+
+
+def test_union_is_as_sure_as_who_makes_the_picture():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, MotionAdaptive(), crossing(6), np.random.default_rng(1))
+    sure = GaussianMixture(uncertainty=True)
+    *_, joined = Union(moving=sure, video="coded").decode(frames, calibration)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, video = sure.layers(frames, calibration)
+    moving, spread = frames[-1].code.moving, joined.uncertainty_w_m2
+    np.testing.assert_allclose(spread[:, moving], video.uncertainty_w_m2[:, moving], rtol=1e-5)
+    np.testing.assert_array_equal(
+        spread[:, video.opacity == 0], still.uncertainty_w_m2[:, video.opacity == 0]
+    )
+    mixed = (video.opacity > 0) & (video.opacity < 1)
+    assert mixed.any()
+    both = np.stack([still.uncertainty_w_m2, video.uncertainty_w_m2])[:, :, mixed]
+    assert (spread[:, mixed] <= both.max(axis=0) * (1 + 1e-5)).all()
+    assert (spread[:, mixed] >= both.min(axis=0) * (1 - 1e-5)).all()
+
+
+def test_what_no_longer_changes_is_merged():
+    """The bar stops; the mask, made from older frames, still asks for a video of where it was."""
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(4)
+    lights += [still_light(lights[-1][-1])] * 2
+    frames = film(calibration, MotionAdaptive(), lights, np.random.default_rng(1), latency=2)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, joined = Union().decode(frames, calibration)
+    *_, paper = Union(video="coded").decode(frames, calibration)
+    coded = frames[-1].code.moving
+    assert coded.sum() > 100
+    assert joined.moving.sum() < 0.2 * paper.moving.sum()
+    assert not (joined.moving & ~coded).any()
+
+    def error(found):
+        return np.sqrt(np.square(found.irradiance_w_m2 - lights[-1])[:, coded].mean())
+
+    assert error(joined) < 0.7 * error(paper)
+    assert error(joined) < 1.1 * error(still)
+
+
+def test_what_changes_is_a_video():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(6)
+    frames = film(calibration, MotionAdaptive(), lights, np.random.default_rng(1))
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, joined = Union().decode(frames, calibration)
+    *_, paper = Union(video="coded").decode(frames, calibration)
+    moves = np.ptp(lights[-1], axis=0) > 0.05
+    assert moves.sum() > 50
+
+    def error(found):
+        return np.sqrt(np.square(found.irradiance_w_m2 - lights[-1])[:, moves].mean())
+
+    # The bar's rims change less than noise does, and are merged.
+    assert error(joined) < 1.15 * error(paper)
+    assert error(joined) < 0.8 * error(still)
+
+
+def test_a_random_code_of_a_still_wall_is_merged():
+    """All is coded for a video, and nothing moves: frames add up as a mosaic's do."""
+    calibration = ideal_calibration(ROWS, COLS)
+    light = still_light(textured())
+    frames = film(calibration, RandomExposure(), [light] * 4, np.random.default_rng(1))
+    assert all(frame.code.moving.all() for frame in frames)
+    first, *_, fourth = Union().decode(frames, calibration)
+    *_, still = HdrMerge().decode(frames, calibration)
+    np.testing.assert_array_equal(first.moving, True)
+    # One such film in 75 has a false alarm, which calls for a video of up to a fifth of so small a picture.
+    assert fourth.moving.mean() < 0.25
+    np.testing.assert_allclose(
+        fourth.irradiance_w_m2[:, ~fourth.moving], still.irradiance_w_m2[:, ~fourth.moving], rtol=0.1
+    )
+
+
+@pytest.mark.parametrize("static", [HdrMerge(n_frames=1), HdrMerge(paper_literal=True)])
+def test_a_merge_that_compares_nothing_leaves_it_to_the_mask(static):
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, MotionAdaptive(), crossing(4), np.random.default_rng(1))
+    one, other = (
+        Union(static=static, moving=Interpolation(), video=video).decode(frames, calibration)
+        for video in ("changed", "coded")
+    )
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.irradiance_w_m2, b.irradiance_w_m2)
+        np.testing.assert_array_equal(a.moving, b.moving)
+
+
+def test_nearness_falls_by_e_in_its_distance():
+    changed = np.zeros((41, 41), np.bool_)
+    changed[20] = True
+    near = _nearness(changed, 4.0)
+    np.testing.assert_allclose(near[28:40] / near[24:36], np.exp(-1), rtol=1e-4)
+    np.testing.assert_allclose(near, near[::-1], rtol=1e-5)
+    assert near[20, 20] == near.max() > 0.8
+    assert not _nearness(np.zeros((5, 7), np.bool_), 3.0).any()
+    np.testing.assert_allclose(_nearness(np.ones((5, 7), np.bool_), 3.0), 1, rtol=1e-6)
+
+
+@given(arrays.arrays(np.bool_, st.tuples(st.integers(1, 9), st.integers(1, 9))), st.floats(0.01, 1e4))
+def test_nearness_is_a_share(changed, fade_px):
+    near = _nearness(changed, fade_px)
+    assert near.dtype == np.float32
+    assert (near >= 0).all()
+    assert (near <= 1).all()
