@@ -119,7 +119,7 @@ def test_a_random_code_of_a_still_wall_is_merged():
     # One such film in 75 has a false alarm, which calls for a video of up to a fifth of so small a picture.
     assert fourth.moving.mean() < 0.25
     np.testing.assert_allclose(
-        fourth.irradiance_w_m2[:, ~fourth.moving], still.irradiance_w_m2[:, ~fourth.moving], rtol=0.1
+        fourth.irradiance_w_m2[:, ~fourth.moving], still.irradiance_w_m2[:, ~fourth.moving], rtol=0.15
     )
 
 
@@ -142,7 +142,7 @@ def test_nearness_falls_by_e_in_its_distance():
     near = _nearness(changed, 4.0)
     np.testing.assert_allclose(near[28:40] / near[24:36], np.exp(-1), rtol=1e-4)
     np.testing.assert_allclose(near, near[::-1], rtol=1e-5)
-    assert near[20, 20] == near.max() > 0.8
+    assert near[20, 20] == near.max() == pytest.approx((1 + 2 * np.exp(-1 / 4)) / 3)
     assert not _nearness(np.zeros((5, 7), np.bool_), 3.0).any()
     np.testing.assert_allclose(_nearness(np.ones((5, 7), np.bool_), 3.0), 1, rtol=1e-6)
 
