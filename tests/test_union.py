@@ -116,8 +116,8 @@ def test_a_random_code_of_a_still_wall_is_merged():
     first, *_, fourth = Union().decode(frames, calibration)
     *_, still = HdrMerge().decode(frames, calibration)
     np.testing.assert_array_equal(first.moving, True)
-    # One such film in 75 has a false alarm, which calls for a video of up to a fifth of so small a picture.
-    assert fourth.moving.mean() < 0.25
+    # One such film in 75 has a false alarm, which calls for a video of up to a third of so small a picture.
+    assert fourth.moving.mean() < 0.35
     np.testing.assert_allclose(
         fourth.irradiance_w_m2[:, ~fourth.moving], still.irradiance_w_m2[:, ~fourth.moving], rtol=0.15
     )

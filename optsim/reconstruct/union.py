@@ -58,14 +58,14 @@ class Union(Part):
         (1). A merge of one frame, or as the paper has it, knows of no change; then both are the same.
     fade_px : float
         Distance from a change over which the video's share falls to 1/e, panel pixels. The share that errs
-        least falls so in 2 on ``window_room``, in 6 on ``half_moving``; 3 lies between (no source).
+        least falls so in 2 on ``window_room``, in 6 on ``half_moving``; 4 lies between (no source).
     """
 
     kind: Literal["union"] = "union"
     static: HdrMerge = HdrMerge()
     moving: _Moving = SparseCoding()
     video: Literal["changed", "coded"] = "changed"
-    fade_px: float = Field(default=3.0, gt=0)
+    fade_px: float = Field(default=4.0, gt=0)
 
     @field_validator("moving", mode="before")
     @classmethod
