@@ -10,6 +10,7 @@ that is collected stays flat.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -20,6 +21,7 @@ from optsim.forward.bands import CORES, side_by_side
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles, Ints
 
+Reals = NDArray[np.floating]
 _BATCH_CELLS = 120_000  # cells that are transformed together
 
 
@@ -168,18 +170,13 @@ class FieldBlur:
             windows = np.stack(
                 [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in corners]
             )
-            spectrum = fft.rfft2(windows, s=self.padded)
-            found = np.zeros((len(i), height, width))
-            for b in (0, 1):
-                lines = np.zeros((len(i), height, spectrum.shape[2]), np.complex128)
-                for a in (0, 1):
-                    product = np.empty_like(spectrum)
-                    for node, light, target in zip(self._nodes(i, j, a, b), spectrum, product, strict=True):
-                        np.multiply(light, self.transfers[node].conj(), out=target)
-                    part = fft.ifft(product, axis=1, overwrite_x=True)[:, :height]
-                    lines += part * self.rows.hats[i, a, :, None]
-                part = fft.irfft(lines, n=self.padded[1], overwrite_x=True)
-                found += part[:, :, :width] * self.cols.hats[j, b, None, :]
+            transfers = [
+                [[self.transfers[node].conj() for node in self._nodes(i, j, a, b)] for a in (0, 1)]
+                for b in (0, 1)
+            ]
+            found = np.empty((len(i), height, width))
+            hats_y, hats_x = self.rows.hats[i].swapaxes(0, 1), self.cols.hats[j].swapaxes(0, 1)
+            collect_windows(windows, self.padded, transfers, hats_y, hats_x, found)
             return found
 
         found = side_by_side(partial(gather, i, j) for i, j in self._batches())
@@ -202,6 +199,51 @@ class FieldBlur:
         """One of the four nodes around each cell: the upper or lower, left or right."""
         rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
         return list(zip(rows, cols, strict=True))
+
+
+def collect_windows(
+    windows: Reals,
+    padded: tuple[int, int],
+    transfers: Sequence[Sequence[Iterable[NDArray[np.complexfloating]]]],
+    hats_y: Reals,
+    hats_x: Reals,
+    found: Reals,
+) -> None:
+    """Find what the middle of windows collects with the PSFs of nodes, each by its hats.
+
+    Parameters
+    ----------
+    windows : ndarray of shape (n, y + 2 h, x + 2 h), float32 or float64
+        Light in and around the places that collect.
+    padded : tuple of int
+        Size of the transforms.
+    transfers : sequence (j, i, n) of ndarray
+        Conjugate transfer function of each node, column by column of nodes, for each window.
+    hats_y, hats_x : ndarray of shape (i, n or 1, y) and (j, n or 1, x), of the same type as the windows
+        Of the nodes' rows and columns.
+    found : ndarray of shape (n, y, x), of the same type
+        Filled.
+    """
+    rows, cols = found.shape[1:]
+    spectrum = fft.rfft2(windows, s=padded)
+    product = np.empty_like(spectrum)
+    found[:] = 0
+    for of_column, hat_x in zip(transfers, hats_x, strict=True):
+        # Rows last: all nodes of a column share them. The first row of a window is where that of its middle
+        # begins to collect; the last ones aren't wanted.
+        lines = np.zeros((len(windows), rows, spectrum.shape[2]), spectrum.dtype)
+        for of_node, hat_y in zip(of_column, hats_y, strict=True):
+            # One by one: to gather transfer functions would take as long as to multiply with them.
+            for light, transfer, target in zip(spectrum, of_node, product, strict=False):
+                np.multiply(light, transfer, out=target)
+            part = fft.ifft(product, axis=1, overwrite_x=True)[:, :rows]
+            # As real numbers: numpy would make hats complex.
+            weighted = part.view(windows.dtype)
+            weighted *= hat_y[..., None]
+            lines += part
+        light_of = fft.irfft(lines, n=padded[1], overwrite_x=True)[:, :, :cols]
+        light_of *= hat_x[:, None]
+        found += light_of
 
 
 @dataclass(frozen=True, eq=False)
