@@ -3,13 +3,15 @@
 Between the nodes of an even grid over the field the PSF is interpolated bilinearly, so it is nowhere negative
 and every point keeps its energy. Only its middle varies. In each cell of the grid an image is weighted with
 the hat functions of the cell's four nodes, blurred by their cores, and added up, so finer grids take hardly
-longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998). Where the hats' slopes meet, a
-flat that is spread comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the demo's; one
-that is collected stays flat.
+longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998); cells that are small beside the
+PSF are transformed together, with all of their nodes. Where the hats' slopes meet, a flat that is spread
+comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the demo's; one that is collected
+stays flat.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -20,6 +22,7 @@ from optsim.forward.bands import CORES, side_by_side
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles, Ints
 
+Reals = NDArray[np.floating]
 _BATCH_CELLS = 120_000  # cells that are transformed together
 
 
@@ -110,7 +113,7 @@ class FieldBlur:
     rows, cols : _Cells
         Cells of the nodes' grid along both axes.
     padded : tuple of int
-        Size of the cells' transforms.
+        Size of the windows' transforms.
     transfers : ndarray of shape (n, n, ...), complex128
         Of the nodes' cores, whose first sample lies at the origin.
     """
@@ -132,10 +135,10 @@ class FieldBlur:
         def spread(i: Ints, j: Ints) -> Doubles:
             windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
-            # Rows first: both nodes of a column share them, and none is transformed that only pads.
-            for b in (0, 1):
+            # Rows first: all nodes of a column share them, and none is transformed that only pads.
+            for b in range(self.cols.each):
                 lines = fft.rfft(windows * self.cols.hats[j, b, None, :], n=self.padded[1])
-                for a in (0, 1):
+                for a in range(self.rows.each):
                     part = fft.fft(lines * self.rows.hats[i, a, :, None], n=self.padded[0], axis=1)
                     # One by one: to gather transfer functions would take as long as to multiply with them.
                     for node, light, total in zip(self._nodes(i, j, a, b), part, spectrum, strict=True):
@@ -168,18 +171,13 @@ class FieldBlur:
             windows = np.stack(
                 [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in corners]
             )
-            spectrum = fft.rfft2(windows, s=self.padded)
-            found = np.zeros((len(i), height, width))
-            for b in (0, 1):
-                lines = np.zeros((len(i), height, spectrum.shape[2]), np.complex128)
-                for a in (0, 1):
-                    product = np.empty_like(spectrum)
-                    for node, light, target in zip(self._nodes(i, j, a, b), spectrum, product, strict=True):
-                        np.multiply(light, self.transfers[node].conj(), out=target)
-                    part = fft.ifft(product, axis=1, overwrite_x=True)[:, :height]
-                    lines += part * self.rows.hats[i, a, :, None]
-                part = fft.irfft(lines, n=self.padded[1], overwrite_x=True)
-                found += part[:, :, :width] * self.cols.hats[j, b, None, :]
+            nodes = [[self._nodes(i, j, a, b) for a in range(self.rows.each)] for b in range(self.cols.each)]
+            transfers = [
+                [(self.transfers[node].conj() for node in of_row) for of_row in of_col] for of_col in nodes
+            ]
+            found = np.empty((len(i), height, width))
+            hats_y, hats_x = self.rows.hats[i].swapaxes(0, 1), self.cols.hats[j].swapaxes(0, 1)
+            collect_windows(windows, self.padded, transfers, hats_y, hats_x, found)
             return found
 
         found = side_by_side(partial(gather, i, j) for i, j in self._batches())
@@ -199,26 +197,79 @@ class FieldBlur:
         return [(i[k : k + step], j[k : k + step]) for k in range(0, len(i), step)]
 
     def _nodes(self, i: Ints, j: Ints, a: int, b: int) -> list[tuple[int, int]]:
-        """One of the four nodes around each cell: the upper or lower, left or right."""
-        rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
-        return list(zip(rows, cols, strict=True))
+        """One of the nodes around and between each window's cells, counted from its first one."""
+        last = len(self.transfers) - 1
+        at = (
+            np.minimum(of + k, last).tolist() for of, k in ((self.rows.nodes[i], a), (self.cols.nodes[j], b))
+        )
+        return list(zip(*at, strict=True))
+
+
+def collect_windows(
+    windows: Reals,
+    padded: tuple[int, int],
+    transfers: Sequence[Sequence[Iterable[NDArray[np.complexfloating]]]],
+    hats_y: Reals,
+    hats_x: Reals,
+    found: Reals,
+) -> None:
+    """Find what the middle of windows collects with the PSFs of nodes, each by its hats.
+
+    Parameters
+    ----------
+    windows : ndarray of shape (n, y + 2 h, x + 2 h), float32 or float64
+        Light in and around the places that collect.
+    padded : tuple of int
+        Size of the transforms.
+    transfers : sequence (j, i, n) of ndarray
+        Conjugate transfer function of each node, column by column of nodes, for each window.
+    hats_y, hats_x : ndarray of shape (i, n or 1, y) and (j, n or 1, x), of the same type as the windows
+        Of the nodes' rows and columns.
+    found : ndarray of shape (n, y, x), of the same type
+        Filled.
+    """
+    rows, cols = found.shape[1:]
+    spectrum = fft.rfft2(windows, s=padded)
+    product = np.empty_like(spectrum)
+    found[:] = 0
+    for of_column, hat_x in zip(transfers, hats_x, strict=True):
+        # Rows last: all nodes of a column share them. The first row of a window is where that of its middle
+        # begins to collect; the last ones aren't wanted.
+        lines = np.zeros((len(windows), rows, spectrum.shape[2]), spectrum.dtype)
+        for of_node, hat_y in zip(of_column, hats_y, strict=True):
+            # One by one: to gather transfer functions would take as long as to multiply with them.
+            for light, transfer, target in zip(spectrum, of_node, product, strict=False):
+                np.multiply(light, transfer, out=target)
+            part = fft.ifft(product, axis=1, overwrite_x=True)[:, :rows]
+            # As real numbers: numpy would make hats complex.
+            weighted = part.view(windows.dtype)
+            weighted *= hat_y[..., None]
+            lines += part
+        light_of = fft.irfft(lines, n=padded[1], overwrite_x=True)[:, :, :cols]
+        light_of *= hat_x[:, None]
+        found += light_of
 
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of the nodes' grid along an axis: windows of one size inside the image.
+    """Cells of the nodes' grid along an axis, some together: windows of one size inside the image.
 
     Parameters
     ----------
-    starts, nodes : ndarray of shape (cell,), int64
-        Where each window begins, and the first of its two nodes.
-    hats : ndarray of shape (cell, 2, side), float64
-        Hats of both nodes in the window, zero outside of the cell.
+    starts, nodes : ndarray of shape (window,), int64
+        Where each window begins, and the first of its nodes.
+    hats : ndarray of shape (window, node, side), float64
+        Hats of its nodes in the window, zero outside of its cells.
     """
 
     starts: Ints
     nodes: Ints
     hats: Doubles
+
+    @property
+    def each(self) -> int:
+        """Nodes of a window."""
+        return self.hats.shape[1]
 
     @property
     def side(self) -> int:
@@ -236,19 +287,31 @@ def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
 def varying_blur(cores: Doubles, shape: tuple[int, int]) -> FieldBlur:
     """Prepare the PSFs of nodes, (n, n, 2 m + 1, 2 m + 1), or middles of them."""
     half = cores.shape[2] // 2
-    rows, cols = (_cells(size, len(cores)) for size in shape)
+    together = min(range(1, len(cores)), key=lambda n: _cost(shape, half, len(cores), n))
+    rows, cols = (_cells(size, len(cores), together) for size in shape)
     sides = [int(fft.next_fast_len(cells.side + 2 * half, real=True)) for cells in (rows, cols)]
     transfers = np.asarray(fft.rfft2(cores, s=sides, workers=CORES))
     return FieldBlur(shape, half, rows, cols, (sides[0], sides[1]), transfers)
 
 
-def _cells(size: int, nodes: int) -> _Cells:
+def _cost(shape: tuple[int, int], half: int, nodes: int, together: int) -> float:
+    """Cells of all transforms over those of the field, where so many cells of the nodes' grid are together.
+
+    Cells that are small beside a PSF share the light around them and the nodes between them.
+    """
+    sides = [size / (nodes - 1) * together for size in shape]
+    around = np.prod([(side + 2 * half) / side for side in sides])
+    return float(around * ((together + 1) ** 2 + 1))
+
+
+def _cells(size: int, nodes: int, together: int) -> _Cells:
     at = (np.arange(size) + 0.5) / size * (nodes - 1)
-    cell = np.minimum(at.astype(np.int64), nodes - 2)
-    seen, first, counts = np.unique(cell, return_index=True, return_counts=True)
+    window = np.minimum(at.astype(np.int64), nodes - 2) // together
+    seen, first, counts = np.unique(window, return_index=True, return_counts=True)
     side = int(counts.max())
     starts: Ints = np.minimum(first, size - side)
     places: Ints = starts[:, None] + np.arange(side)
-    upper = at[places] - seen[:, None]
-    inside = cell[places] == seen[:, None]
-    return _Cells(starts, seen, np.stack([(1 - upper) * inside, upper * inside], axis=1))
+    inside = window[places] == seen[:, None]
+    from_first = at[places] - seen[:, None] * together
+    upper = from_first[:, None] - np.arange(together + 1)[:, None]
+    return _Cells(starts, seen * together, np.maximum(1 - np.abs(upper), 0) * inside[:, None])

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import numpy as np
 
 from optsim.forward.bands import side_by_side
-from optsim.forward.field_blur import FieldPsf, hats
+from optsim.forward.field_blur import FieldPsf, collect_windows, hats
 from optsim.forward.psf import fft
 from optsim.quantities import Block, Floats, Ints
 
 # Sides of a tile in half widths of the PSF: shorter ones transform more around them, longer ones gain little.
 _SIDE_HALVES = 5.0
 _LEAST_SIDE = 32
+_BATCH_CELLS = 60_000  # cells that are transformed together: a core's cache holds all that is done to them
 
 
 def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, factor: Floats) -> tuple[Block, ...]:
@@ -112,21 +113,15 @@ def _around(block: Block, shape: tuple[int, int], rows: tuple[int, int], cols: t
 
 def _collect(light: Floats, kernels: Floats, hats_y: Floats, hats_x: Floats, found: Floats) -> None:
     """Find what the middle of windows collects with the kernels of nodes, (i, j, ...), each by its hats."""
-    rows, cols = found.shape[1:]
-    padded = [int(fft.next_fast_len(side, real=True)) for side in light.shape[1:]]
-    spectrum = fft.rfft2(light, s=padded)
-    found[:] = 0
-    for transfers, hat_x in zip(fft.rfft2(kernels, s=padded).conj().swapaxes(0, 1), hats_x, strict=True):
-        # Rows last: all nodes of a column share them. The first row of a window is where that of its tile
-        # begins to collect; the last ones aren't wanted.
-        lines = np.zeros((len(light), rows, spectrum.shape[2]), np.complex64)
-        for transfer, hat_y in zip(transfers, hats_y, strict=True):
-            part = fft.ifft(spectrum * transfer, axis=1, overwrite_x=True)[:, :rows]
-            part *= hat_y[:, None]
-            lines += part
-        light_of = fft.irfft(lines, n=padded[1], overwrite_x=True)[:, :, :cols]
-        light_of *= hat_x
-        found += light_of
+    height, width = (int(fft.next_fast_len(side, real=True)) for side in light.shape[1:])
+    transfers = fft.rfft2(kernels, s=(height, width)).conj().swapaxes(0, 1)
+    step = max(1, _BATCH_CELLS // (height * width))
+    for first in range(0, len(light), step):
+        some = slice(first, first + step)
+        collect_windows(
+            light[some], (height, width), [[repeat(node) for node in column] for column in transfers],
+            hats_y[:, None], hats_x[:, None], found[some],
+        )  # fmt: skip
 
 
 def _nodes(

@@ -99,7 +99,7 @@ class Seen(NamedTuple):
     alone : ndarray of shape (v + 2, u + 2), float32
         Mean cosines of their own retardances.
     blurred : ndarray of shape (v, point, point, u), float32
-        Mean cosines of the blurred retardance at the points of each pixel.
+        Mean cosines of the blurred retardance at the points of each pixel, across and down.
     """
 
     opened: Floats
@@ -168,15 +168,13 @@ def fill_cells(
                 for r in range(rows):
                     _relax_row(target[r], step[r], taus, times.share[j] * share[r] * instant_s, now[r, 1:-1])
                     now[r, 0], now[r, cols + 1] = now[r, 1], now[r, cols]
-                    of_time = np.float32(times.weight[j] * share[r])
-                    for u in range(cols + 2):
-                        seen.alone[r, u] += of_time * _cosine(now[r, u])
+                    _add_own_cosines(seen.alone[r], now[r], np.float32(times.weight[j] * share[r]))
                 for p in range(rows - 2):
                     of_time = np.float32(times.weight[j] * share[p + 1])
                     for a in range(n_points):
-                        _mix_rows(points.shares[a], now[p : p + 3], line)
+                        _mix_rows(points.shares[a], *_three(now, p, 0, cols + 2), line)
                         for b in range(n_points):
-                            _add_cosines(seen.blurred[p, a, b], line, points.shares[b], of_time)
+                            _add_cosines(seen.blurred[p, b, a], line, points.shares[b], of_time)
             gamma[:] = now[:, 1:-1]
         seen.opened[:, 1:-1] = weights[t]
         seen.opened[:, 0], seen.opened[:, -1] = weights[t, :, 0], weights[t, :, -1]
@@ -208,23 +206,30 @@ def _open_cells(seen: Seen, looks: Looks, instants: np.floating, first: int, end
     n = end - first
     opened, alone, blurred = np.empty(n + 2, np.float32), np.empty(n + 2, np.float32), np.empty(n, np.float32)
     along = np.empty((n_points, n), np.float32)
-    half = np.float32(0.5)
+    half, least, span = np.float32(0.5), least[first:end], span[first:end]
     for y in range(cells.shape[0]):
         p, i = y // pitch, y % pitch
-        _mix_rows(looks.borders[i], seen.opened[p : p + 3, first : end + 2], opened)
-        _mix_rows(points.borders[i], seen.alone[p : p + 3, first : end + 2], alone)
+        _mix_rows(looks.borders[i], *_three(seen.opened, p, first, end + 2), opened)
+        _mix_rows(points.borders[i], *_three(seen.alone, p, first, end + 2), alone)
         for b in range(n_points):
-            _mean_rows(points.means[i], seen.blurred[p, :, b, first:end], along[b])
+            rows = seen.blurred[p, b]
+            _mix_rows(points.means[i], *_three(rows, 0, first, end), along[b])
+            for a in range(3, n_points):
+                _add(along[b], points.means[i, a], rows[a, first:end])
         for k in range(pitch):
-            _mean_rows(points.means[k], along, blurred)
+            _mix_rows(points.means[k], *_three(along, 0, 0, n), blurred)
+            for a in range(3, n_points):
+                _add(blurred, points.means[k, a], along[a])
             before, own, after = looks.borders[k]
             left, middle, right = points.borders[k]
-            row = cells[y, first * pitch + k : end * pitch : pitch]
             for u in range(n):
                 mixed = before * opened[u] + own * opened[u + 1] + after * opened[u + 2]
                 beyond = left * alone[u] + middle * alone[u + 1] + right * alone[u + 2] - blurred[u]
                 # No rim is darker than any pixel could be: there are not points enough to see that.
-                row[u] = max(mixed + half * span[first + u] * beyond, instants * least[first + u])
+                blurred[u] = max(mixed + half * span[u] * beyond, instants * least[u])
+            # Apart from the sums: a loop whose places lie apart is not vectorised.
+            for u in range(n):
+                cells[y, (first + u) * pitch + k] = blurred[u]
 
 
 @compiled(fastmath=True)
@@ -247,19 +252,16 @@ def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after
 
 
 @compiled(fastmath=True)
-def _mix_rows(shares: Floats, rows: Floats, line: Floats) -> None:
-    before, own, after = shares
-    for u in range(line.size):
-        line[u] = before * rows[0, u] + own * rows[1, u] + after * rows[2, u]
+def _three(rows: Floats, first: int, start: int, end: int) -> tuple[Floats, Floats, Floats]:
+    """Parts of three rows, each known to be dense: over an array of them short loops take twice as long."""
+    return rows[first, start:end], rows[first + 1, start:end], rows[first + 2, start:end]
 
 
 @compiled(fastmath=True)
-def _mean_rows(means: Floats, rows: Floats, mean: Floats) -> None:
-    """Weighted sum of rows, of which there are three or more."""
-    _mix_rows(means[:3], rows[:3], mean)
-    for a in range(3, means.size):
-        for u in range(mean.size):
-            mean[u] += means[a] * rows[a, u]
+def _mix_rows(shares: Floats, above: Floats, row: Floats, below: Floats, line: Floats) -> None:
+    before, own, after = shares[0], shares[1], shares[2]
+    for u in range(line.size):
+        line[u] = before * above[u] + own * row[u] + after * below[u]
 
 
 @compiled(fastmath=True)
@@ -267,6 +269,12 @@ def _add_cosines(total: Floats, line: Floats, shares: Floats, weight: np.floatin
     before, own, after = shares
     for u in range(total.size):
         total[u] += weight * _cosine(before * line[u] + own * line[u + 1] + after * line[u + 2])
+
+
+@compiled(fastmath=True)
+def _add_own_cosines(total: Floats, line: Floats, weight: np.floating) -> None:
+    for u in range(total.size):
+        total[u] += weight * _cosine(line[u])
 
 
 @compiled(fastmath=True)

@@ -9,7 +9,6 @@ from typing import cast
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import lsmr
 
 from optsim.calibrate.calibration import Calibration
 from optsim.calibrate.sample import Sample, noise_variance, predicted_variance
@@ -110,6 +109,9 @@ def _least_squares(matrix: sparse.csr_array, wanted: Doubles) -> Doubles:
 
     Columns are brought to one length first: those of dark pixels, open for long, would else be found last.
     """
+    # It takes a while to import, and few frames need it.
+    from scipy.sparse.linalg import lsmr
+
     length = np.sqrt(matrix.power(2).sum(axis=0) + 1)
     whole = sparse.vstack([matrix, sparse.identity(len(length))]).tocsr() @ sparse.diags_array(1 / length)
     padded = np.concatenate([wanted, np.zeros(len(length))])
