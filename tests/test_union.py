@@ -118,9 +118,9 @@ def test_a_random_code_of_a_still_wall_is_merged():
     np.testing.assert_array_equal(first.moving, True)
     # One such film in 75 has a false alarm, which calls for a video of up to a third of so small a picture.
     assert fourth.moving.mean() < 0.35
-    np.testing.assert_allclose(
-        fourth.irradiance_w_m2[:, ~fourth.moving], still.irradiance_w_m2[:, ~fourth.moving], rtol=0.15
-    )
+    # A twentieth of a video that is wrong by all of the light there is.
+    apart = np.abs(fourth.irradiance_w_m2 - still.irradiance_w_m2)[:, ~fourth.moving]
+    assert apart.max() < 0.05 * light.max()
 
 
 @pytest.mark.parametrize("static", [HdrMerge(n_frames=1), HdrMerge(paper_literal=True)])
