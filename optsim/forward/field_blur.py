@@ -3,10 +3,9 @@
 Between the nodes of an even grid over the field the PSF is interpolated bilinearly, so it is nowhere negative
 and every point keeps its energy. Only its middle varies. In each cell of the grid an image is weighted with
 the hat functions of the cell's four nodes, blurred by their cores, and added up, so finer grids take hardly
-longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998); cells that are small beside the
-PSF are transformed together, with all of their nodes. Where the hats' slopes meet, a flat that is spread
-comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the demo's; one that is collected
-stays flat.
+longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998). Where the hats' slopes meet, a
+flat that is spread comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the demo's; one
+that is collected stays flat.
 """
 
 from __future__ import annotations
@@ -113,7 +112,7 @@ class FieldBlur:
     rows, cols : _Cells
         Cells of the nodes' grid along both axes.
     padded : tuple of int
-        Size of the windows' transforms.
+        Size of the cells' transforms.
     transfers : ndarray of shape (n, n, ...), complex128
         Of the nodes' cores, whose first sample lies at the origin.
     """
@@ -135,10 +134,10 @@ class FieldBlur:
         def spread(i: Ints, j: Ints) -> Doubles:
             windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
-            # Rows first: all nodes of a column share them, and none is transformed that only pads.
-            for b in range(self.cols.each):
+            # Rows first: both nodes of a column share them, and none is transformed that only pads.
+            for b in (0, 1):
                 lines = fft.rfft(windows * self.cols.hats[j, b, None, :], n=self.padded[1])
-                for a in range(self.rows.each):
+                for a in (0, 1):
                     part = fft.fft(lines * self.rows.hats[i, a, :, None], n=self.padded[0], axis=1)
                     # One by one: to gather transfer functions would take as long as to multiply with them.
                     for node, light, total in zip(self._nodes(i, j, a, b), part, spectrum, strict=True):
@@ -171,9 +170,9 @@ class FieldBlur:
             windows = np.stack(
                 [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in corners]
             )
-            nodes = [[self._nodes(i, j, a, b) for a in range(self.rows.each)] for b in range(self.cols.each)]
             transfers = [
-                [(self.transfers[node].conj() for node in of_row) for of_row in of_col] for of_col in nodes
+                [[self.transfers[node].conj() for node in self._nodes(i, j, a, b)] for a in (0, 1)]
+                for b in (0, 1)
             ]
             found = np.empty((len(i), height, width))
             hats_y, hats_x = self.rows.hats[i].swapaxes(0, 1), self.cols.hats[j].swapaxes(0, 1)
@@ -197,12 +196,9 @@ class FieldBlur:
         return [(i[k : k + step], j[k : k + step]) for k in range(0, len(i), step)]
 
     def _nodes(self, i: Ints, j: Ints, a: int, b: int) -> list[tuple[int, int]]:
-        """One of the nodes around and between each window's cells, counted from its first one."""
-        last = len(self.transfers) - 1
-        at = (
-            np.minimum(of + k, last).tolist() for of, k in ((self.rows.nodes[i], a), (self.cols.nodes[j], b))
-        )
-        return list(zip(*at, strict=True))
+        """One of the four nodes around each cell: the upper or lower, left or right."""
+        rows, cols = (self.rows.nodes[i] + a).tolist(), (self.cols.nodes[j] + b).tolist()
+        return list(zip(rows, cols, strict=True))
 
 
 def collect_windows(
@@ -252,24 +248,19 @@ def collect_windows(
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of the nodes' grid along an axis, some together: windows of one size inside the image.
+    """Cells of the nodes' grid along an axis: windows of one size inside the image.
 
     Parameters
     ----------
-    starts, nodes : ndarray of shape (window,), int64
-        Where each window begins, and the first of its nodes.
-    hats : ndarray of shape (window, node, side), float64
-        Hats of its nodes in the window, zero outside of its cells.
+    starts, nodes : ndarray of shape (cell,), int64
+        Where each window begins, and the first of its two nodes.
+    hats : ndarray of shape (cell, 2, side), float64
+        Hats of both nodes in the window, zero outside of the cell.
     """
 
     starts: Ints
     nodes: Ints
     hats: Doubles
-
-    @property
-    def each(self) -> int:
-        """Nodes of a window."""
-        return self.hats.shape[1]
 
     @property
     def side(self) -> int:
@@ -287,31 +278,19 @@ def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
 def varying_blur(cores: Doubles, shape: tuple[int, int]) -> FieldBlur:
     """Prepare the PSFs of nodes, (n, n, 2 m + 1, 2 m + 1), or middles of them."""
     half = cores.shape[2] // 2
-    together = min(range(1, len(cores)), key=lambda n: _cost(shape, half, len(cores), n))
-    rows, cols = (_cells(size, len(cores), together) for size in shape)
+    rows, cols = (_cells(size, len(cores)) for size in shape)
     sides = [int(fft.next_fast_len(cells.side + 2 * half, real=True)) for cells in (rows, cols)]
     transfers = np.asarray(fft.rfft2(cores, s=sides, workers=CORES))
     return FieldBlur(shape, half, rows, cols, (sides[0], sides[1]), transfers)
 
 
-def _cost(shape: tuple[int, int], half: int, nodes: int, together: int) -> float:
-    """Cells of all transforms over those of the field, where so many cells of the nodes' grid are together.
-
-    Cells that are small beside a PSF share the light around them and the nodes between them.
-    """
-    sides = [size / (nodes - 1) * together for size in shape]
-    around = np.prod([(side + 2 * half) / side for side in sides])
-    return float(around * ((together + 1) ** 2 + 1))
-
-
-def _cells(size: int, nodes: int, together: int) -> _Cells:
+def _cells(size: int, nodes: int) -> _Cells:
     at = (np.arange(size) + 0.5) / size * (nodes - 1)
-    window = np.minimum(at.astype(np.int64), nodes - 2) // together
-    seen, first, counts = np.unique(window, return_index=True, return_counts=True)
+    cell = np.minimum(at.astype(np.int64), nodes - 2)
+    seen, first, counts = np.unique(cell, return_index=True, return_counts=True)
     side = int(counts.max())
     starts: Ints = np.minimum(first, size - side)
     places: Ints = starts[:, None] + np.arange(side)
-    inside = window[places] == seen[:, None]
-    from_first = at[places] - seen[:, None] * together
-    upper = from_first[:, None] - np.arange(together + 1)[:, None]
-    return _Cells(starts, seen * together, np.maximum(1 - np.abs(upper), 0) * inside[:, None])
+    upper = at[places] - seen[:, None]
+    inside = cell[places] == seen[:, None]
+    return _Cells(starts, seen, np.stack([(1 - upper) * inside, upper * inside], axis=1))
