@@ -13,7 +13,6 @@ The claim that what is skipped stays below the tolerance is measured in ``valida
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal, TypeGuard
 
 from threadpoolctl import threadpool_limits
@@ -204,8 +203,8 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     chosen = dict.fromkeys(ladders, 0)
     if tolerance > 0:
         share = tolerance / len(ladders)
-        found = side_by_side(partial(ladder.farthest, share) for ladder in ladders.values())
-        chosen = dict(zip(ladders, found, strict=True))
+        for name, ladder in ladders.items():
+            chosen[name] = ladder.farthest(share)
         left = tolerance - sum(ladders[name].size(step) for name, step in chosen.items())
         for name, ladder in ladders.items():
             now = ladder.size(chosen[name])
