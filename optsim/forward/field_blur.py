@@ -10,7 +10,7 @@ that is collected stays flat.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -170,8 +170,9 @@ class FieldBlur:
             windows = np.stack(
                 [wide[y : y + height + 2 * reach, x : x + width + 2 * reach] for y, x in corners]
             )
+            # By columns of nodes.
             transfers = [
-                [[self.transfers[node].conj() for node in self._nodes(i, j, a, b)] for a in (0, 1)]
+                [self.transfers[self.rows.nodes[i] + a, self.cols.nodes[j] + b].conj() for a in (0, 1)]
                 for b in (0, 1)
             ]
             found = np.empty((len(i), height, width))
@@ -204,7 +205,7 @@ class FieldBlur:
 def collect_windows(
     windows: Reals,
     padded: tuple[int, int],
-    transfers: Sequence[Sequence[Iterable[NDArray[np.complexfloating]]]],
+    transfers: Sequence[Sequence[NDArray[np.complexfloating]]],
     hats_y: Reals,
     hats_x: Reals,
     found: Reals,
@@ -217,8 +218,8 @@ def collect_windows(
         Light in and around the places that collect.
     padded : tuple of int
         Size of the transforms.
-    transfers : sequence (j, i, n) of ndarray
-        Conjugate transfer function of each node, column by column of nodes, for each window.
+    transfers : sequence (j, i) of ndarray of shape (n or 1, ...)
+        Conjugate transfer function of each node, column by column of nodes, for each window or for all.
     hats_y, hats_x : ndarray of shape (i, n or 1, y) and (j, n or 1, x), of the same type as the windows
         Of the nodes' rows and columns.
     found : ndarray of shape (n, y, x), of the same type
@@ -233,9 +234,7 @@ def collect_windows(
         # begins to collect; the last ones aren't wanted.
         lines = np.zeros((len(windows), rows, spectrum.shape[2]), spectrum.dtype)
         for of_node, hat_y in zip(of_column, hats_y, strict=True):
-            # One by one: to gather transfer functions would take as long as to multiply with them.
-            for light, transfer, target in zip(spectrum, of_node, product, strict=False):
-                np.multiply(light, transfer, out=target)
+            np.multiply(spectrum, of_node, out=product)
             part = fft.ifft(product, axis=1, overwrite_x=True)[:, :rows]
             # As real numbers: numpy would make hats complex.
             weighted = part.view(windows.dtype)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise, repeat
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from optsim.quantities import Block, Floats, Ints
 # Sides of a tile in half widths of the PSF: shorter ones transform more around them, longer ones gain little.
 _SIDE_HALVES = 5.0
 _LEAST_SIDE = 32
-_BATCH_CELLS = 60_000  # cells that are transformed together: a core's cache holds all that is done to them
 
 
 def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, factor: Floats) -> tuple[Block, ...]:
@@ -114,14 +113,9 @@ def _around(block: Block, shape: tuple[int, int], rows: tuple[int, int], cols: t
 def _collect(light: Floats, kernels: Floats, hats_y: Floats, hats_x: Floats, found: Floats) -> None:
     """Find what the middle of windows collects with the kernels of nodes, (i, j, ...), each by its hats."""
     height, width = (int(fft.next_fast_len(side, real=True)) for side in light.shape[1:])
-    transfers = fft.rfft2(kernels, s=(height, width)).conj().swapaxes(0, 1)
-    step = max(1, _BATCH_CELLS // (height * width))
-    for first in range(0, len(light), step):
-        some = slice(first, first + step)
-        collect_windows(
-            light[some], (height, width), [[repeat(node) for node in column] for column in transfers],
-            hats_y[:, None], hats_x[:, None], found[some],
-        )  # fmt: skip
+    # By columns of nodes, and the same for all instants.
+    transfers = fft.rfft2(kernels, s=(height, width)).conj().swapaxes(0, 1)[:, :, None]
+    collect_windows(light, (height, width), transfers, hats_y[:, None], hats_x[:, None], found)
 
 
 def _nodes(
