@@ -75,7 +75,8 @@ class MeasurementFiles(DecoderChoice):
         Light slot by slot, if it is known: as the code's, but all slots of the first coded image, then all
         of the second.
     moving : str or None
-        Masks, not zero where a union takes the video's decoder: one, or one a coded image; default all.
+        Masks, not zero where a union may take the video's decoder: one, or one a coded image; default
+        all.
     slots : int or None
         Slots of a coded image, where the code's files hold those of all coded images one after the other.
     bench : str or None
