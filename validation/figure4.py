@@ -89,8 +89,9 @@ for all schemes; 160 x 120 panel pixels, ten coded frames of 36 slots, a hypothe
 frame. PU21-PSNR in dB, the more the better, and the error of the logarithm in stops, the less the
 better; both on pixels that all methods hold valid, where the truth moves, where it doesn't, and on all.
 Bold: the best. Decoders are those of the preset `figure4`: `adaptive_mean` and `random_mean` average
-dictionary and mixture; the flutter shutter is decoded with the mixture, which was better here than
-`motion_deblurring`, its natural decoder (by 0.9 dB where window_room moves).
+dictionary and mixture, `random_union` has the adaptive scheme's decoder without its codes; the flutter
+shutter is decoded with the mixture, which was better here than `motion_deblurring`, its natural decoder
+(by 0.9 dB where window_room moves).
 """
 
 if __name__ == "__main__":
