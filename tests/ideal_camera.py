@@ -90,6 +90,15 @@ def film(
     return frames
 
 
+def crossing(n: int, rows: int = 32, cols: int = 40) -> list[Floats]:
+    """A dim wall with a bright bar that crosses it, in n frames."""
+    light = np.full((n * SLOTS, rows, cols), 0.2, np.float32)
+    u = np.arange(cols)
+    for slot in range(n * SLOTS):
+        light[slot, 8:20] += np.clip(1 - np.abs(u - 6 - 0.15 * slot) / 4, 0, 1).astype(np.float32)
+    return list(light.reshape(n, SLOTS, rows, cols))
+
+
 def still_light(image: Floats) -> Floats:
     """The same irradiance in every slot."""
     return np.broadcast_to(image.astype(np.float32), (SLOTS, *image.shape))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ideal_camera import BLACK_DN, KERNEL, SLOTS, expose, film, ideal_calibration, still_light
+from ideal_camera import BLACK_DN, KERNEL, SLOTS, crossing, expose, film, ideal_calibration, still_light
 from pydantic import TypeAdapter
 
 from optsim.calibrate import Glare
@@ -56,15 +56,6 @@ NATURAL = {
 def last(decoder, frames, calibration):
     *_, result = decoder.decode(frames, calibration)
     return result
-
-
-def crossing(n):
-    """A dim wall with a bright bar that crosses it."""
-    light = np.full((n * SLOTS, ROWS, COLS), 0.2, np.float32)
-    u = np.arange(COLS)
-    for slot in range(n * SLOTS):
-        light[slot, 8:20] += np.clip(1 - np.abs(u - 6 - 0.15 * slot) / 4, 0, 1).astype(np.float32)
-    return list(light.reshape(n, SLOTS, ROWS, COLS))
 
 
 @pytest.mark.parametrize("kind", ALL)

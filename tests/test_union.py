@@ -5,22 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from ideal_camera import SLOTS, film, ideal_calibration, still_light
+from ideal_camera import crossing, film, ideal_calibration, still_light
 
 from optsim.coding import MotionAdaptive, RandomExposure
 from optsim.reconstruct import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
 from optsim.reconstruct.union import _nearness
 
 ROWS, COLS = 32, 40
-
-
-def crossing(n):
-    """A dim wall with a bright bar that crosses it."""
-    light = np.full((n * SLOTS, ROWS, COLS), 0.2, np.float32)
-    u = np.arange(COLS)
-    for slot in range(n * SLOTS):
-        light[slot, 8:20] += np.clip(1 - np.abs(u - 6 - 0.15 * slot) / 4, 0, 1).astype(np.float32)
-    return list(light.reshape(n, SLOTS, ROWS, COLS))
 
 
 def textured():
