@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.forward.bands import CORES, side_by_side
+from optsim.forward.neighbourhoods import Reals
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles, Ints
 
-Reals = NDArray[np.floating]
 _BATCH_CELLS = 120_000  # cells that are transformed together
 
 

@@ -212,14 +212,9 @@ def _open_cells(seen: Seen, looks: Looks, instants: np.floating, first: int, end
         _mix_rows(looks.borders[i], *_three(seen.opened, p, first, end + 2), opened)
         _mix_rows(points.borders[i], *_three(seen.alone, p, first, end + 2), alone)
         for b in range(n_points):
-            rows = seen.blurred[p, b]
-            _mix_rows(points.means[i], *_three(rows, 0, first, end), along[b])
-            for a in range(3, n_points):
-                _add(along[b], points.means[i, a], rows[a, first:end])
+            _mean_rows(points.means[i], seen.blurred[p, b], first, end, along[b])
         for k in range(pitch):
-            _mix_rows(points.means[k], *_three(along, 0, 0, n), blurred)
-            for a in range(3, n_points):
-                _add(blurred, points.means[k, a], along[a])
+            _mean_rows(points.means[k], along, 0, n, blurred)
             before, own, after = looks.borders[k]
             left, middle, right = points.borders[k]
             for u in range(n):
@@ -262,6 +257,14 @@ def _mix_rows(shares: Floats, above: Floats, row: Floats, below: Floats, line: F
     before, own, after = shares[0], shares[1], shares[2]
     for u in range(line.size):
         line[u] = before * above[u] + own * row[u] + after * below[u]
+
+
+@compiled(fastmath=True)
+def _mean_rows(means: Floats, rows: Floats, start: int, end: int, mean: Floats) -> None:
+    """Weighted sum of parts of rows, of which there are three or more."""
+    _mix_rows(means, *_three(rows, 0, start, end), mean)
+    for a in range(3, means.size):
+        _add(mean, means[a], rows[a, start:end])
 
 
 @compiled(fastmath=True)
