@@ -64,10 +64,10 @@ def test_the_overlap_of_a_small_panel(monkeypatch, shift):
         18, 24, 20, 25, 1.02, 0.681, shift, -shift, 0.01, keystone_y=0.01, distortion=-0.02
     )
     few, many = both(monkeypatch, relay, lambda: relay.overlap_operator(geometry, 0.9))
-    assert few.dtype == many.dtype == np.float32
+    assert few.dtype == many.dtype == np.float64
     np.testing.assert_array_equal(few.indptr, many.indptr)
     np.testing.assert_array_equal(few.indices, many.indices)
-    np.testing.assert_allclose(few.data, many.data, rtol=1e-6)
+    np.testing.assert_allclose(few.data, many.data, rtol=1e-12)
 
 
 def test_far_light_on_a_small_field(monkeypatch):

@@ -61,7 +61,9 @@ class FieldPsf:
 
     @property
     def whole(self) -> Doubles:
-        """PSF of each node, (n, n, 2 h + 1, 2 h + 1)."""
+        """PSF of each node, (n, n, 2 h + 1, 2 h + 1); of one for all, where it does not vary."""
+        if not self.cores.size:
+            return self.kernel[None, None]
         whole = np.tile(self.common, (*self.cores.shape[:2], 1, 1))
         inner = slice(self.half - self.core_half, self.half + self.core_half + 1)
         whole[:, :, inner, inner] = self.cores

@@ -15,11 +15,14 @@ light of which white is no half wave, :mod:`optsim.forward.rims` finds.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from scipy.special import ndtr
 
 from optsim.quantities import Doubles, Floats
 
+R = TypeVar("R", Floats, Doubles)
 _STEPS = 2000
 
 
@@ -72,6 +75,14 @@ def fine_image_adjoint(fine: Doubles, borders: Doubles) -> Doubles:
     return fine
 
 
-def whole_cells(panel: Floats, pitch: int) -> Floats:
+def whole_cells(panel: R, pitch: int) -> R:
     """Panel values on the fine grid, (v, u) to (y, x), each pixel's own in all of its cells."""
     return panel.repeat(pitch, axis=0).repeat(pitch, axis=1)
+
+
+def add_whole_cells(fine: Doubles, panel: Doubles) -> None:
+    """Add panel values, (v, u), to all cells of each pixel, (y, x), without an array of them."""
+    pitch = len(fine) // len(panel)
+    wide = panel.repeat(pitch, axis=1)
+    for y in range(pitch):
+        fine[y::pitch] += wide

@@ -1,9 +1,9 @@
-"""Blur of moving light: tile by tile, each between the nodes whose PSFs its points have shares of.
+"""Blur of moving light: near by on fine samples, further off on panel pixels, both in every instant.
 
 Moving light is a difference and has many instants: positivity is nothing to keep there, and time is dear. So
-a block is cut into tiles of about one cell of the nodes' grid, with one transform of the light around a tile
-for all of its nodes, in float32, in those instants in which there is any. What comes out is what each point
-of the tile collects (optics/image_formation.py).
+the PSF is cut in two (:mod:`optsim.forward.moving_psf`). Its middle, with nearly all of its light, is small
+enough to be worked through tap by tap; the rest works on panel pixels. All in float32, in those instants in
+which there is any light.
 """
 
 from __future__ import annotations
@@ -11,20 +11,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from optsim.forward.bands import side_by_side
-from optsim.forward.field_blur import FieldPsf, collect_windows, hats
-from optsim.forward.psf import fft
+from optsim.forward.compiled import FEW
+from optsim.forward.field_blur import FieldPsf
+from optsim.forward.moving_psf import MovingPsf
+from optsim.forward.pixel_splines import draw, spread
+from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip
+from optsim.forward.tile_blur import collect_tile
 from optsim.quantities import Block, Floats, Ints
 
-# Sides of a tile in half widths of the PSF: shorter ones transform more around them, longer ones gain little.
-_SIDE_HALVES = 5.0
-_LEAST_SIDE = 32
+# What is transformed is in tiles of so many half widths of the PSF: shorter ones transform more around them,
+# longer ones gain little.
+_SIDE_HALVES, _LEAST_SIDE = 5.0, 32
+# Rows and columns that are worked through tap by tap: what is around them stays in the cache.
+_ROWS, _COLS = 64, 128
 
 
-def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, factor: Floats) -> tuple[Block, ...]:
+def blur_moving(blocks: tuple[Block, ...], psf: MovingPsf, factor: Floats) -> tuple[Block, ...]:
     """Let each point collect moving blocks' light; blocks grow by the PSF's half width, within the field.
 
     Parameters
@@ -32,106 +39,129 @@ def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, factor: Floats) -> tup
     blocks : tuple of Block
         Excess in rectangles; where one touches the border of the field it continues beyond, as
         :func:`optsim.forward.psf.extend` continues the base.
-    psf : FieldPsf
-        PSF over the field, the light that each point collects lying turned by half a turn.
+    psf : MovingPsf
+        What each point collects.
     factor : ndarray of shape (y, x), float32
         What each point of the field makes of its light.
     """
-    blurred = [_blurred(block, psf, factor) for block in blocks]
-    side_by_side(piece for _, pieces in blurred for piece in pieces)
-    return tuple(block for block, _ in blurred)
+    grid = Grid(factor.shape[0], factor.shape[1])
+    many = sum(block.excess.size for block in blocks) >= FEW
+    lights = [Patch(block.excess, block.row, block.col) for block in blocks]
+    further = _further_off(lights, psf, grid, many)
+    near = _collector(psf.near, grid, many)
+    targets = [
+        _empty(light, psf.near.half, 1, grid) if pixels is None else _empty(pixels, 0, psf.pitch, grid)
+        for light, pixels in zip(lights, further, strict=True)
+    ]
 
+    def strip(light: Patch, pixels: Patch | None, target: Patch, first: int, end: int) -> None:
+        rows = target.excess[:, first - target.row : end - target.row]
+        if pixels is None:
+            rows[:] = 0
+        else:
+            draw(pixels, psf.pitch, first, target.col, rows, many)
+        near.add(light, target, first, end)
+        rows *= factor[first:end, target.col : target.col + rows.shape[2]]
 
-def _blurred(block: Block, psf: FieldPsf, factor: Floats) -> tuple[Block, list[Callable[[], None]]]:
-    """Block still dark, and the pieces of work, one a tile, that bring its light."""
-    shape, half = (factor.shape[0], factor.shape[1]), psf.half
-    n, height, width = block.excess.shape
-    top, bottom = max(block.row - half, 0), min(block.row + height + half, shape[0])
-    left, right = max(block.col - half, 0), min(block.col + width + half, shape[1])
-    image = np.zeros((n, bottom - top, right - left), np.float32)
-    borders = [_borders(size, max(len(psf.cores) - 1, 1), half) for size in shape]
-    tiles_y, tiles_x = _within(borders[0], top, bottom), _within(borders[1], left, right)
-
-    def tile(ends_y: tuple[int, int], ends_x: tuple[int, int]) -> None:
-        around = _around(
-            block, shape, (ends_y[0] - half, ends_y[1] + half), (ends_x[0] - half, ends_x[1] + half)
-        )
-        lit = np.flatnonzero(around.any(axis=(1, 2)))
-        if not lit.size:
-            return
-        # What light reaches: it is often a part of a tile only.
-        rows = _reached(np.flatnonzero(around.any(axis=(0, 2))), ends_y[1] - ends_y[0], half)
-        cols = _reached(np.flatnonzero(around.any(axis=(0, 1))), ends_x[1] - ends_x[0], half)
-        kernels, hats_y, hats_x = _nodes(psf, shape, ends_y, ends_x)
-        part = np.empty((lit.size, rows.stop - rows.start, cols.stop - cols.start), np.float32)
-        window = around[:, rows.start : rows.stop + 2 * half, cols.start : cols.stop + 2 * half]
-        _collect(window if lit.size == n else window[lit], kernels, hats_y[:, rows], hats_x[:, cols], part)
-        part *= factor[ends_y[0] : ends_y[1], ends_x[0] : ends_x[1]][rows, cols]
-        target = image[:, ends_y[0] - top : ends_y[1] - top, ends_x[0] - left : ends_x[1] - left]
-        target[lit, rows, cols] = part
-
-    return Block(top, left, image), [partial(tile, y, x) for y in tiles_y for x in tiles_x]
-
-
-def _reached(lit: Ints, size: int, half: int) -> slice:
-    """Part of a tile of a size that collects from lit places, counted from ``half`` before it."""
-    return slice(max(int(lit[0]) - 2 * half, 0), min(int(lit[-1]) + 1, size))
-
-
-def _borders(size: int, cells: int, half: int) -> Ints:
-    """Where tiles of a field begin and end: at cells of the nodes' grid, some together or parts of one."""
-    parts = cells * max(1, round(size / cells / max(_LEAST_SIDE, _SIDE_HALVES * half)))
-    # Far more than a tile of less than half a PSF's width would lie around it.
-    together = max(1, int(np.ceil(half * cells / size)))
-    at = np.append(np.arange(0, parts, together), parts) / parts
-    return np.unique(np.rint(at * size).astype(np.int64))
-
-
-def _within(borders: Ints, first: int, end: int) -> list[tuple[int, int]]:
-    """Parts of tiles from first to end."""
-    cut = np.unique(borders.clip(first, end))
-    return [(int(a), int(b)) for a, b in pairwise(cut)]
-
-
-def _around(block: Block, shape: tuple[int, int], rows: tuple[int, int], cols: tuple[int, int]) -> Floats:
-    """Light of a block in a window of the field, (t, y, x); beyond the field that of its border."""
-    n, height, width = block.excess.shape
-    window = np.zeros((n, rows[1] - rows[0], cols[1] - cols[0]), np.float32)
-    y = np.arange(*rows).clip(0, shape[0] - 1) - block.row
-    x = np.arange(*cols).clip(0, shape[1] - 1) - block.col
-    on_y, on_x = np.flatnonzero((y >= 0) & (y < height)), np.flatnonzero((x >= 0) & (x < width))
-    if on_y.size and on_x.size:
-        part = block.excess[:, y[on_y[0]] : y[on_y[-1]] + 1, x[on_x[0]] : x[on_x[-1]] + 1]
-        # Only beyond the field's border does a row or column come more than once.
-        for axis, places in ((1, y[on_y]), (2, x[on_x])):
-            if len(places) > part.shape[axis]:
-                part = np.take(part, places - places[0], axis=axis)
-        window[:, on_y[0] : on_y[-1] + 1, on_x[0] : on_x[-1] + 1] = part
-    return window
-
-
-def _collect(light: Floats, kernels: Floats, hats_y: Floats, hats_x: Floats, found: Floats) -> None:
-    """Find what the middle of windows collects with the kernels of nodes, (i, j, ...), each by its hats."""
-    height, width = (int(fft.next_fast_len(side, real=True)) for side in light.shape[1:])
-    # By columns of nodes, and the same for all instants.
-    transfers = fft.rfft2(kernels, s=(height, width)).conj().swapaxes(0, 1)[:, :, None]
-    collect_windows(light, (height, width), transfers, hats_y[:, None], hats_x[:, None], found)
-
-
-def _nodes(
-    psf: FieldPsf, field: tuple[int, int], rows: tuple[int, int], cols: tuple[int, int]
-) -> tuple[Floats, Floats, Floats]:
-    """PSFs of the nodes around a tile, (i, j, 2 h + 1, 2 h + 1), and their hats on it, (i, y) and (j, x)."""
-    if not psf.cores.size:
-        one_y, one_x = (np.ones((1, ends[1] - ends[0]), np.float32) for ends in (rows, cols))
-        return psf.kernel.astype(np.float32)[None, None], one_y, one_x
-    hats_y, hats_x = (
-        hats((np.arange(*ends) + 0.5) / size * 2 - 1, len(psf.cores)).astype(np.float32)
-        for ends, size in zip((rows, cols), field, strict=True)
+    side_by_side(
+        partial(strip, light, pixels, target, first, end)
+        for light, pixels, target in zip(lights, further, targets, strict=True)
+        for first, end in near.strips(target)
     )
-    on_y, on_x = (np.flatnonzero(each.any(axis=1)) for each in (hats_y, hats_x))
-    kernels = np.empty((len(on_y), len(on_x), *psf.kernel.shape), np.float32)
-    kernels[:] = psf.common
-    inner = slice(psf.half - psf.core_half, psf.half + psf.core_half + 1)
-    kernels[:, :, inner, inner] = psf.cores[np.ix_(on_y, on_x)]
-    return kernels, hats_y[on_y], hats_x[on_x]
+    return tuple(Block(target.row, target.col, target.excess) for target in targets)
+
+
+def _further_off(lights: list[Patch], psf: MovingPsf, grid: Grid, many: bool) -> list[Patch | None]:
+    """Collect from further off, on panel pixels."""
+    if psf.rest is None:
+        return [None] * len(lights)
+    # Pixels around the field, too, from which light arrives, and where the outermost splines begin.
+    reach = psf.rest.half
+    margin = reach + 2
+    pixels = Grid(grid.rows // psf.pitch + 2 * margin, grid.cols // psf.pitch + 2 * margin, margin)
+    rest = _collector(psf.rest, pixels, many)
+    spreads = side_by_side(partial(spread, light, psf.pitch, pixels, many) for light in lights)
+    targets = [_empty(light, reach, 1, pixels) for light in spreads]
+
+    def strip(light: Patch, target: Patch, first: int, end: int) -> None:
+        target.excess[:, first - target.row : end - target.row] = 0
+        rest.add(light, target, first, end)
+
+    side_by_side(
+        partial(strip, light, target, first, end)
+        for light, target in zip(spreads, targets, strict=True)
+        for first, end in rest.strips(target)
+    )
+    return [Patch(target.excess, target.row - margin, target.col - margin) for target in targets]
+
+
+def _empty(light: Patch, reach: int, pitch: int, grid: Grid) -> Patch:
+    """Room for light ``pitch`` times as fine that reaches so many samples further, within a grid."""
+    n, height, width = light.excess.shape
+    top, left = max(light.row * pitch - reach, 0), max(light.col * pitch - reach, 0)
+    bottom = min((light.row + height) * pitch + reach, grid.rows)
+    right = min((light.col + width) * pitch + reach, grid.cols)
+    return Patch(np.empty((n, bottom - top, right - left), np.float32), top, left)
+
+
+class _Collector(NamedTuple):
+    """How points of a grid collect: rows of a target that are worked on together, and that work."""
+
+    strips: Callable[[Patch], list[tuple[int, int]]]
+    add: Callable[[Patch, Patch, int, int], None]
+
+
+def _collector(psf: FieldPsf, grid: Grid, many: bool) -> _Collector:
+    return _by_taps(psf, grid) if many and psf.half <= LARGEST_TAPS else _by_transforms(psf, grid)
+
+
+def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
+    whole = psf.whole.astype(np.float32)
+    nodes = whole if len(whole) > 1 else np.tile(whole, (2, 2, 1, 1))
+    cells = len(nodes) - 1
+    borders = _borders(grid.cols, grid.margin, cells * max(1, -(-grid.cols // (cells * _COLS))))
+
+    def strips(target: Patch) -> list[tuple[int, int]]:
+        end = target.row + target.excess.shape[1]
+        return [(row, min(row + _ROWS, end)) for row in range(target.row, end, _ROWS)]
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        columns = _cut(borders, target.col, target.col + target.excess.shape[2])
+        collect_strip(light, grid, nodes, columns, target, first, end)
+
+    return _Collector(strips, add)
+
+
+def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
+    cells = max(len(psf.cores) - 1, 1)
+
+    def tiles(size: int, first: int, end: int) -> list[tuple[int, int]]:
+        """Find tiles of cells of the nodes' grid, some together or parts of one."""
+        inner = size - 2 * grid.margin
+        parts = cells * max(1, round(inner / cells / max(_LEAST_SIDE, _SIDE_HALVES * psf.half)))
+        # Far more than a tile of less than half a PSF's width would lie around it.
+        together = max(1, int(np.ceil(psf.half * cells / inner)))
+        return list(pairwise(_cut(_borders(size, grid.margin, parts, together), first, end).tolist()))
+
+    def strips(target: Patch) -> list[tuple[int, int]]:
+        return tiles(grid.rows, target.row, target.row + target.excess.shape[1])
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        rows, left = slice(first - target.row, end - target.row), target.col
+        for a, b in tiles(grid.cols, left, left + target.excess.shape[2]):
+            collect_tile(light, psf, grid, (first, end), (a, b), target.excess[:, rows, a - left : b - left])
+
+    return _Collector(strips, add)
+
+
+def _borders(size: int, margin: int, parts: int, together: int = 1) -> Ints:
+    """Cut a grid within its margin in even parts, and take so many of them together: where each begins."""
+    at = np.append(np.arange(0, parts, together), parts) / parts
+    borders = margin + np.rint(at * (size - 2 * margin)).astype(np.int64)
+    borders[0], borders[-1] = 0, size
+    return borders
+
+
+def _cut(borders: Ints, first: int, end: int) -> Ints:
+    """Borders of what lies between first and end."""
+    return np.unique(borders.clip(first, end))

@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from optsim.forward.compiled import FEW, compiled
+from optsim.forward.fringing import add_whole_cells, whole_cells
 from optsim.forward.ghost import mirrored
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import SomeBlur
-from optsim.quantities import Bools, Doubles, Floats, Ints
+from optsim.quantities import Bools, Doubles, Ints
 
 _OUTLINE = 101  # points along a side of the panel
 
@@ -140,7 +141,7 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
 
     Returns
     -------
-    sparse.csc_array of shape (ccd_rows * ccd_cols, rows * cols), float32
+    sparse.csc_array of shape (ccd_rows * ccd_cols, rows * cols), float64
         J m^-2 to J m^-2: overlap in CCD pixel areas / magnification^2 x transmission. Its transpose is
         its exact adjoint.
     """
@@ -151,13 +152,14 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
     if g.rows * g.cols < FEW:
         return _small_overlap(g, boxes, reach, transmission)
     counts = np.zeros(g.rows * g.cols + 1, np.int64)
-    empty_rows, empty_values = np.empty(0, np.int32), np.empty(0, np.float32)
+    empty_rows, empty_values = np.empty(0, np.int32), np.empty(0)
     ccd = (g.ccd_rows, g.ccd_cols)
     scale = _scale(g, transmission)
     _overlaps(ccd, boxes, reach, scale, counts, empty_rows, empty_values, False)
     pointers = np.cumsum(counts)
     indices = np.empty(pointers[-1], np.int32)
-    values = np.empty(pointers[-1], np.float32)
+    # As exact as what it is applied to: else all of it would be converted each time.
+    values = np.empty(pointers[-1])
     _overlaps(ccd, boxes, reach, scale, pointers, indices, values, True)
     shape = (g.ccd_rows * g.ccd_cols, g.rows * g.cols)
     return sparse.csc_array((values, indices, pointers.astype(np.int32)), shape=shape)
@@ -188,7 +190,7 @@ def _small_overlap(
             pixel = (y[cell] * geometry.ccd_cols + x[cell]).astype(np.int64)
             found.append(((high * wide / (height * width))[cell], pixel, cell))
     shares, pixels, cells = (np.concatenate(each) for each in zip(*found, strict=True))
-    values = (shares * _scale(geometry, transmission)).astype(np.float32)
+    values = shares * _scale(geometry, transmission)
     shape = (geometry.ccd_rows * geometry.ccd_cols, geometry.rows * geometry.cols)
     return sparse.csc_array((values, (pixels, cells)), shape=shape)
 
@@ -214,7 +216,7 @@ def _overlaps(
     scale: float,
     pointers: Ints,
     indices: NDArray[np.int32],
-    values: Floats,
+    values: Doubles,
     fill: bool,
 ) -> None:
     """Count the entries of every column (fill False), or write them from their pointers on."""
@@ -263,8 +265,11 @@ class Ghost:
 
     def apply(self, energy: NDArray[np.floating]) -> Doubles:
         """Image of the fine panel grid on itself, (y, x)."""
-        coarse = mirrored(cell_means(energy, self.pitch), self.blur_px)
-        return coarse.repeat(self.pitch, axis=0).repeat(self.pitch, axis=1)
+        return whole_cells(self.on_pixels(energy), self.pitch)
+
+    def on_pixels(self, energy: NDArray[np.floating]) -> Doubles:
+        """Find the same image where it is smooth, on panel pixels, (v, u)."""
+        return mirrored(cell_means(energy, self.pitch), self.blur_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +314,9 @@ class RelayOperator:
         """Take the ghost's share from the direct light and add the ghost, which is its own adjoint."""
         if self.ghost is None or self.ghost.share == 0:
             return direct
-        return (1 - self.ghost.share) * direct + self.ghost.share * self.ghost.apply(energy)
+        direct *= 1 - self.ghost.share
+        add_whole_cells(direct, self.ghost.share * self.ghost.on_pixels(energy))
+        return direct
 
     def _veil(self, image: Doubles) -> Doubles:
         return (1 - self.glare_share) * image + self.glare_share * image.mean()

@@ -15,10 +15,13 @@ rings, the outer one on cells of several panel pixels: relative to its distance 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optsim.forward.bands import side_by_side
+from optsim.forward.fringing import add_whole_cells
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur, SomeBlur, extend, make_blur
 from optsim.quantities import Doubles, Segment
@@ -137,7 +140,7 @@ def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
     pitch : int
         Fine samples to a panel pixel.
     """
-    panel = np.stack([cell_means(end, pitch) for end in ends])
+    panel = np.stack(side_by_side(partial(cell_means, end, pitch) for end in ends))
     return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
 
 
@@ -178,21 +181,19 @@ class Winged:
         return light
 
     def _add_far(self, light: Doubles, image: NDArray[np.floating]) -> None:
-        far = self.far.apply(cell_means(image, self.pitch)).repeat(self.pitch, axis=1)
-        for y in range(self.pitch):
-            light[y :: self.pitch] += far
+        add_whole_cells(light, self.far.apply(cell_means(image, self.pitch)))
 
 
 def near_half(kernel: Doubles, least: int, share: float) -> int:
-    """Half width, ``least`` or more, of a kernel's middle that all but a share of its light lies in."""
-    half = len(kernel) // 2
+    """Half width, ``least`` or more, of a middle beyond which kernels, (..., y, x), have at most a share."""
+    half = kernel.shape[-1] // 2
     near = min(least, half)
 
-    def within(reach: int) -> float:
+    def beyond(reach: int) -> float:
         inner = slice(half - reach, half + reach + 1)
-        return float(kernel[inner, inner].sum())
+        return float((kernel.sum(axis=(-2, -1)) - kernel[..., inner, inner].sum(axis=(-2, -1))).max())
 
-    while near < half and within(near) < 1 - share:
+    while near < half and beyond(near) > share:
         near = min(half, near + max(1, near // 4))
     return near
 

@@ -13,6 +13,7 @@ from optsim.forward.compiled import FEW, compiled
 from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import blur_moving
+from optsim.forward.moving_psf import MovingPsf, divided
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.wings import Ring, far_light, make_wings, moving_ends
@@ -117,7 +118,7 @@ class _Blurs:
 
     Parameters
     ----------
-    core : FieldPsf
+    core : MovingPsf
         What moving light gets in each instant.
     wings : tuple of Ring
         What it gets as a straight line in time.
@@ -129,7 +130,7 @@ class _Blurs:
         The other part, on the field.
     """
 
-    core: FieldPsf
+    core: MovingPsf
     wings: tuple[Ring, ...]
     reach: int
     common: Blur
@@ -153,7 +154,7 @@ def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) ->
     core = turned.middle(core_half)
     wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
     return _Blurs(
-        core,
+        divided(core, pitch),
         make_wings(turned.kernel, core.half, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
