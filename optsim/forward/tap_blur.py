@@ -128,7 +128,7 @@ def _lit_columns(
     _, tall, wide = light.excess.shape
     low, high = max(left, light.col), min(right, light.col + wide)
     lit, dark = high, low
-    # Beyond the border are the light's own first and last rows again.
+    # Beyond the border its own light goes on, which reaches no place that the border's does not.
     for row in range(max(top, light.row), min(bottom, light.row + tall)):
         line = light.excess[t, row - light.row]
         for col in range(low, lit):
@@ -139,9 +139,7 @@ def _lit_columns(
             if line[col - light.col] != 0:
                 dark = col + 1
                 break
-    if lit >= dark:
-        return 0, 0
-    return left if lit == 0 else lit, right if dark == grid.cols else dark
+    return lit, dark
 
 
 @compiled()
