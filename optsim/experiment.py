@@ -7,10 +7,10 @@ import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from optsim import hardware
 from optsim.calibrate import Calibration
@@ -23,6 +23,15 @@ from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
 from optsim.scene import FootageSource, load_scene
+
+
+def _true_is_a_word(value: object) -> object:
+    """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
+    return "true" if value is True else value
+
+
+# What is known of the camera: what the bench found, the simulator's own parameters, or the paper's equations.
+Operator = Annotated[Literal["bench", "true", "ideal"], BeforeValidator(_true_is_a_word)]
 
 
 class SceneChoice(Part):
@@ -51,13 +60,20 @@ class LightRule(Part):
 
 
 class Method(Part):
-    """One contestant: a coding scheme and the decoder of its frames."""
+    """One contestant: a coding scheme and the decoder of its frames.
+
+    Parameters
+    ----------
+    calibration
+        What this scheme and decoder know of the camera, if not what the experiment says.
+    """
 
     name: str = Field(
         pattern=r"^[a-z][a-z0-9_]*$", description="a letter, then letters, digits and _, all in lower case"
     )
     scheme: Scheme
     decoder: Decoder
+    calibration: Operator | None = None
 
     def check(self, calibration: Calibration) -> None:
         """Refuse what this method cannot do with a camera, before there is a frame.
@@ -86,8 +102,9 @@ class Experiment(Part):
         Error that leaving out what the scene doesn't need may make in a frame, rms, relative to the frame's
         noise; 0 models everything (see :mod:`optsim.camera_plan`).
     calibration
-        What decoders know of the camera: ``bench`` (estimated from the virtual laboratory's images),
-        ``true`` (the simulator's own parameters) or ``ideal`` (the paper's equations).
+        What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
+        (the simulator's own parameters) or ``ideal`` (the paper's equations). The light rule goes by it, and
+        so do all methods but those with a ``calibration`` of their own.
     drift
         What of the camera changes between its calibration and the first frame, as in ``camera``: for
         example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of it.
@@ -107,16 +124,10 @@ class Experiment(Part):
     camera: CodedCamera
     tolerance: float = Field(default=0.1, ge=0, le=10)
     methods: tuple[Method, ...] = Field(min_length=1)
-    calibration: Literal["bench", "true", "ideal"] = "bench"
+    calibration: Operator = "bench"
     drift: Table = Field(default_factory=dict)
     light: LightRule = LightRule()
     save_reconstructions: tuple[str, ...] = ()
-
-    @field_validator("calibration", mode="before")
-    @classmethod
-    def _true_is_a_word(cls, value: object) -> object:
-        """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
-        return "true" if value is True else value
 
     @model_validator(mode="after")
     def _one_truth(self) -> Experiment:
@@ -136,6 +147,15 @@ class Experiment(Part):
             if name not in names:
                 raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
         return self
+
+    def operator_of(self, method: Method) -> Operator:
+        """Say what a method knows of the camera: its own choice, or else the experiment's."""
+        return method.calibration or self.calibration
+
+    @property
+    def operators(self) -> tuple[Operator, ...]:
+        """Operators that are asked for, each once; the experiment's own, by which light is set, first."""
+        return tuple(dict.fromkeys((self.calibration, *map(self.operator_of, self.methods))))
 
     def at_work(self) -> CodedCamera:
         """Camera that takes the frames: the one that was calibrated, as it has changed since.

@@ -77,6 +77,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "contrast_budget": contrast_budget(camera),
+        "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
         "drift": experiment.drift,
         "noise_e": plan.near.noise_e() if plan else None,
         "effects": [asdict(each) for each in found],
@@ -175,6 +176,8 @@ def show(record: dict[str, Any]) -> list[object]:
             f"{latency['n_frames']} coded frames end before the steady phase: take "
             f"{latency['first_steady'] + 1} or more (n_frames)"
         )
+    known = cast("dict[str, str]", record["calibrations"])
+    items.append("calibration of " + ", ".join(f"{name}: {operator}" for name, operator in known.items()))
     if record["drift"]:
         items.append(f"after calibration, unknown to decoders, the camera drifts: {record['drift']}")
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():

@@ -26,7 +26,7 @@ from optsim.files import read_json, writable_folder, write_exr, write_json, writ
 from optsim.gallery import Gallery
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
-from optsim.loop import Frames, LightLevel, calibrate, capture, decode, planned, set_light
+from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report
@@ -83,7 +83,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
         With the cure.
     """
     check_truth(experiment)
-    if experiment.calibration == "bench":
+    if "bench" in experiment.operators:
         check_panel(experiment.camera)
     ideal = ideal_calibration(experiment.camera)
     for method in experiment.methods:
@@ -155,23 +155,24 @@ def execute(
         modelled, plan = planned(experiment)
     with watch.stage("calibrate"):
         progress("laboratory", 0, 1)
-        calibration = calibrate(modelled)
+        known = calibrate_all(modelled)
         progress("laboratory", 1, 1)
     for method in experiment.methods:
-        method.check(calibration)
+        method.check(known[experiment.operator_of(method)])
     with watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
     experiment = modelled
     with watch.stage("capture"):
-        camera, light = set_light(experiment, radiance, calibration)
+        camera, light = set_light(experiment, radiance, known[experiment.calibration])
         truth = camera.form_image(radiance)
-        frames = capture(experiment, camera, truth, calibration, progress)
+        frames = capture(experiment, camera, truth, known, progress)
         _write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
-    gallery = Gallery(experiment, scorer, float(np.median(calibration.saturation_dn)))
+    saturation_dn = float(np.median(known[experiment.calibration].saturation_dn))
+    gallery = Gallery(experiment, scorer, saturation_dn)
     decode_s = {method.name: 0.0 for method in experiment.methods}
     with watch.stage("decode and score"):
-        for decoded in decode(experiment.methods, frames, calibration):
+        for decoded in decode(experiment, frames, known):
             scorer.add(decoded.videos)
             for name, video in decoded.videos.items():
                 decode_s[name] += decoded.seconds[name]
@@ -212,7 +213,11 @@ def execute(
             "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),
             "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
         },
-        "methods": {m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}" for m in experiment.methods},
+        "methods": {
+            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, {experiment.operator_of(m)} calibration"
+            for m in experiment.methods
+        },
+        "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
         **scorer.results(),
         "plan": plan_record(plan),
         **scorer.masks(frames),

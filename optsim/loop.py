@@ -1,14 +1,14 @@
 """The closed loop: codes are chosen from frames that have arrived, frames are taken, then decoded.
 
 All methods see the same truth, light and camera and draw the same random code; each has its own stream of
-photons.
+photons, and may know the camera by a calibration of its own.
 """
 
 from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from optsim.calibrate import Calibration, calibrate_from
 from optsim.camera import CodedCamera
 from optsim.camera_plan import CameraPlan, plan_camera
 from optsim.errors import ConfigError
-from optsim.experiment import Experiment, Method
+from optsim.experiment import Experiment, Method, Operator
 from optsim.forward.integrate import cell_means
 from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
@@ -35,6 +35,7 @@ from optsim.quantities import (
 from optsim.truth import illumination
 
 Frames = dict[str, tuple[CodedFrame, ...]]
+Calibrations = Mapping[Operator, Calibration]
 
 
 def stream(seed: int, *purpose: str | int) -> Generator:
@@ -109,14 +110,27 @@ def set_light(
     return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
 
 
-def calibrate(experiment: Experiment) -> Calibration:
-    """Make what decoders will know of the camera: from the bench, or the true or ideal operator."""
-    camera = experiment.camera.with_nd(1.0)
-    if experiment.calibration == "true":
+def calibrate(experiment: Experiment, operator: Operator | None = None) -> Calibration:
+    """Make what will be known of the camera: from the bench, or the true or ideal operator.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its camera, as planned, and its seed.
+    operator : {"bench", "true", "ideal"}, optional
+        By default the experiment's own.
+    """
+    camera, operator = experiment.camera.with_nd(1.0), operator or experiment.calibration
+    if operator == "true":
         return true_calibration(camera)
-    if experiment.calibration == "ideal":
+    if operator == "ideal":
         return ideal_calibration(camera)
     return calibrate_from(measure_bench(camera, stream(experiment.seed, "laboratory")))
+
+
+def calibrate_all(experiment: Experiment) -> Calibrations:
+    """Make each calibration that the light rule or a method asks for, once: the bench takes long."""
+    return {operator: calibrate(experiment, operator) for operator in experiment.operators}
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +175,7 @@ def capture(
     experiment: Experiment,
     camera: CodedCamera,
     truth: IrradianceVideo,
-    calibration: Calibration,
+    calibrations: Calibrations,
     progress: Progress = silent,
 ) -> Frames:
     """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
@@ -174,15 +188,18 @@ def capture(
         The true camera, behind its neutral density.
     truth : IrradianceVideo
         Light on the modulator.
-    calibration : Calibration
-        All that the schemes know.
+    calibrations : dict
+        All that the schemes know: operator -> calibration, from :func:`calibrate_all`.
 
     Returns
     -------
     dict
         Method name -> its coded frames.
     """
-    running = {m.name: shots(experiment, m, camera, truth, calibration) for m in experiment.methods}
+    running = {
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.operator_of(m)])
+        for m in experiment.methods
+    }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
     for index in range(experiment.n_frames):
         for name, taken in running.items():
@@ -210,9 +227,12 @@ class Decoded:
     seconds: dict[str, float]
 
 
-def decode(methods: Sequence[Method], frames: Frames, calibration: Calibration) -> Iterator[Decoded]:
+def decode(experiment: Experiment, frames: Frames, calibrations: Calibrations) -> Iterator[Decoded]:
     """Decode frame by frame, in their order; causal, and never sees the truth."""
-    running = {m.name: m.decoder.decode(frames[m.name], calibration) for m in methods}
+    running = {
+        m.name: m.decoder.decode(frames[m.name], calibrations[experiment.operator_of(m)])
+        for m in experiment.methods
+    }
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
         seconds: dict[str, float] = {}
@@ -237,8 +257,8 @@ class Result:
         With the neutral density that the light rule chose.
     light : LightLevel
         What the light rule decided.
-    calibration : Calibration
-        What decoders knew.
+    calibrations : dict
+        What was known of the camera: operator -> calibration.
     truth : IrradianceVideo
         Light on the modulator; lazy.
     radiance : RadianceVideo
@@ -253,11 +273,16 @@ class Result:
     plan: CameraPlan
     camera: CodedCamera
     light: LightLevel
-    calibration: Calibration
+    calibrations: Calibrations
     truth: IrradianceVideo
     radiance: RadianceVideo
     frames: Frames
     reconstructions: dict[str, tuple[Reconstruction, ...]]
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the light rule went by, and every method without a calibration of its own."""
+        return self.calibrations[self.experiment.calibration]
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
@@ -287,14 +312,14 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
         Frames, reconstructions and what they were made with.
     """
     experiment, plan = planned(experiment)
-    calibration = calibrate(experiment)
+    known = calibrate_all(experiment)
     for method in experiment.methods:
-        method.check(calibration)
-    camera, light = set_light(experiment, radiance, calibration)
+        method.check(known[experiment.operator_of(method)])
+    camera, light = set_light(experiment, radiance, known[experiment.calibration])
     truth = camera.form_image(radiance)
-    frames = capture(experiment, camera, truth, calibration, progress)
+    frames = capture(experiment, camera, truth, known, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
-    for decoded in decode(experiment.methods, frames, calibration):
+    for decoded in decode(experiment, frames, known):
         for name, video in decoded.videos.items():
             videos[name].append(video)
         progress("decode", decoded.index + 1, experiment.n_frames)
@@ -303,7 +328,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
         plan,
         camera,
         light,
-        calibration,
+        known,
         truth,
         radiance,
         frames,

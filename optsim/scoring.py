@@ -115,15 +115,18 @@ class Scorer:
 
     def results(self) -> dict[str, Any]:
         """Scores, coverage and series of everything added, as results.json holds them."""
-        scores = self.board.records(self.tallies)
-        adaptive = [m.name for m in self.experiment.methods if m.scheme.kind == "motion_adaptive"]
+        scores, methods = self.board.records(self.tallies), self.experiment.methods
+        adaptive = [m.name for m in methods if m.scheme.kind == "motion_adaptive"]
+        # Claims compare schemes, so they leave out who knows the camera by a calibration of its own.
+        apart = [m.name for m in methods if self.experiment.operator_of(m) != self.experiment.calibration]
+        judged = [each for each in scores if each["method"] not in apart]
         return {
             "scores": scores,
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
             "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
-            "hypothesis": metrics.judge_hypothesis(scores, no_rivals=adaptive),
+            "hypothesis": metrics.judge_hypothesis(judged, no_rivals=adaptive),
         }
 
     def masks(self, frames: Frames) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from optsim.console import table
 from optsim.errors import ConfigError, unknown_name
 from optsim.experiment import Experiment
 from optsim.forward.fringing import border_shares, fine_image_adjoint
-from optsim.loop import Shot, calibrate, planned, set_light, shots
+from optsim.loop import Shot, calibrate_all, planned, set_light, shots
 from optsim.metrics import first_steady, phase_of
 from optsim.origins import (
     NEAR_PX,
@@ -116,13 +116,13 @@ def trace_experiment(
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     progress("laboratory", 0, 1)
-    modelled, _ = planned(experiment)
-    calibration = calibrate(modelled)
-    progress("laboratory", 1, 1)
-    camera, _ = set_light(modelled, radiance, calibration)
-    truth = camera.form_image(radiance)
     method = next(each for each in experiment.methods if each.name == aim.method)
-    taken = shots(modelled, method, camera, truth, calibration)
+    modelled = planned(experiment)[0].model_copy(update={"methods": (method,)})
+    known = calibrate_all(modelled)
+    progress("laboratory", 1, 1)
+    camera, _ = set_light(modelled, radiance, known[modelled.calibration])
+    truth = camera.form_image(radiance)
+    taken = shots(modelled, method, camera, truth, known[modelled.operator_of(method)])
     for index in range(aim.frame):
         next(taken)
         progress("capture", index + 1, aim.frame + 1)

@@ -209,9 +209,10 @@ def test_a_tolerance_is_an_override_like_any_other(cli) -> None:
 def test_an_explanation_for_people_has_units_and_says_what_clips() -> None:
     text = StringIO()
     page = Console(width=200, file=text)
-    for item in show(explanation("demo", [])):
+    for item in show(explanation("demo", ["methods.random.calibration=ideal"])):
         page.print(item)
     said = text.getvalue()
+    assert "calibration of adaptive: bench, normal: bench, hdr_mosaic: bench, random: ideal" in said
     assert "120 x 160" in said
     assert "CCD pixels a panel pixel" in said
     assert "cone of f/4, f/6 on the panel" in said

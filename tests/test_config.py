@@ -119,6 +119,10 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
         ("n_frames=1.5", "n_frames: got 1.5, expected a whole number"),
         ("camera.overlap=3", "camera.overlap: got 3, expected true or false"),
         ("calibration=tru", "did you mean 'true'?"),
+        (
+            "methods.random.calibration=iedal",
+            "methods.3.calibration: got 'iedal', expected one of: bench, true, ideal; did you mean 'ideal'?",
+        ),
         ("scene=3", "scene: got 3, expected a table with some of: name, variation, band"),
         ("scene.band=red", "'window_room' has no bands; leave scene.band out"),
         ("methods=3", "methods: got 3, expected a list"),

@@ -11,6 +11,7 @@ from optsim import job
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_exr, read_json, read_png16
+from optsim.loop import calibrate, planned
 from optsim.measurement import decode_measurement
 from optsim.measurement.runs import read_run
 from optsim.reconstruct import GaussianMixture, SparseCoding, Union
@@ -34,7 +35,7 @@ SMALL = [
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
-    return load_experiment("demo", SMALL)
+    return load_experiment("demo", [*SMALL, "methods.random.calibration=ideal"])
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def folder(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> 
     return where
 
 
-def test_results_follow_their_schema_and_hold_no_nan(folder: Path) -> None:
+def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: Experiment) -> None:
     text = (folder / "results.json").read_text()
     results = check_results(json.loads(text))
     assert "NaN" not in text
@@ -55,6 +56,13 @@ def test_results_follow_their_schema_and_hold_no_nan(folder: Path) -> None:
     # The dictionary states no uncertainty, so what it has a part in doesn't either.
     assert {u["method"] for u in results["uncertainty"]} == {"normal", "hdr_mosaic"}
     assert all(u["within_one"] > 0.05 for u in results["uncertainty"] if u["region"] == "static")
+    known = {"adaptive": "true", "normal": "true", "hdr_mosaic": "true", "random": "ideal"}
+    assert results["calibrations"] == known
+    for name, operator in known.items():
+        assert results["methods"][name].endswith(f", {operator} calibration")
+    # Light is that of the experiment's.
+    by = calibrate(planned(experiment)[0])
+    assert results["light_rule"]["saturation_dn"] == pytest.approx(np.median(by.saturation_dn - by.black_dn))
     assert results["latency"]["hypothetical"]
     assert results["noise_ceiling"]
 

@@ -410,6 +410,19 @@ def test_a_camera_that_drifted_is_named(run_folder: Path, results: dict[str, Any
     assert re.search(r"camera drifted.*: relay.shift_x_px = 0.4, relay.shift_y_px = -0.2\.", page)
 
 
+def test_what_methods_know_of_the_camera_is_told_where_they_differ(
+    run_folder: Path, results: dict[str, Any]
+) -> None:
+    alike = dict.fromkeys(METHODS, "bench")
+    told = {**results, "calibrations": alike}
+    assert "different calibrations" not in report.write_report(run_folder, told).read_text()
+    told["calibrations"] = {**alike, "normal": "ideal", "random": "ideal"}
+    told["experiment"] = {**results["experiment"], "calibration": "true"}
+    page = report.write_report(run_folder, told).read_text()
+    said = r"calibrations: bench: adaptive, hdr_mosaic; ideal: normal, random\..* experiment, true\."
+    assert re.search(said, page)
+
+
 def test_sections_come_in_order(run_folder: Path, results: dict[str, Any]) -> None:
     page = report.write_report(run_folder, results).read_text()
     order = re.findall(r'<section[^>]* id="(\w+)"', page)

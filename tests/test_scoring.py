@@ -7,7 +7,7 @@ import pytest
 
 from optsim import metrics
 from optsim.experiment import Experiment, load_experiment
-from optsim.loop import calibrate, capture, set_light, stream
+from optsim.loop import calibrate, calibrate_all, capture, set_light, stream
 from optsim.metrics import luminous_efficacy_lm_w
 from optsim.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
 from optsim.reconstruct import HdrMerge
@@ -80,10 +80,10 @@ def test_the_light_rule_predicts_what_the_camera_reads(overlap: str) -> None:
 def test_capture_passes_the_panel_on_and_draws_new_photons() -> None:
     experiment = small()
     radiance = flat(experiment, 0.2)
-    calibration = calibrate(experiment)
-    camera, _ = set_light(experiment, radiance, calibration)
+    known = calibrate_all(experiment)
+    camera, _ = set_light(experiment, radiance, known["true"])
     truth = camera.form_image(radiance)
-    frames = capture(experiment, camera, truth, calibration)["normal"]
+    frames = capture(experiment, camera, truth, known)["normal"]
     panel = None
     for index, frame in enumerate(frames):
         photons = stream(experiment.seed, "shot", "normal", index)
@@ -141,7 +141,7 @@ def test_photons_are_electrons() -> None:
     radiance = flat(experiment, 0.02)
     calibration = calibrate(experiment)
     scores = scorer(experiment, radiance)
-    frames = capture(experiment, scores.camera, scores.truth, calibration)
+    frames = capture(experiment, scores.camera, scores.truth, {"true": calibration})
     row = next(r for r in scores.photons(frames) if r["method"] == "normal")
     frame = frames["normal"][1]
     settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
@@ -177,7 +177,7 @@ def test_a_uniform_static_scene_reads_back_through_the_mosaic_at_any_ratio(ratio
     calibration = calibrate(experiment)
     camera, _ = set_light(experiment, radiance, calibration)
     truth = camera.form_image(radiance)
-    frames = capture(experiment, camera, truth, calibration)["hdr_mosaic"]
+    frames = capture(experiment, camera, truth, {"true": calibration})["hdr_mosaic"]
     last = list(HdrMerge().decode(frames, calibration))[-1]
     middle = np.s_[5:-5, 5:-5]
     quotient = (last.irradiance_w_m2[0] / camera.reference(truth, 3)[0])[middle][last.valid[middle]]

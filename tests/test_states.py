@@ -12,7 +12,7 @@ from optsim.calibrate import sample
 from optsim.calibrate.sample import Brightness, take_next
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.known_calibration import true_calibration
-from optsim.loop import calibrate, capture, set_light
+from optsim.loop import calibrate_all, capture, set_light
 from optsim.quantities import ExposureCode, PanelState
 from optsim.reconstruct import HdrMerge, SparseCoding, Union
 from optsim.reconstruct.layer import Layer
@@ -61,9 +61,9 @@ def test_all_methods_show_the_same_random_tile() -> None:
     """Tiles differ by more than the registered margin: claims compare schemes, not the luck of a draw."""
     experiment = small()
     radiance = flat(experiment, 0.1)
-    calibration = calibrate(experiment)
-    camera, _ = set_light(experiment, radiance, calibration)
-    frames = capture(experiment, camera, camera.form_image(radiance), calibration)
+    known = calibrate_all(experiment)
+    camera, _ = set_light(experiment, radiance, known["true"])
+    frames = capture(experiment, camera, camera.form_image(radiance), known)
     np.testing.assert_array_equal(frames["adaptive"][0].code.levels, frames["random"][0].code.levels)
 
 

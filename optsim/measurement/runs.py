@@ -49,7 +49,7 @@ def read_run(folder: Path, method: str | None) -> tuple[Measurement, Decoder]:
             "cure: optsim run with --out, which goes on where it stopped"
         )
     frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
-    calibration = calibrate(planned(experiment)[0])
+    calibration = calibrate(planned(experiment)[0], experiment.operator_of(chosen))
     return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0), chosen.decoder
 
 

@@ -10,6 +10,7 @@ from optsim.metrics.pu21 import Pu21Psnr
 from optsim.metrics.scoring import TRUTH_NOISE, Region, ScoreRecord
 
 BOUND_DB = 0.3
+_OF_WHAT = "in the steady phase, by the experiment's calibration"
 
 
 class Verdict(TypedDict):
@@ -54,7 +55,7 @@ def _near(records: Sequence[ScoreRecord], region: Region, ours: str, theirs: str
     metric = Pu21Psnr()
     values = _values(records, metric.name, region)
     margin = None
-    measured = "not measured: both methods need a score in the steady phase"
+    measured = f"not measured: both methods need a score {_OF_WHAT}"
     if ours in values and theirs in values:
         difference = values[ours] - values[theirs]
         margin = difference + BOUND_DB
@@ -75,7 +76,7 @@ def _best(records: Sequence[ScoreRecord], ours: str, no_rivals: Collection[str])
     values = _values(records, metric.name, "all")
     others = {name: value for name, value in values.items() if name not in {ours, *no_rivals}}
     margin = None
-    measured = "not measured: it needs scores of at least two methods in the steady phase"
+    measured = f"not measured: it needs scores of at least two methods {_OF_WHAT}"
     if ours in values and others:
         rival = min(others, key=others.__getitem__)
         margin = others[rival] - values[ours]

@@ -100,7 +100,16 @@ def _context(results: Results) -> dict[str, object]:
         "quantity": words.quantity,
         "flat": _flat(results["experiment"]),
         "drift": _flat(results["experiment"].get("drift", {})),
+        "known": _known(results),
     }
+
+
+def _known(results: Results) -> dict[str, list[str]]:
+    """Names of the methods by what they know of the camera."""
+    found: dict[str, list[str]] = {}
+    for name, operator in results.get("calibrations", {}).items():
+        found.setdefault(operator, []).append(name)
+    return found
 
 
 def _grouped(results: Results, section: Section) -> list[tuple[str, list[Picture]]]:

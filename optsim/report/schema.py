@@ -21,6 +21,7 @@ Cell = Scalar | list[Scalar]
 Region = Literal["all", "moving", "static"]
 Phase = Literal["warm-up", "merging", "steady"]
 Section = Literal["compare", "crops", "moving", "capture", "errors"]
+Operator = Literal["bench", "true", "ideal"]
 
 
 @with_config(_STRICT)
@@ -275,6 +276,7 @@ class Results(TypedDict):
     latency: Latency
     scene: SceneFacts
     methods: dict[str, str]
+    calibrations: NotRequired[dict[str, Operator]]
     scores: list[Score]
     coverage: list[Coverage]
     frame_series: list[Series]
