@@ -10,7 +10,7 @@ from optsim.forward.field_blur import FieldBlur, FieldPsf, hats, make_field_blur
 from optsim.forward.moving_psf import MovingPsf
 from optsim.forward.psf import Blur, extend, psf_kernel
 from optsim.forward.tap_blur import LARGEST_TAPS
-from optsim.optics import Objective, Relay, form_image, image_formation
+from optsim.optics import Objective, Relay, form_image
 from optsim.quantities import Block, RadianceVideo, Segment
 
 WAVELENGTH_M = 550e-9
@@ -68,7 +68,8 @@ def test_moving_light_gets_the_psf_of_each_point(monkeypatch, place, field_error
     else:
         exact = np.einsum("tyxkl,kl->tyx", windows, middle.kernel, optimize=True) * factor
     assert middle.half <= LARGEST_TAPS
-    block = moving_blur.blur_moving((Block(*place, excess),), MovingPsf(middle), factor)[0]
+    monkeypatch.setattr(moving_blur, "divided", lambda psf, _: MovingPsf(psf))
+    block = moving_blur.blur_moving((Block(*place, excess),), middle, 3, factor)[0]
     _, height, width = block.excess.shape
     ours = np.zeros((3, *field))
     ours[:, block.row : block.row + height, block.col : block.col + width] = block.excess
@@ -176,11 +177,9 @@ def test_hats_add_up_to_one_and_hold_beyond_the_field():
 @pytest.fixture(params=["whole", "divided"])
 def is_divided(request, monkeypatch):
     """Moving light with the whole PSF, and with one that works further off on panel pixels."""
-    if request.param == "whole":
-        monkeypatch.setattr(image_formation, "divided", lambda core, _: MovingPsf(core))
-    image_formation._blurs.cache_clear()
-    yield request.param == "divided"
-    image_formation._blurs.cache_clear()
+    if request.param == "divided":
+        monkeypatch.setattr(moving_blur, "FEW", 0)
+    return request.param == "divided"
 
 
 def test_moving_light_is_blurred_as_light_that_stands_still(is_divided):

@@ -8,7 +8,6 @@ from optsim.forward.crosstalk import crosstalk_kernels, true_dots
 from optsim.forward.field_blur import uniform
 from optsim.forward.fringing import border_shares
 from optsim.forward.moving_blur import blur_moving
-from optsim.forward.moving_psf import MovingPsf
 from optsim.forward.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
 from optsim.forward.psf import extend, make_blur, psf_kernel
 from optsim.forward.radiometry import cos4, irradiance_factor, photons_per_joule
@@ -92,7 +91,7 @@ def test_a_block_blurs_like_the_whole_image(row, col):
     whole = np.zeros((2, 32, 50), np.float32)
     whole[:, row : row + 7, col : col + 6] = excess
     factor = np.ones((32, 50), np.float32)
-    block = blur_moving((Block(row, col, excess),), MovingPsf(uniform(kernel)), factor)[0]
+    block = blur_moving((Block(row, col, excess),), uniform(kernel), 1, factor)[0]
     ours = np.zeros((2, 32, 50))
     _, h, w = block.excess.shape
     ours[:, block.row : block.row + h, block.col : block.col + w] = block.excess

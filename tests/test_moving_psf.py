@@ -6,7 +6,8 @@ import pytest
 from optsim.forward import moving_blur
 from optsim.forward.aberrations import Wavefront, field_psf
 from optsim.forward.field_blur import FieldPsf, uniform
-from optsim.forward.moving_psf import MovingPsf, divided
+from optsim.forward.fringing import fine_image
+from optsim.forward.moving_psf import divided
 from optsim.forward.pixel_splines import draw, splines, spread
 from optsim.forward.psf import psf_kernel
 from optsim.forward.tap_blur import Grid, Patch
@@ -32,12 +33,21 @@ def varying():
     return field_psf(bent, kernel, sides=FIELD, field_error=0.02, **lens).middle(17)
 
 
-def blurred(psf, place, excess):
-    block = moving_blur.blur_moving((Block(*place, excess),), psf, np.ones(FIELD, np.float32))[0]
+def blurred(psf, place, excess, pitch=PITCH):
+    block = moving_blur.blur_moving((Block(*place, excess),), psf, pitch, np.ones(FIELD, np.float32))[0]
     whole = np.zeros((len(excess), *FIELD))
     _, height, width = block.excess.shape
     whole[:, block.row : block.row + height, block.col : block.col + width] = block.excess
     return whole
+
+
+def both(monkeypatch, psf, place, excess, pitch=PITCH):
+    """With the PSF divided, and with all of it in every instant."""
+    monkeypatch.setattr(moving_blur, "FEW", 0)
+    assert divided(psf, pitch).rest is not None
+    cut = blurred(psf, place, excess, pitch)
+    monkeypatch.setattr(moving_blur, "FEW", 10**9)
+    return cut, blurred(psf, place, excess, pitch)
 
 
 def light(kind):
@@ -49,19 +59,11 @@ def light(kind):
     return excess
 
 
-@pytest.fixture(params=[False, True], ids=["arrays", "loops"], autouse=True)
-def _loops(request, monkeypatch):
-    monkeypatch.setattr(moving_blur, "FEW", 0 if request.param else 10**9)
-
-
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(("make", "error"), [(wings, 7e-5), (varying, 1.3e-4)])
-def test_edges_are_off_by_about_a_ten_thousandth_of_their_height(make, error, place):
-    whole, cut = make(), divided(make(), PITCH)
-    assert cut.rest is not None
-    assert cut.near.half < whole.half / 2
-    excess = light("patch")
-    left = blurred(cut, place, excess) - blurred(MovingPsf(whole), place, excess)
+def test_edges_are_off_by_about_a_ten_thousandth_of_their_height(monkeypatch, make, error, place):
+    cut, whole = both(monkeypatch, make(), place, light("patch"))
+    left = cut - whole
     # It is not exact: else this would measure nothing.
     assert 1e-6 < np.abs(left).max() < error
     assert not left[1].any()
@@ -70,32 +72,29 @@ def test_edges_are_off_by_about_a_ten_thousandth_of_their_height(make, error, pl
     assert np.abs(pixels).max() < error / 1.8
 
 
-def test_of_noise_still_less_is_left():
-    excess = light("noise")
-    for make in (wings, varying):
-        found = [blurred(psf, PLACES[1], excess) for psf in (divided(make(), PITCH), MovingPsf(make()))]
-        assert np.std(found[0] - found[1]) < 3e-5 * np.std(found[1][0, 80:120, 90:140])
+@pytest.mark.parametrize("make", [wings, varying])
+def test_of_noise_still_less_is_left(monkeypatch, make):
+    cut, whole = both(monkeypatch, make(), PLACES[1], light("noise"))
+    assert np.std(cut - whole) < 3e-5 * np.std(whole[0, 80:120, 90:140])
 
 
 @pytest.mark.parametrize("pitch", [2, 3, 5])
-def test_a_flat_stays_flat_and_no_light_is_lost(pitch):
-    psf = divided(wings(), pitch)
-    total = wings().kernel.sum()
-    assert psf.rest is not None
-    assert psf.near.kernel.sum() + pitch**2 * psf.rest.kernel.sum() == pytest.approx(total, rel=1e-12)
+def test_a_flat_stays_flat_and_no_light_is_lost(monkeypatch, pitch):
+    psf = wings()
+    cut, total = divided(psf, pitch), psf.kernel.sum()
+    assert cut.near.kernel.sum() + pitch**2 * cut.rest.kernel.sum() == pytest.approx(total, rel=1e-12)
     everywhere = np.ones((1, *FIELD), np.float32)
-    np.testing.assert_allclose(blurred(psf, (0, 0), everywhere), total, rtol=2e-6)
+    for flat in both(monkeypatch, psf, (0, 0), everywhere, pitch):
+        np.testing.assert_allclose(flat, total, rtol=2e-6)
     # A point's light, from each place in a panel pixel.
-    for row, col in ((90, 90), (91, 92), (94, 91)):
-        point = np.full((1, 1, 1), 1000.0, np.float32)
-        found = blurred(psf, (row, col), point)
+    for place in ((90, 90), (91, 92), (94, 91)):
+        found, exact = both(monkeypatch, psf, place, np.full((1, 1, 1), 1000.0, np.float32), pitch)
         assert found.sum() == pytest.approx(1000 * total, rel=2e-5)
-        exact = blurred(MovingPsf(wings()), (row, col), point)
         assert np.abs(found - exact).max() < 1000 * 1e-4
 
 
 def test_what_is_small_or_far_too_wide_stays_whole():
-    for psf in (wings(reach=4), uniform(np.ones((1, 1))), wings(cell_m=0.4e-6, reach=90)):
+    for psf in (wings(reach=4), uniform(np.ones((1, 1))), wings(cell_m=0.4e-6, reach=90), wings(cell_m=1e-6)):
         assert divided(psf, PITCH).rest is None
     # A large PSF of which all is in its middle.
     point = np.zeros((35, 35))
@@ -132,24 +131,26 @@ def test_to_draw_is_the_transpose_of_to_spread(place, size):
     """Within the field; where light touches the border it goes on, so there what is spread is more."""
     pixels = Grid(60 // PITCH + 8, 72 // PITCH + 8, 4)
     excess = RNG.normal(0, 1, (3, *size)).astype(np.float32)
-    found = {many: spread(Patch(excess, *place), PITCH, pixels, many) for many in (False, True)}
-    np.testing.assert_allclose(found[False].excess, found[True].excess, atol=3e-6)
-    other = RNG.normal(0, 1, found[True].excess.shape).astype(np.float32)
-    fine = {many: np.empty((3, *size), np.float32) for many in (False, True)}
-    for many, drawn in fine.items():
-        corner = found[many].row - pixels.margin, found[many].col - pixels.margin
-        draw(Patch(other, *corner), PITCH, *place, drawn, many)
-    np.testing.assert_allclose(fine[False], fine[True], atol=2e-6)
+    found = spread(Patch(excess, *place), PITCH, pixels)
+    corner = found.row - pixels.margin, found.col - pixels.margin
+    other = RNG.normal(0, 1, found.excess.shape).astype(np.float32)
+    fine = np.empty((3, *size), np.float32)
+    draw(Patch(other, *corner), PITCH, *place, fine)
+    shares = splines(PITCH)
+    for pixel_light, drawn in zip(other, fine, strict=True):
+        all_drawn = fine_image(pixel_light.astype(float), shares)
+        top, left = place[0] - corner[0] * PITCH, place[1] - corner[1] * PITCH
+        np.testing.assert_allclose(drawn, all_drawn[top : top + size[0], left : left + size[1]], atol=2e-6)
     inside = place[0] > 0 and place[0] + size[0] < 60 and place[1] > 0 and place[1] + size[1] < 72
-    forth, back = (found[True].excess * other).sum(dtype=float), (fine[True] * excess).sum(dtype=float)
+    forth, back = (found.excess * other).sum(dtype=float), (fine * excess).sum(dtype=float)
     assert (abs(forth - back) < 1e-4) == inside
 
 
-def test_uniform_psfs_and_ones_that_only_could_vary_are_the_same():
+def test_uniform_psfs_and_ones_that_only_could_vary_are_the_same(monkeypatch):
     kernel = wings().kernel
     nodes = np.broadcast_to(kernel, (3, 3, *kernel.shape)).copy()
     excess = light("noise")
-    one, many = (
-        blurred(divided(psf, PITCH), PLACES[2], excess) for psf in (uniform(kernel), FieldPsf(kernel, nodes))
-    )
-    np.testing.assert_allclose(one, many, atol=3e-6)
+    found = [
+        both(monkeypatch, psf, PLACES[2], excess)[0] for psf in (uniform(kernel), FieldPsf(kernel, nodes))
+    ]
+    np.testing.assert_allclose(*found, atol=3e-6)

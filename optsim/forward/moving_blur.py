@@ -18,7 +18,7 @@ import numpy as np
 from optsim.forward.bands import side_by_side
 from optsim.forward.compiled import FEW
 from optsim.forward.field_blur import FieldPsf
-from optsim.forward.moving_psf import MovingPsf
+from optsim.forward.moving_psf import MovingPsf, divided
 from optsim.forward.pixel_splines import draw, spread
 from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip
 from optsim.forward.tile_blur import collect_tile
@@ -31,7 +31,7 @@ _SIDE_HALVES, _LEAST_SIDE = 5.0, 32
 _ROWS, _COLS = 64, 128
 
 
-def blur_moving(blocks: tuple[Block, ...], psf: MovingPsf, factor: Floats) -> tuple[Block, ...]:
+def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Floats) -> tuple[Block, ...]:
     """Let each point collect moving blocks' light; blocks grow by the PSF's half width, within the field.
 
     Parameters
@@ -39,18 +39,22 @@ def blur_moving(blocks: tuple[Block, ...], psf: MovingPsf, factor: Floats) -> tu
     blocks : tuple of Block
         Excess in rectangles; where one touches the border of the field it continues beyond, as
         :func:`optsim.forward.psf.extend` continues the base.
-    psf : MovingPsf
-        What each point collects.
+    psf : FieldPsf
+        What each point collects. Of much light it is divided (:func:`optsim.forward.moving_psf.divided`).
+    pitch : int
+        Fine samples to a panel pixel.
     factor : ndarray of shape (y, x), float32
         What each point of the field makes of its light.
     """
     grid = Grid(factor.shape[0], factor.shape[1])
-    many = sum(block.excess.size for block in blocks) >= FEW
+    few = sum(block.excess.size for block in blocks) < FEW
+    cut = MovingPsf(psf) if few else divided(psf, pitch)
+    by_taps = not few and cut.near.half <= LARGEST_TAPS
+    near = _by_taps(cut.near, grid) if by_taps else _by_transforms(cut.near, grid)
     lights = [Patch(block.excess, block.row, block.col) for block in blocks]
-    further = _further_off(lights, psf, grid, many)
-    near = _collector(psf.near, grid, many)
+    further = [None] * len(lights) if cut.rest is None else _further_off(lights, cut.rest, pitch, grid)
     targets = [
-        _empty(light, psf.near.half, 1, grid) if pixels is None else _empty(pixels, 0, psf.pitch, grid)
+        _empty(light, cut.near.half, 1, grid) if pixels is None else _empty(pixels, 0, pitch, grid)
         for light, pixels in zip(lights, further, strict=True)
     ]
 
@@ -59,7 +63,7 @@ def blur_moving(blocks: tuple[Block, ...], psf: MovingPsf, factor: Floats) -> tu
         if pixels is None:
             rows[:] = 0
         else:
-            draw(pixels, psf.pitch, first, target.col, rows, many)
+            draw(pixels, pitch, first, target.col, rows)
         near.add(light, target, first, end)
         rows *= factor[first:end, target.col : target.col + rows.shape[2]]
 
@@ -71,17 +75,14 @@ def blur_moving(blocks: tuple[Block, ...], psf: MovingPsf, factor: Floats) -> tu
     return tuple(Block(target.row, target.col, target.excess) for target in targets)
 
 
-def _further_off(lights: list[Patch], psf: MovingPsf, grid: Grid, many: bool) -> list[Patch | None]:
+def _further_off(lights: list[Patch], psf: FieldPsf, pitch: int, grid: Grid) -> list[Patch]:
     """Collect from further off, on panel pixels."""
-    if psf.rest is None:
-        return [None] * len(lights)
     # Pixels around the field, too, from which light arrives, and where the outermost splines begin.
-    reach = psf.rest.half
-    margin = reach + 2
-    pixels = Grid(grid.rows // psf.pitch + 2 * margin, grid.cols // psf.pitch + 2 * margin, margin)
-    rest = _collector(psf.rest, pixels, many)
-    spreads = side_by_side(partial(spread, light, psf.pitch, pixels, many) for light in lights)
-    targets = [_empty(light, reach, 1, pixels) for light in spreads]
+    margin = psf.half + 2
+    pixels = Grid(grid.rows // pitch + 2 * margin, grid.cols // pitch + 2 * margin, margin)
+    rest = _by_taps(psf, pixels)
+    spreads = side_by_side(partial(spread, light, pitch, pixels) for light in lights)
+    targets = [_empty(light, psf.half, 1, pixels) for light in spreads]
 
     def strip(light: Patch, target: Patch, first: int, end: int) -> None:
         target.excess[:, first - target.row : end - target.row] = 0
@@ -111,10 +112,6 @@ class _Collector(NamedTuple):
     add: Callable[[Patch, Patch, int, int], None]
 
 
-def _collector(psf: FieldPsf, grid: Grid, many: bool) -> _Collector:
-    return _by_taps(psf, grid) if many and psf.half <= LARGEST_TAPS else _by_transforms(psf, grid)
-
-
 def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
     whole = psf.whole.astype(np.float32)
     nodes = whole if len(whole) > 1 else np.tile(whole, (2, 2, 1, 1))
@@ -137,11 +134,10 @@ def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
 
     def tiles(size: int, first: int, end: int) -> list[tuple[int, int]]:
         """Find tiles of cells of the nodes' grid, some together or parts of one."""
-        inner = size - 2 * grid.margin
-        parts = cells * max(1, round(inner / cells / max(_LEAST_SIDE, _SIDE_HALVES * psf.half)))
+        parts = cells * max(1, round(size / cells / max(_LEAST_SIDE, _SIDE_HALVES * psf.half)))
         # Far more than a tile of less than half a PSF's width would lie around it.
-        together = max(1, int(np.ceil(psf.half * cells / inner)))
-        return list(pairwise(_cut(_borders(size, grid.margin, parts, together), first, end).tolist()))
+        together = max(1, int(np.ceil(psf.half * cells / size)))
+        return list(pairwise(_cut(_borders(size, 0, parts, together), first, end).tolist()))
 
     def strips(target: Patch) -> list[tuple[int, int]]:
         return tiles(grid.rows, target.row, target.row + target.excess.shape[1])

@@ -11,6 +11,7 @@ Using Particles*, 1988, chapter 8: the optimal influence function).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -37,15 +38,14 @@ class MovingPsf:
         On fine samples.
     rest : FieldPsf or None
         On panel pixels, if any.
-    pitch : int
-        Fine samples to a panel pixel.
     """
 
     near: FieldPsf
     rest: FieldPsf | None = None
-    pitch: int = 1
 
 
+# Kept, since a camera's blocks are many.
+@lru_cache(maxsize=2)
 def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     """Cut a PSF in two, if there is enough around its middle but not too much for a loop over taps.
 
@@ -58,7 +58,7 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     """
     whole = psf.whole
     half, reach = near_half(whole, _LEAST_NEAR * pitch, _REST_SHARE), -(-psf.half // pitch)
-    if half + pitch > psf.half or reach > LARGEST_TAPS:
+    if half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
         return MovingPsf(psf)
     # As far as pixels collect: between the splines of the outermost ones.
     margin = (reach + 3) * pitch - psf.half
@@ -77,7 +77,7 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     near = wanted[:, :, inner, inner] - inside @ rest @ inside.T
     # A flat stays exactly flat.
     near[:, :, half, half] += whole.sum((2, 3)) - near.sum((2, 3)) - pitch**2 * rest.sum((2, 3))
-    return MovingPsf(_of_nodes(near), _of_nodes(rest), pitch)
+    return MovingPsf(_of_nodes(near), _of_nodes(rest))
 
 
 def _of_nodes(kernels: Doubles) -> FieldPsf:

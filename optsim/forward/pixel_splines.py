@@ -1,12 +1,14 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""Light between fine samples and panel pixels by quadratic B-splines: spread to them, and drawn from them."""
+"""Light between fine samples and panel pixels by quadratic B-splines: spread to them, and drawn from them.
+
+What :mod:`optsim.forward.fringing` does with other shares on whole arrays, as compiled loops.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from optsim.forward.compiled import compiled
-from optsim.forward.fringing import fine_image, fine_image_adjoint
 from optsim.forward.tap_blur import Grid, Patch
 from optsim.quantities import Doubles, Floats
 
@@ -17,7 +19,7 @@ def splines(pitch: int) -> Doubles:
     return np.stack([(0.5 - place) ** 2 / 2, 0.75 - place**2, (0.5 + place) ** 2 / 2], axis=1)
 
 
-def spread(light: Patch, pitch: int, pixels: Grid, many: bool) -> Patch:
+def spread(light: Patch, pitch: int, pixels: Grid) -> Patch:
     """Spread light of fine samples to pixels.
 
     Parameters
@@ -28,8 +30,6 @@ def spread(light: Patch, pitch: int, pixels: Grid, many: bool) -> Patch:
         Fine samples to a pixel.
     pixels : Grid
         Of the field, with a margin of pixels around it.
-    many : bool
-        Whether to use compiled loops.
 
     Returns
     -------
@@ -51,17 +51,11 @@ def spread(light: Patch, pitch: int, pixels: Grid, many: bool) -> Patch:
     after = [-(-(at + size) // pitch) + 1 for at, size in zip(corner, excess.shape[1:], strict=True)]
     found = np.zeros((n, after[0] - before[0], after[1] - before[1]), np.float32)
     down, across = corner[0] - before[0] * pitch, corner[1] - before[1] * pitch
-    if many:
-        _spread_many(excess, shares, down, across, found)
-    else:
-        fine = np.zeros((found.shape[1] * pitch, found.shape[2] * pitch))
-        for each, to in zip(excess, found, strict=True):
-            fine[down : down + each.shape[0], across : across + each.shape[1]] = each
-            to[:] = fine_image_adjoint(fine, shares.astype(np.float64))
+    _spread(excess, shares, down, across, found)
     return Patch(found, before[0], before[1])
 
 
-def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats, many: bool) -> None:
+def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
     """Fill fine samples, (t, y, x), from pixels.
 
     Parameters
@@ -74,21 +68,13 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats, many: bool
         Where the fine samples begin in the field.
     fine : ndarray of shape (t, y, x), float32
         Filled.
-    many : bool
-        Whether to use compiled loops.
     """
     shares = splines(pitch).astype(np.float32)
-    down, across = row - pixels.row * pitch, col - pixels.col * pitch
-    if many:
-        _draw_many(pixels.excess, shares, down, across, fine)
-        return
-    _, height, width = fine.shape
-    for light, found in zip(pixels.excess, fine, strict=True):
-        found[:] = fine_image(light, shares)[down : down + height, across : across + width]
+    _draw(pixels.excess, shares, row - pixels.row * pitch, col - pixels.col * pitch, fine)
 
 
 @compiled(fastmath=True)
-def _draw_many(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> None:
+def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> None:
     """Fill fine samples from pixels, as :func:`optsim.forward.fringing.fine_image` does."""
     n, rows, cols = pixels.shape
     pitch = len(shares)
@@ -111,7 +97,7 @@ def _draw_many(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats)
 
 
 @compiled(fastmath=True)
-def _spread_many(fine: Floats, shares: Floats, row: int, col: int, pixels: Floats) -> None:
+def _spread(fine: Floats, shares: Floats, row: int, col: int, pixels: Floats) -> None:
     """Add light to pixels, the transpose of drawing it; it touches neither the first nor the last of them."""
     n, rows, cols = fine.shape
     pitch = len(shares)

@@ -73,7 +73,7 @@ def _nodes(
         one_y, one_x = (np.ones((1, ends[1] - ends[0]), np.float32) for ends in (rows, cols))
         return psf.kernel.astype(np.float32)[None, None], one_y, one_x
     hats_y, hats_x = (
-        hats((np.arange(*ends) - grid.margin + 0.5) / (size - 2 * grid.margin) * 2 - 1, len(psf.cores))
+        hats((np.arange(*ends) + 0.5) / size * 2 - 1, len(psf.cores))
         for ends, size in ((rows, grid.rows), (cols, grid.cols))
     )
     on_y, on_x = (np.flatnonzero(each.any(axis=1)) for each in (hats_y, hats_x))

@@ -13,7 +13,6 @@ from optsim.forward.compiled import FEW, compiled
 from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import blur_moving
-from optsim.forward.moving_psf import MovingPsf, divided
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.wings import Ring, far_light, make_wings, moving_ends
@@ -94,7 +93,7 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        blocks = blur_moving(segment.blocks, blurs.core, near)
+        blocks = blur_moving(segment.blocks, blurs.core, pitch, near)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
     return IrradianceVideo(
@@ -118,7 +117,7 @@ class _Blurs:
 
     Parameters
     ----------
-    core : MovingPsf
+    core : FieldPsf
         What moving light gets in each instant.
     wings : tuple of Ring
         What it gets as a straight line in time.
@@ -130,7 +129,7 @@ class _Blurs:
         The other part, on the field.
     """
 
-    core: MovingPsf
+    core: FieldPsf
     wings: tuple[Ring, ...]
     reach: int
     common: Blur
@@ -154,7 +153,7 @@ def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) ->
     core = turned.middle(core_half)
     wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
     return _Blurs(
-        divided(core, pitch),
+        core,
         make_wings(turned.kernel, core.half, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
