@@ -51,6 +51,7 @@ EFFECTS: dict[str, str] = {
     "panel_uniformity": "reflectivity over the panel, and pixels that stand still",
     "fringing": "fringing fields between panel pixels",
     "lens_psf": "diffraction and aberration blur of each lens group",
+    "moving_light": "blur of light that moves: middle, rest and far wings of a PSF, instant by instant",
     "field_psf": "wavefront aberrations over the field, by an independent optics library",
     "slanted_edge": "contrast of an edge through the whole chain",
     "mueller": "Mueller matrices of splitter and panel: signs, angles, and no light from nothing",
