@@ -42,7 +42,7 @@ def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Fl
     psf : FieldPsf
         What each point collects. Of much light it is divided (:func:`optsim.forward.moving_psf.divided`).
     pitch : int
-        Fine samples to a panel pixel.
+        Fine samples to a panel pixel; divides the sides of the field.
     factor : ndarray of shape (y, x), float32
         What each point of the field makes of its light.
     """
@@ -78,11 +78,12 @@ def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Fl
 def _further_off(lights: list[Patch], psf: FieldPsf, pitch: int, grid: Grid) -> list[Patch]:
     """Collect from further off, on panel pixels."""
     # Pixels around the field, too, from which light arrives, and where the outermost splines begin.
-    margin = psf.half + 2
+    margin, reach = psf.half + 3, psf.half + 1
     pixels = Grid(grid.rows // pitch + 2 * margin, grid.cols // pitch + 2 * margin, margin)
     rest = _by_taps(psf, pixels)
     spreads = side_by_side(partial(spread, light, pitch, pixels) for light in lights)
-    targets = [_empty(light, psf.half, 1, pixels) for light in spreads]
+    # One pixel more, which is dark: the splines of the last lit ones reach into it.
+    targets = [_empty(light, reach, 1, pixels) for light in spreads]
 
     def strip(light: Patch, target: Patch, first: int, end: int) -> None:
         target.excess[:, first - target.row : end - target.row] = 0

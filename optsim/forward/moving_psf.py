@@ -24,8 +24,10 @@ from optsim.quantities import Doubles
 # Light that pixels collect at most, and the least that the middle reaches, fine samples. Of the prototype's
 # PSF the middle is of 13 x 13 samples; at 0.02 it would be of 11 x 11, and edges off by twice as much.
 _REST_SHARE, _LEAST_NEAR = 1e-2, 2
-# Beside the kernel's light a solution's rounding.
-_RIDGE = 1e-14
+# Most that the light of a point may be off anywhere, of all of it.
+_LARGEST_ERROR = 2e-4
+# Beside the squares a solution's rounding: what hardly matters for them stays small.
+_RIDGE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +51,18 @@ class MovingPsf:
 def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     """Cut a PSF in two, if there is enough around its middle but not too much for a loop over taps.
 
+    It stays whole, too, if it is not smooth enough: where a point's light would be off by more than 2e-4.
+
     Parameters
     ----------
     psf : FieldPsf
-        On fine samples.
+        On fine samples; all nodes have the same sum.
     pitch : int
         Fine samples to a panel pixel.
     """
     whole = psf.whole
     half, reach = near_half(whole, _LEAST_NEAR * pitch, _REST_SHARE), -(-psf.half // pitch)
-    if half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
+    if pitch == 1 or half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
         return MovingPsf(psf)
     # As far as pixels collect: between the splines of the outermost ones.
     margin = (reach + 3) * pitch - psf.half
@@ -71,12 +75,19 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     normal = _along_both(np.einsum("pam,pan->mn", passed, passed) / pitch) - _along_both(inside.T @ inside)
     normal += _RIDGE * np.trace(normal) * np.eye(len(normal))
     right = mean.T @ wanted @ mean - inside.T @ wanted[:, :, inner, inner] @ inside
-    # One column of unknowns a node.
-    columns = right.reshape(-1, len(normal)).T
-    rest = np.asarray(np.linalg.solve(normal, columns), np.float64).T.reshape(right.shape)
+    # One column of unknowns a node, and one that changes the sum at the least cost: all sums are alike, so
+    # that a flat stays exactly flat between the nodes, too, where both parts are interpolated each by itself.
+    columns = np.column_stack([right.reshape(-1, len(normal)).T, np.ones(len(normal))])
+    found = np.asarray(np.linalg.solve(normal, columns), np.float64)
+    rests, change = found[:, :-1].T, found[:, -1]
+    sums = rests.sum(axis=1)
+    rest = (rests + np.outer((sums.mean() - sums) / change.sum(), change)).reshape(right.shape)
     near = wanted[:, :, inner, inner] - inside @ rest @ inside.T
-    # A flat stays exactly flat.
     near[:, :, half, half] += whole.sum((2, 3)) - near.sum((2, 3)) - pitch**2 * rest.sum((2, 3))
+    wanted[:, :, inner, inner] -= near
+    for down, across in np.ndindex(pitch, pitch):
+        if np.abs(passed[down] @ rest @ passed[across].T - wanted).max() > _LARGEST_ERROR * whole[0, 0].sum():
+            return MovingPsf(psf)
     return MovingPsf(_of_nodes(near), _of_nodes(rest))
 
 

@@ -61,7 +61,7 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
     Parameters
     ----------
     pixels : Patch
-        Light on pixels, its place counted from the beginning of the field.
+        Light on pixels, its place counted from the beginning of the field; beyond them it is dark.
     pitch : int
         Fine samples to a pixel.
     row, col : int
@@ -75,20 +75,18 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
 
 @compiled(fastmath=True)
 def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> None:
-    """Fill fine samples from pixels, as :func:`optsim.forward.fringing.fine_image` does."""
+    """Fill fine samples from pixels, beyond which it is dark."""
     n, rows, cols = pixels.shape
-    pitch = len(shares)
-    # One more at either end, beyond which the nearest pixel counts.
-    line, drawn = np.empty(cols + 2, np.float32), np.empty(cols * pitch, np.float32)
+    pitch, dark = len(shares), np.zeros(cols, np.float32)
+    line, drawn = np.zeros(cols + 2, np.float32), np.empty(cols * pitch, np.float32)
     for t in range(n):
         for y in range(fine.shape[1]):
             v = (row + y) // pitch
             before, own, after = shares[(row + y) % pitch]
-            above, here, below = pixels[t, max(v - 1, 0)], pixels[t, v], pixels[t, min(v + 1, rows - 1)]
-            middle = line[1:-1]
+            above, below = pixels[t, v - 1] if v > 0 else dark, pixels[t, v + 1] if v < rows - 1 else dark
+            here, middle = pixels[t, v], line[1:-1]
             for u in range(cols):
                 middle[u] = before * above[u] + own * here[u] + after * below[u]
-            line[0], line[-1] = line[1], line[-2]
             for k in range(pitch):
                 before, own, after = shares[k]
                 for u in range(cols):
@@ -98,7 +96,7 @@ def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> N
 
 @compiled(fastmath=True)
 def _spread(fine: Floats, shares: Floats, row: int, col: int, pixels: Floats) -> None:
-    """Add light to pixels, the transpose of drawing it; it touches neither the first nor the last of them."""
+    """Add light to pixels, the transpose of drawing it; there is one more on every side than it lies in."""
     n, rows, cols = fine.shape
     pitch = len(shares)
     # Of each row of pixels what comes from the fine rows of three, before it is spread across.
