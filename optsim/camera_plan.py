@@ -3,9 +3,9 @@
 
 The full model is the camera with every effect on and its numerics as fine as they come. Each short cut makes
 one thing coarser, or leaves it out, where that saves time; what costs nothing is always modelled. The size of
-each is predicted on two small probes, in units of a frame's noise; systematic effects don't average out, so
-sizes add up linearly. Each short cut is given an equal share of the tolerance and taken as far as that goes;
-what is left over goes to them in their order, those first that save most.
+each is predicted on two small, plain probes, in units of a frame's noise; systematic effects don't average
+out, so sizes add up linearly. Each short cut is given an equal share of the tolerance and taken as far as
+that goes; what is left over goes to them in their order, those first that save most.
 
 The claim that what is skipped stays below the tolerance is measured in ``validation/skipping``.
 """
@@ -21,13 +21,20 @@ from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.config import Part
 from optsim.effects import ALL, Changes, changed
 from optsim.forward.bands import side_by_side
-from optsim.probe import FULL_RIMS, NEAR_WINGS, NOTHING, Illumination, Probe, far_probe, near_probe
+from optsim.probe import (
+    FINEST_FIELD,
+    NEAR_WINGS,
+    NOTHING,
+    PLAIN,
+    Illumination,
+    Probe,
+    compared_with,
+    far_probe,
+    near_probe,
+)
 
 # Scenes differ from the probe's: what is predicted is doubled.
 _MARGIN = 2.0
-_EVEN_PSFS: Changes = {"objective": {"field_error": 1.0}, "relay": {"field_error": 1.0}}
-# What lenses change hardly depends on how the rims of panel pixels are found.
-_MIXED_RIMS: Changes = {"modulator": {"rim_model": "mixed"}}
 
 
 @dataclass(frozen=True)
@@ -84,7 +91,7 @@ class LeftOut:
         return (("modelled", {}), ("skipped", ALL[self.effect].ideal))
 
 
-_FIELD = (5e-3, 0.01, 0.02, 0.05, 0.1, 1.0)
+_FIELD = (FINEST_FIELD, 0.01, 0.02, 0.05, 0.1, 1.0)
 _WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 # Those first that save most time at the prototype's scale.
 SHORT_CUTS: dict[str, Coarser | LeftOut] = {
@@ -162,7 +169,7 @@ class CameraPlan:
     camera : CodedCamera
         As planned.
     near : Probe
-        The near probe of the full model, by which it was found.
+        The near probe by which it was found.
     """
 
     tolerance: float
@@ -193,13 +200,12 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     open_to_choice = {
         name: _within_reach(camera, cut) for name, cut in SHORT_CUTS.items() if not _by_hand(camera, cut)
     }
-    whole = camera
+    planned = camera
     for cut in open_to_choice.values():
-        whole = changed(whole, cut.steps[0][1])
-    near = near_probe(changed(whole, _MIXED_RIMS), light)
-    far = far_probe(changed(changed(whole, _MIXED_RIMS), _EVEN_PSFS), light)
+        planned = changed(planned, cut.steps[0][1])
+    near, far = (probe(changed(planned, PLAIN), light) for probe in (near_probe, far_probe))
     side_by_side([lambda: near.size(NOTHING, NOTHING), lambda: far.size(NOTHING, NOTHING)])
-    ladders = {name: _Ladder(cut, near, far, {}) for name, cut in open_to_choice.items()}
+    ladders = {name: _Ladder(name, cut, near, far, {}) for name, cut in open_to_choice.items()}
     chosen = dict.fromkeys(ladders, 0)
     if tolerance > 0:
         share = tolerance / len(ladders)
@@ -210,10 +216,9 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
             now = ladder.size(chosen[name])
             chosen[name] = max(chosen[name], ladder.farthest(now + left))
             left -= ladder.size(chosen[name]) - now
-    planned = whole
     for name, step in chosen.items():
         planned = changed(planned, ladders[name].cut.steps[step][1])
-    choices = [ladders[name].choice(name, step) for name, step in chosen.items()]
+    choices = [ladders[name].choice(step) for name, step in chosen.items()]
     return CameraPlan(tolerance, tuple(choices), planned, near)
 
 
@@ -221,6 +226,7 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
 class _Ladder:
     """A short cut with the sizes of its steps, each found when it is asked for."""
 
+    name: str
     cut: Coarser | LeftOut
     near: Probe
     far: Probe
@@ -235,7 +241,7 @@ class _Ladder:
             # Wings reach over the whole panel; a near probe has no room for those that lose least.
             sizes = [] if wings is None else [self.far.size(changes, NOTHING)]
             if wings is None or wings > NEAR_WINGS:
-                sizes.append(self.near.size(changes, FULL_RIMS if _of_rims(self.cut) else NOTHING))
+                sizes.append(self.near.size(changes, compared_with(self.name)))
             self.found[step] = _MARGIN * max(sizes)
         return self.found[step]
 
@@ -247,16 +253,12 @@ class _Ladder:
             within, beyond = (step, beyond) if self.size(step) <= limit else (within, step)
         return within
 
-    def choice(self, name: str, step: int) -> Choice:
-        return Choice(name, self.cut.what, self.cut.steps[step][0], step == 0, self.size(step))
+    def choice(self, step: int) -> Choice:
+        return Choice(self.name, self.cut.what, self.cut.steps[step][0], step == 0, self.size(step))
 
 
 def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
     return isinstance(cut, Coarser) and cut.field == "wing_share"
-
-
-def _of_rims(cut: Coarser | LeftOut) -> bool:
-    return isinstance(cut, Coarser) and cut.field == "rim_model"
 
 
 def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | LeftOut:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import tomllib
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
@@ -82,14 +83,19 @@ def read_toml(path: Path) -> Table:
         When the file is missing or is not TOML.
     """
     try:
-        with path.open("rb") as stream:
-            return tomllib.load(stream)
+        return cast("Table", _copy(_parsed(path.read_bytes())))
     except FileNotFoundError:
         raise ConfigError(f"no such file: {path}; a name without '/' or '.toml' means a preset") from None
     except IsADirectoryError:
         raise ConfigError(f"{path} is a folder; expected a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from None
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: bytes) -> Table:
+    """Parse TOML once: an experiment asks for its scene again and again, and parsing is slow."""
+    return tomllib.loads(text.decode())
 
 
 def override(table: Table, assignments: list[str]) -> Table:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from optsim.effects import ALL, Changes, Effect, switched
 from optsim.forward.bands import side_by_side
-from optsim.probe import FULL_RIMS, NOTHING, Probe
+from optsim.probe import NOTHING, PLAIN, Probe, compared_with
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
@@ -41,9 +41,7 @@ def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
 
     def found(name: str, effect: Effect) -> tuple[float, str]:
-        against = FULL_RIMS if name == "fringing" else NOTHING
-        if _moves_pixels(effect, probe):
-            against = probe.mapping
+        against = probe.mapping if _moves_pixels(effect, probe) else compared_with(name)
         return probe.size(_over(against, switched({name: "ideal"})), against), name
 
     # The frames with all of them come first: each is compared with one of these.
@@ -61,9 +59,8 @@ def size_of_defocus(probe: Probe, blur_px: float) -> float:
     """
     lens, diameter_px = probe.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
     sigma_m = diameter_px / 4 * probe.camera.modulator.pitch_m
-    even = {"field_error": 1.0}
-    blurred = {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}
-    return probe.size({"objective": even | blurred}, {"objective": even})
+    blurred = {"objective": {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}}
+    return probe.size(_over(PLAIN, blurred), PLAIN)
 
 
 def _moves_pixels(effect: Effect, probe: Probe) -> bool:

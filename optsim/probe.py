@@ -43,8 +43,26 @@ from optsim.scene import BrightLight
 T = TypeVar("T")
 
 NOTHING: Changes = {}
-# Plans look at lenses with the rims of panel pixels mixed; what these rims are is compared with them whole.
-FULL_RIMS: Changes = {"modulator": {"rim_model": "fine"}}
+# Probes of a plan mix the rims of panel pixels and let PSFs be the same all over the field, which saves most
+# of their time and hardly changes what else changes a frame. Only what asks for one of these is compared with
+# it whole, by the names of effects and short cuts.
+PLAIN: Changes = {
+    "modulator": {"rim_model": "mixed"},
+    "objective": {"field_error": 1.0},
+    "relay": {"field_error": 1.0},
+}
+FINEST_FIELD = 5e-3  # of a point's light is misplaced
+_RIMS: Changes = {"modulator": {"rim_model": "fine"}}
+_OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
+_RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
+_WHOLE: dict[str, Changes] = {
+    "fringing": _RIMS,
+    "fringing_rims": _RIMS,
+    "objective_blur": _OBJECTIVE,
+    "objective_field": _OBJECTIVE,
+    "relay_blur": _RELAY,
+    "relay_field": _RELAY,
+}
 
 # Wings that lose less than this share of the light reach beyond a near probe.
 NEAR_WINGS = 1e-3
@@ -60,6 +78,11 @@ _SHIFTS = ("shift_y_px", "shift_x_px")
 _SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
 # Slots that the four densities of the mosaic are open, as shares of a frame.
 _DENSITIES = (1 / 36, 1 / 12, 11 / 36, 1.0)
+
+
+def compared_with(name: str) -> Changes:
+    """Return what an effect or short cut is compared with: nothing, or what a plain probe lacks."""
+    return _WHOLE.get(name, NOTHING)
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from optsim.camera_plan import SHORT_CUTS, Coarser, plan_camera
+from optsim.effect_sizes import effect_sizes
 from optsim.effects import changed, with_effects
 from optsim.experiment import load_experiment
 from optsim.explain import plan_record
 from optsim.hardware import demo
 from optsim.loop import planned
 from optsim.optics import Modulator, Objective
-from optsim.probe import Illumination, far_probe, near_probe
+from optsim.probe import PLAIN, Illumination, compared_with, far_probe, near_probe
 from optsim.scene import BrightLight, brightest_light, load_scene
 from optsim.truth import illumination
 
@@ -89,6 +90,33 @@ def test_the_predicted_size_is_what_the_probe_shows_in_units_of_its_noise():
     # The response bends a little less than 1 electron for 1.
     assert probe.size(dark, {}) == pytest.approx(extra / noise, rel=0.02)
     assert probe.size({}, {}) == 0
+
+
+@pytest.mark.parametrize("light", [ROOM, WINDOW])
+def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_that_plans_add(light):
+    """Even PSFs and mixed rims save most of a plan's time; the oracle has fields of PSFs and fine rims."""
+    fine = changed(
+        demo(), compared_with("objective_blur") | compared_with("relay_blur") | compared_with("fringing")
+    )
+    exact, quick = (
+        {each.effect: each.size for each in effect_sizes(near_probe(camera, light))}
+        for camera in (fine, changed(demo(), PLAIN))
+    )
+    large = {name for name, size in exact.items() if size > 0.05}
+    assert len(large) > 12
+    for name in large:
+        assert quick[name] == pytest.approx(exact[name], rel=0.25), name
+
+
+def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():
+    probe = near_probe(changed(demo(), PLAIN), ROOM)
+    for name in ("fringing_rims", "objective_field", "relay_field"):
+        (_, full), *_, (_, cheapest) = SHORT_CUTS[name].steps
+        assert probe.size(full, compared_with(name)) == 0
+        assert probe.size(cheapest, compared_with(name)) > 0.1
+        assert probe.size(cheapest, {}) == 0
+    for lens in ("objective", "relay"):
+        assert compared_with(f"{lens}_blur") == compared_with(f"{lens}_field")
 
 
 def test_numbers_set_by_hand_stay():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from optsim.config import Part, build, override
+from optsim.config import Part, build, override, read_toml
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
 from optsim.units import parse_quantity
@@ -171,3 +171,13 @@ def test_a_list_with_a_wrong_item_is_not_called_too_short() -> None:
     assert "at least 1 item" not in str(caught.value)
     with pytest.raises(ConfigError, match="at least 1 item"):
         build(Shelf, {"lenses": []}, where="x")
+
+
+def test_a_file_is_read_anew_once_it_changed_and_each_reader_has_a_table_of_its_own(tmp_path) -> None:
+    path = tmp_path / "table.toml"
+    path.write_text("[lens]\nnodes = [1, 2]\n")
+    first = read_toml(path)
+    first["lens"]["nodes"].append(3)
+    assert read_toml(path) == {"lens": {"nodes": [1, 2]}}
+    path.write_text("[lens]\nnodes = [4, 5]\n")
+    assert read_toml(path) == {"lens": {"nodes": [4, 5]}}

@@ -17,7 +17,7 @@ from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.forward.radau import middles, radau
 from optsim.forward.rims import Rims, cell_weights, relaxed
 from optsim.hardware import demo
-from optsim.probe import FULL_RIMS, Illumination
+from optsim.probe import Illumination, compared_with
 from optsim.quantities import Block, ExposureCode, Segment, Video
 
 SLOT_S, SIGMA = 1 / 180, 0.12
@@ -319,7 +319,7 @@ def test_plans_find_rims_as_finely_as_they_need():
     plan = plan_camera(camera, light, 0.1)
     size = next(each.size for each in effect_sizes(plan.near) if each.effect == "fringing")
     sharp = {"modulator": {"fringing_px": 0.0}}
-    assert size == plan.near.size(sharp, FULL_RIMS) != plan.near.size(sharp, {})
+    assert size == plan.near.size(sharp, compared_with("fringing")) != plan.near.size(sharp, {})
     sharp = with_effects(camera, {"fringing": "ideal"})
     code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
     assert sharp.shutter(code, None, 1)[0].rims is None
