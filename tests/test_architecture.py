@@ -47,6 +47,7 @@ TOP = {
     "experiment",
     "truth",
     "loop",
+    "own_f_number",
     "job",
     "passes",
     "scoring",
