@@ -1,11 +1,11 @@
 """The comparison of the paper's figure 4: all schemes, same scenes, same camera, by region and phase.
 
-``make figure4`` runs the preset ``figure4`` on each scene (an hour and a half on two cores, less when the truth
-is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its own
-(:mod:`optsim.own_f_number`). Nothing is asserted: what was registered before
-measuring (:mod:`optsim.metrics.hypothesis`) is printed with its verdict, whichever it is. The priors
-were trained on none of these scenes; ``half_moving`` shares some textures with the training scene, the
-others do not but for stripes.
+``make figure4`` runs the preset ``figure4`` on each scene (an hour and a half on two cores, less when the
+truth is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its
+own (:mod:`optsim.own_f_number`). Nothing is asserted: what was registered before measuring
+(:mod:`optsim.metrics.hypothesis`) is printed with its verdict, whichever it is. The priors were trained on
+none of these scenes; ``half_moving`` shares some textures with the training scene, the others do not but for
+stripes.
 """
 
 from __future__ import annotations
@@ -128,13 +128,15 @@ def _say(stage: str, done: int, total: int) -> None:
 _HEAD = """# All schemes on the same scenes
 
 Written by `make figure4`. One camera (nominal, as a bench calibrates it), one f-number, density and gain
-for all schemes, and then, under its own heading, each scheme at its own; 160 x 120 panel pixels, ten coded frames of 36 slots, a hypothetical latency of one
-frame. PU21-PSNR in dB, the more the better, and the error of the logarithm in stops, the less the
-better; both on pixels that all methods hold valid, where the truth moves, where it doesn't, and on all.
-Bold: the best. Decoders are those of the preset `figure4`: `adaptive_mean` and `random_mean` average
-dictionary and mixture, `random_union` has the adaptive scheme's decoder without its codes; the flutter
-shutter is decoded with the mixture, which was better here than `motion_deblurring`, its natural decoder
-(by 0.9 dB where window_room moves).
+for all schemes, and then, under its own heading, each scheme at its own; 160 x 120 panel pixels, ten coded
+frames of 36 slots, a hypothetical latency of one frame. PU21-PSNR in dB, the more the better, and the error
+of the logarithm in stops, the less the better; both on pixels that all methods hold valid, where the truth
+moves, where it doesn't, and on all. Bold: the best.
+
+Decoders are those of the preset `figure4`: `adaptive_mean` and `random_mean` average dictionary and mixture,
+`random_union` has the adaptive scheme's decoder without its codes; the flutter shutter is decoded with the
+mixture, which was better here than `motion_deblurring`, its natural decoder (by 0.9 dB where window_room
+moves).
 
 Each at its own f-number: the lens opens, or is stopped down, by third stops from f/1.4 to f/16 until a
 scheme's own fullest exposure (open: its share of a frame) does what the rule asks of the all-on code, fills
