@@ -27,6 +27,7 @@ from optsim.gallery import Gallery
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
+from optsim.object_masks import object_masks
 from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report
@@ -161,6 +162,10 @@ def execute(
         method.check(known[experiment.operator_of(method)])
     with watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
+    objects = None
+    if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
+        with watch.stage("object masks"):
+            objects = object_masks(experiment, backend=backend, progress=progress)
     experiment = modelled
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, known[experiment.calibration])
@@ -220,7 +225,7 @@ def execute(
         "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
         **scorer.results(),
         "plan": plan_record(plan),
-        **scorer.masks(frames),
+        **scorer.masks(frames, objects),
         "noise_ceiling": ceiling,
         "evidence": evidence.status(),
         "not_modelled": list(evidence.NOT_MODELLED),

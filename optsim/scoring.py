@@ -19,6 +19,9 @@ from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
 
+# Where a mask stands that no method made: all movers, without what they do to the light elsewhere.
+OBJECTS = "moving objects"
+
 
 @dataclass(eq=False)
 class Scorer:
@@ -129,8 +132,16 @@ class Scorer:
             "hypothesis": metrics.judge_hypothesis(judged, no_rivals=adaptive),
         }
 
-    def masks(self, frames: Frames) -> dict[str, Any]:
-        """Agreement of each adaptive method's mask with the oracle, frame by frame and by phase."""
+    def masks(self, frames: Frames, objects: Bools | None = None) -> dict[str, Any]:
+        """Agreement of each adaptive method's mask with the oracle, frame by frame and by phase.
+
+        Parameters
+        ----------
+        frames : dict
+            Method name -> its coded frames.
+        objects : ndarray of shape (frame, v, u), bool, optional
+            Masks of the objects that move, set beside the methods' under the name :data:`OBJECTS`.
+        """
         tallies = [
             metrics.MaskTally(
                 method.name,
@@ -141,6 +152,9 @@ class Scorer:
             if method.scheme.kind == "motion_adaptive"
             for frame in frames[method.name]
         ]
+        if objects is not None and tallies:
+            agreements = (metrics.mask_agreement(mask, self._moving[k]) for k, mask in enumerate(objects))
+            tallies += [metrics.MaskTally(OBJECTS, k, each) for k, each in enumerate(agreements)]
         rows = [{"method": t.method, "frame": t.index, **t.agreement.shares} for t in tallies]
         pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)
         return {"masks": rows, "pooled_masks": pooled}

@@ -47,6 +47,7 @@ TOP = {
     "experiment",
     "truth",
     "loop",
+    "object_masks",
     "own_f_number",
     "job",
     "passes",

@@ -14,8 +14,10 @@ from optsim.files import read_exr, read_json, read_png16
 from optsim.loop import calibrate, planned
 from optsim.measurement import decode_measurement
 from optsim.measurement.runs import read_run
+from optsim.object_masks import object_masks
 from optsim.reconstruct import GaussianMixture, SparseCoding, Union
 from optsim.report.schema import check_results
+from optsim.scoring import OBJECTS
 
 SMALL = [
     "n_frames=6",
@@ -67,23 +69,30 @@ def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: E
     assert results["noise_ceiling"]
 
 
-def test_masks_are_scored_by_phase_and_the_report_shows_them(folder: Path) -> None:
+def test_masks_are_scored_by_phase_and_the_report_shows_them(folder: Path, experiment: Experiment) -> None:
     results = read_json(folder / "results.json")
     pooled = {p["phase"]: p for p in results["pooled_masks"] if p["method"] == "adaptive"}
     # Latency 1 of six frames; warm-up ends with the second frame that has arrived.
     frames = {"warm-up": (0, 1), "merging": (2, 3, 4), "steady": (5,)}
-    assert len(results["pooled_masks"]) == len(pooled) == 3
+    beside = {p["phase"]: p for p in results["pooled_masks"] if p["method"] == OBJECTS}
+    assert len(results["pooled_masks"]) == len(pooled) + len(beside) == 6
     table = (folder / "report.html").read_text().split('id="masks"')[1].split("</table>")[0]
     for phase, found in pooled.items():
         masks = [imread(folder / "masks" / "adaptive" / f"{k:06d}.png") > 0 for k in frames[phase]]
         assert found["marked"] == pytest.approx(np.mean(masks))
         for share in ("moves", "marked", "precision", "recall", "iou"):
             assert f">{100 * found[share]:.1f} %<" in table
+    # Of the movers themselves, whose masks no method made, against the same oracle.
+    objects = object_masks(experiment)
+    assert objects is not None
+    for phase, found in beside.items():
+        assert found["marked"] == pytest.approx(objects[list(frames[phase])].mean())
+        assert found["moves"] == pooled[phase]["moves"]
     # All of it is marked until something is known.
     assert (pooled["warm-up"]["marked"], pooled["warm-up"]["recall"]) == (1, 1)
     assert pooled["warm-up"]["precision"] == pooled["warm-up"]["moves"] == pooled["warm-up"]["iou"]
     # One frame in that phase: its own shares.
-    last = next(m for m in results["masks"] if m["frame"] == 5)
+    last = next(m for m in results["masks"] if (m["method"], m["frame"]) == ("adaptive", 5))
     assert {k: last[k] for k in ("precision", "recall", "iou")}.items() <= pooled["steady"].items()
 
 
