@@ -26,8 +26,8 @@ class EffectSize:
     effect, what : str
         Name and a few words.
     size : float or None
-        Rms change of the frame by the effect as this camera has it, relative to the noise; None where only
-        rendering the scene would tell.
+        Rms change of the frame by the effect as this camera has it, relative to the noise, by the full model
+        of what it asks for even where numerics are set by hand; None where only rendering would tell.
     """
 
     effect: str

@@ -7,13 +7,16 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from optsim.cache import Cache, hash_of
+from optsim.evidence import hash_files
 from optsim.experiment import Experiment
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Doubles, View
 from optsim.scene import Scene
-from optsim.truth import chosen_scene, truth_view
+from optsim.truth import chosen_scene
 
 _KIND = "object masks, one chief ray a panel pixel, middles of slots"
+# An old cache must not answer for new code.
+_CODE = ("optsim/object_masks.py", "optsim/render/*.py", "optsim/scene/*.py")
 
 
 def object_masks(
@@ -51,14 +54,22 @@ def object_masks(
     """
     if experiment.scene is None:
         return None
-    scene, view, timing = chosen_scene(experiment), truth_view(experiment), experiment.timing
+    scene, view, timing = chosen_scene(experiment), experiment.camera.view, experiment.timing
     if not scene.singles():
         return None
     pitch = view.samples_per_pitch
-    pixels = replace(view, rows=view.rows // pitch, cols=view.cols // pitch, samples_per_pitch=1)
+    # Chief rays: what a lens has out of focus is where it is.
+    pixels = replace(
+        view,
+        rows=view.rows // pitch,
+        cols=view.cols // pitch,
+        samples_per_pitch=1,
+        aperture_m=0.0,
+        focus_m=None,
+    )
     starts_s: Doubles = np.arange(timing.n_slots, dtype=np.float64) * timing.slot_s
     times_s = (starts_s + timing.slot_s / 2).reshape(experiment.n_frames, -1)
-    key = hash_of(_KIND, scene.model_dump(mode="json"), asdict(pixels), times_s.tolist())
+    key = hash_of(_KIND, hash_files(_CODE), scene.model_dump(mode="json"), asdict(pixels), times_s.tolist())
     kept = (cache or Cache()).get(key, lambda: {"frames": _seen(scene, pixels, times_s, backend, progress)})
     frames = np.asarray(kept["frames"])
     masks = frames.copy()

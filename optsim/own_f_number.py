@@ -1,9 +1,11 @@
 """Every scheme at its own f-number: the second table of a fair comparison, beside that at one for all.
 
-One f-number for all schemes gives those that open a pixel briefly the less light. Here each scheme has the
-lens opened, or stopped down, until its own fullest exposure does what the light rule asks of the all-on code:
-the interior's percentile reaches the rule's share of saturation. The relay opens with it, or its stop would
-keep that light away. f-numbers are those of third stops, and a neutral density takes what is over.
+One f-number for all schemes gives those that open a pixel briefly the less light. Here the lens opens for
+each scheme until its own fullest exposure does what the light rule asks of the all-on code: the interior's
+percentile reaches the rule's share of saturation. Exposures are those that the calibration tells, with the
+panel's leak and response. The relay opens with the lens, or its stop would keep that light away. f-numbers
+are those of third stops, and a neutral density takes what is over; none is slower than the shared one, since
+a density does as well without its diffraction.
 
 Wavefronts keep their errors in waves and the lens its other aberrations: a faster lens is taken to be as well
 corrected, which favours schemes that ask for one and is not validated. Scenes are rendered through each
@@ -14,16 +16,16 @@ valid, and regions are those of the shared camera's oracle mask; each is compare
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 
-from optsim.camera import CodedCamera
+from optsim.calibrate import Calibration
 from optsim.experiment import Experiment
 from optsim.loop import (
     Calibrations,
-    Decoded,
     Frames,
     LightLevel,
     calibrate_all,
@@ -33,14 +35,17 @@ from optsim.loop import (
     set_light,
 )
 from optsim.metrics import FrameTally
+from optsim.metrics.hypothesis import Verdict
 from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
-from optsim.quantities import CodedFrame, IrradianceVideo, RadianceVideo
-from optsim.scoring import Scorer
+from optsim.quantities import CodedFrame, RadianceVideo
+from optsim.scoring import Scorer, verdicts
 from optsim.truth import render_truth
 
-# f/1.4 to f/16, as such lenses can be set (ISO 517 has the full stops); the project's lens has no data sheet.
+# From f/1.4, as such lenses can be set; the project's has no data sheet. Slower ones than f/16 nobody shares.
 THIRD_STOPS = tuple(2 ** (k / 6) for k in range(3, 25))
+# A pixel that was dark before is a little short of one that is on for ever: so much of the light will do.
+_ENOUGH = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +57,15 @@ class OwnLight:
     f_numbers : dict
         Method name -> f-number of the objective.
     open_shares : dict
-        Method name -> largest share of a frame that one of its pixels was open.
+        Method name -> exposure of its fullest pixel, of one that is on for ever.
     mean_e : dict
         Method name -> photoelectrons a pixel and frame, mean.
     filled : dict
         Method name -> share of saturation that the interior's percentile reaches under its fullest exposure.
     scores : list of ScoreRecord
         Of all methods, as at one f-number for all.
+    verdicts : list of Verdict
+        On the registered claims, which are of one f-number for all.
     """
 
     f_numbers: dict[str, float]
@@ -66,11 +73,16 @@ class OwnLight:
     mean_e: dict[str, float]
     filled: dict[str, float]
     scores: list[ScoreRecord]
+    verdicts: list[Verdict]
 
 
-def open_share(frames: tuple[CodedFrame, ...]) -> float:
-    """Largest share of a coded frame's slots in which some pixel is not driven dark."""
-    return max(float((frame.code.levels > 0).mean(axis=0).max()) for frame in frames)
+def open_share(frames: Iterable[CodedFrame], calibration: Calibration) -> float:
+    """Exposure of the fullest pixel of any frame, of one that is on for ever: leak and response are in it."""
+    panel, most = None, 0.0
+    for frame in frames:
+        weights, panel = calibration.weights(frame.code, panel)
+        most = max(most, float(weights.sum(axis=0)[calibration.valid].max()))
+    return most / calibration.coded_slots
 
 
 def own_f_number(f_number: float, wanted_transmission: float, share: float) -> float:
@@ -79,14 +91,16 @@ def own_f_number(f_number: float, wanted_transmission: float, share: float) -> f
     Parameters
     ----------
     f_number : float
-        At which the rule asks for ``wanted_transmission`` under the all-on code.
+        At which the rule asks for ``wanted_transmission`` under the all-on code; the slowest there is.
     wanted_transmission : float
         Of a neutral density; above 1 where there is too little light.
     share : float
-        Of a frame that the scheme's fullest pixel is open.
+        Exposure of the scheme's fullest pixel, more than 0, of one that is on for ever.
     """
-    most = f_number * math.sqrt(share / wanted_transmission) * (1 + 1e-9)
-    return max((stop for stop in THIRD_STOPS if stop <= most), default=THIRD_STOPS[0])
+    most = f_number * math.sqrt(share / wanted_transmission / _ENOUGH)
+    if most >= f_number:
+        return f_number
+    return max((stop for stop in THIRD_STOPS if stop <= most), default=min(THIRD_STOPS[0], f_number))
 
 
 def at_f_number(experiment: Experiment, f_number: float, names: list[str]) -> Experiment:
@@ -114,8 +128,17 @@ class _Taken:
     known: Calibrations
     scorer: Scorer
 
-    def decoded(self) -> Iterator[Decoded]:
-        return decode(self.experiment, self.frames, self.known)
+    @cached_property
+    def open_shares(self) -> dict[str, float]:
+        """Exposure of each method's fullest pixel, as the experiment's own calibration tells it."""
+        known = self.known[self.experiment.calibration]
+        return {name: open_share(frames, known) for name, frames in self.frames.items()}
+
+    @property
+    def filled(self) -> float:
+        """Share of saturation that the interior's percentile would reach under the all-on code."""
+        transmission = self.scorer.camera.objective.nd_transmission / self.light.nd_transmission
+        return self.light.percentile_dn * transmission / self.light.saturation_dn
 
 
 def _take(
@@ -124,7 +147,7 @@ def _take(
     radiance_of: Callable[[Experiment], RadianceVideo],
     progress: Progress,
 ) -> _Taken:
-    """Take all frames of an experiment whose fullest pixel is open for a share of a frame."""
+    """Take all frames of an experiment whose fullest exposure is a share of one that is on for ever."""
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
     for method in modelled.methods:
@@ -132,14 +155,14 @@ def _take(
     radiance = radiance_of(experiment)
     camera, light = set_light(modelled, radiance, known[modelled.calibration])
     camera = camera.with_nd(min(1.0, light.wanted_transmission / share))
-    truth: IrradianceVideo = camera.form_image(radiance)
+    truth = camera.form_image(radiance)
     frames = capture(modelled, camera, truth, known, progress)
     return _Taken(modelled, light, frames, known, Scorer(modelled, camera, truth, radiance))
 
 
 def compare(
     experiment: Experiment,
-    radiance_of: Callable[[Experiment], RadianceVideo] = render_truth,
+    radiance_of: Callable[[Experiment], RadianceVideo] | None = None,
     progress: Progress = silent,
 ) -> OwnLight:
     """Run an experiment's methods each at its own f-number, and score them together.
@@ -148,24 +171,32 @@ def compare(
     ----------
     experiment : Experiment
         At the f-number that all would share.
-    radiance_of : callable
+    radiance_of : callable, optional
         Gives the truth that an experiment's camera sees; by default it is rendered.
     progress : Progress
-        Told of each finished frame.
+        Told of each finished unit.
+
+    Raises
+    ------
+    ConfigError
+        When a decoder refuses a camera that is opened so far.
     """
+    radiance_of = radiance_of or partial(render_truth, progress=progress)
     shared = _take(experiment, 1.0, radiance_of, progress)
     f_number, wanted = experiment.camera.objective.f_number, shared.light.wanted_transmission
-    shares = {name: open_share(frames) for name, frames in shared.frames.items()}
+    shares = shared.open_shares
     f_numbers = {name: own_f_number(f_number, wanted, share) for name, share in shares.items()}
     # One camera for all methods that ask for the same light.
     alike: dict[tuple[float, float], list[str]] = {}
     for name, share in shares.items():
-        alike.setdefault((f_numbers[name], share), []).append(name)
+        alike.setdefault((f_numbers[name], round(share, 2)), []).append(name)
     taken = [
-        _take(at_f_number(experiment, stop, names), share, radiance_of, progress)
-        for (stop, share), names in alike.items()
+        _take(
+            at_f_number(experiment, stop, names), max(shares[name] for name in names), radiance_of, progress
+        )
+        for (stop, _), names in alike.items()
     ]
-    videos = [each.decoded() for each in taken]
+    videos = [decode(each.experiment, each.frames, each.known) for each in taken]
     tallies: list[FrameTally] = []
     for index in range(experiment.n_frames):
         found = [next(each).videos for each in videos]
@@ -178,17 +209,15 @@ def compare(
                 for name, video in of_each.items()
             ]
         progress("decode", index + 1, experiment.n_frames)
+    scores = shared.scorer.board.records(tallies)
     photons = [row for each in taken for row in each.scorer.photons(each.frames)]
+    # Schemes that look at their frames may have chosen other codes in other light.
+    taken_shares = {name: share for each in taken for name, share in each.open_shares.items()}
     return OwnLight(
         f_numbers,
-        shares,
+        {name: taken_shares[name] for name in f_numbers},
         {row["method"]: row["mean_e"] for row in photons},
-        {name: _filled(each, shares[name]) for each in taken for name in each.frames},
-        shared.scorer.board.records(tallies),
+        {name: each.filled * share for each in taken for name, share in each.open_shares.items()},
+        scores,
+        verdicts(experiment, scores),
     )
-
-
-def _filled(taken: _Taken, share: float) -> float:
-    camera: CodedCamera = taken.scorer.camera
-    transmission = camera.objective.nd_transmission / taken.light.nd_transmission
-    return taken.light.percentile_dn * transmission * share / taken.light.saturation_dn

@@ -15,11 +15,12 @@ from optsim.experiment import Experiment
 from optsim.forward.integrate import cell_means, slot_means
 from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
+from optsim.metrics.hypothesis import Verdict
 from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
 
-# Where a mask stands that no method made: all movers, without what they do to the light elsewhere.
+# Name of the row of movers' own masks among those of the methods.
 OBJECTS = "moving objects"
 
 
@@ -118,22 +119,18 @@ class Scorer:
 
     def results(self) -> dict[str, Any]:
         """Scores, coverage and series of everything added, as results.json holds them."""
-        scores, methods = self.board.records(self.tallies), self.experiment.methods
-        adaptive = [m.name for m in methods if m.scheme.kind == "motion_adaptive"]
-        # Claims compare schemes, so they leave out who knows the camera by a calibration of its own.
-        apart = [m.name for m in methods if self.experiment.operator_of(m) != self.experiment.calibration]
-        judged = [each for each in scores if each["method"] not in apart]
+        scores = self.board.records(self.tallies)
         return {
             "scores": scores,
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
             "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
-            "hypothesis": metrics.judge_hypothesis(judged, no_rivals=adaptive),
+            "hypothesis": verdicts(self.experiment, scores),
         }
 
     def masks(self, frames: Frames, objects: Bools | None = None) -> dict[str, Any]:
-        """Agreement of each adaptive method's mask with the oracle, frame by frame and by phase.
+        """Agreement of each adaptive method's mask, and of movers, with the oracle: by frame and by phase.
 
         Parameters
         ----------
@@ -188,6 +185,15 @@ class Scorer:
         window, interior = image[seen == 1], image[seen == 0]
         dark = float(np.percentile(interior, 5))
         return float(np.percentile(window, 95)) / dark if window.size and dark > 0 else None
+
+
+def verdicts(experiment: Experiment, scores: Sequence[ScoreRecord]) -> list[Verdict]:
+    """Judge the registered claims by an experiment's scores."""
+    adaptive = [m.name for m in experiment.methods if m.scheme.kind == "motion_adaptive"]
+    # Claims compare schemes, so they leave out who knows the camera by a calibration of its own.
+    apart = [m.name for m in experiment.methods if experiment.operator_of(m) != experiment.calibration]
+    judged = [each for each in scores if each["method"] not in apart]
+    return metrics.judge_hypothesis(judged, no_rivals=adaptive)
 
 
 def score(result: Result) -> list[ScoreRecord]:

@@ -92,20 +92,24 @@ def test_the_predicted_size_is_what_the_probe_shows_in_units_of_its_noise():
     assert probe.size({}, {}) == 0
 
 
+@pytest.mark.parametrize(("state", "bound"), [("nominal", 0.2), ("pessimistic", 0.35)])
 @pytest.mark.parametrize("light", [ROOM, WINDOW])
-def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_that_plans_add(light):
+def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_that_plans_add(
+    light, state, bound
+):
     """Even PSFs and mixed rims save most of a plan's time; the oracle has fields of PSFs and fine rims."""
+    camera = with_effects(demo(), {"all": state})
     fine = changed(
-        demo(), compared_with("objective_blur") | compared_with("relay_blur") | compared_with("fringing")
+        camera, compared_with("objective_blur") | compared_with("relay_blur") | compared_with("fringing")
     )
     exact, quick = (
-        {each.effect: each.size for each in effect_sizes(near_probe(camera, light))}
-        for camera in (fine, changed(demo(), PLAIN))
+        {each.effect: each.size for each in effect_sizes(near_probe(each_camera, light))}
+        for each_camera in (fine, changed(camera, PLAIN))
     )
     large = {name for name, size in exact.items() if size > 0.05}
     assert len(large) > 12
     for name in large:
-        assert quick[name] == pytest.approx(exact[name], rel=0.25), name
+        assert quick[name] == pytest.approx(exact[name], rel=bound), name
 
 
 def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():

@@ -7,7 +7,8 @@ import pytest
 from small_experiment import SMALL
 
 from optsim.cache import Cache
-from optsim.experiment import Experiment, load_experiment
+from optsim.effects import changed
+from optsim.experiment import Experiment, SceneChoice, load_experiment
 from optsim.object_masks import object_masks
 from optsim.quantities import Bools
 from optsim.render import PassRenderer, choose_backend
@@ -47,7 +48,7 @@ def test_a_pixel_counts_if_an_export_shows_a_mover_in_its_middle_then_or_a_frame
         )
         for k in range(2)
     ]
-    assert 0 < exported[0].mean() < exported[0].size
+    assert 0 < exported[0].mean() < 1
     assert not np.array_equal(exported[0], exported[1]), "or this tests nothing"
     np.testing.assert_array_equal(masks[0], exported[0])
     np.testing.assert_array_equal(masks[1], exported[1] | exported[0])
@@ -66,9 +67,28 @@ def test_masks_are_kept_and_belong_to_scene_picture_and_timing(
     asked.clear()
     np.testing.assert_array_equal(object_masks(experiment, cache=cache, progress=noted), masks)
     assert not asked
-    shorter = object_masks(experiment.model_copy(update={"n_frames": 1}), cache=cache, progress=noted)
-    np.testing.assert_array_equal(shorter, masks[:1])
-    assert len(asked) == 36
+    others = (
+        {"n_frames": 1},
+        {"camera": experiment.camera.with_nd(0.5)},
+        {"camera": changed(experiment.camera, {"objective": {"focal_length_m": 0.5e-3}})},
+        {"scene": SceneChoice(name="half_moving", variation="3")},
+    )
+    found = [
+        object_masks(experiment.model_copy(update=other), cache=cache, progress=noted) for other in others
+    ]
+    assert len(asked) == 36 + 0 + 72 + 72
+    np.testing.assert_array_equal(found[0], masks[:1])
+    np.testing.assert_array_equal(found[1], masks)
+    assert not np.array_equal(found[2], masks)
+    assert not np.array_equal(found[3], masks)
+
+
+def test_masks_of_other_code_are_found_anew(experiment: Experiment, tmp_path: Path, monkeypatch) -> None:
+    short, asked = experiment.model_copy(update={"n_frames": 1}), []
+    for code in ("one", "other"):
+        monkeypatch.setattr("optsim.object_masks.hash_files", lambda _, code=code: code)
+        object_masks(short, cache=Cache(tmp_path), progress=lambda *said: asked.append(said))
+    assert len(asked) == 72
 
 
 def test_footage_has_none_since_it_tells_of_no_objects(experiment: Experiment, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_experiment import COLS, ROWS, moving_bar
 
 from optsim import job, loop, metrics, trace
 from optsim.errors import ConfigError
@@ -12,10 +13,10 @@ from optsim.experiment import Experiment, load_experiment
 from optsim.known_calibration import ideal_calibration
 from optsim.loop import Result, calibrate, planned, run, set_light
 from optsim.quantities import RadianceVideo, Reconstruction
-from optsim.scene.footage import footage, still
+from optsim.scene.footage import still
 from optsim.scoring import Scorer, score
 
-ROWS, COLS, FRAMES = 24, 32, 4
+FRAMES = 4
 # The adaptive scheme's mask shows what it knows, and so does the picture of the mosaic.
 OWN = ("methods.adaptive.calibration=ideal", "methods.hdr_mosaic.calibration=ideal")
 
@@ -38,16 +39,6 @@ def small(*assignments: str, calibration: str = "true", n_frames: int = FRAMES) 
             *assignments,
         ],
     )
-
-
-def moving_bar(experiment: Experiment, scale: float) -> RadianceVideo:
-    """A texture that a bright bar crosses."""
-    texture = np.random.default_rng(0).uniform(0.02, 0.15, (ROWS // 2, COLS // 2))
-    frames = np.repeat(np.kron(texture, np.ones((6, 6)))[None], experiment.timing.n_slots, 0)
-    for slot in range(len(frames)):
-        frames[slot, 24:42, 10 + slot // 4 : 22 + slot // 4] = 0.3
-    scaled = (scale * frames).astype(np.float32)
-    return footage(scaled, slot_s=experiment.timing.slot_s, samples_per_pitch=3, white_w_m2_sr=0.4)
 
 
 @pytest.fixture(scope="module")

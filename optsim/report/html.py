@@ -156,7 +156,7 @@ def _series_plots(
 
 
 def _mask_plot(results: Results) -> object:
-    """Intersection over union of the motion masks against the oracle, a line a method."""
+    """Intersection over union of the motion masks against the oracle, a line a method and one of movers."""
     methods = list(results["methods"])
     lines: list[plots.Line] = []
     for method in dict.fromkeys(m["method"] for m in results["masks"]):

@@ -168,7 +168,7 @@ class Uncertainty(TypedDict):
 
 @with_config(_STRICT)
 class MaskScore(TypedDict):
-    """A method's motion mask against the oracle in one coded frame."""
+    """The motion mask of a method, or of moving objects, against the oracle in one coded frame."""
 
     method: str
     frame: int
@@ -179,7 +179,7 @@ class MaskScore(TypedDict):
 
 @with_config(_STRICT)
 class PooledMask(TypedDict):
-    """A method's motion masks of a phase against the oracle, all pixels of its frames counted together.
+    """Motion masks of a method, or of moving objects, against the oracle: all pixels of a phase together.
 
     ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is null where nothing is marked,
     ``recall`` where nothing moves, ``iou`` where both are so.
