@@ -8,17 +8,18 @@ are those of third stops, and a neutral density takes what is over; none is slow
 a density does as well without its diffraction.
 
 Wavefronts keep their errors in waves and the lens its other aberrations: a faster lens is taken to be as well
-corrected, which favours schemes that ask for one and is not validated. Scenes are rendered through each
-aperture as far as its depth of field shows. All are scored on the same pixels, those that all methods hold
-valid, and regions are those of the shared camera's oracle mask; each is compared with the light on its panel.
+corrected, which favours schemes that ask for one and is not validated. All see the scene as it is rendered for
+the shared aperture: its depth of field is no part of the comparison. All are scored on the same pixels, those
+that all methods hold valid, in regions of the shared camera's oracle mask, and against the light on their own
+panel.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -40,7 +41,6 @@ from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import CodedFrame, RadianceVideo
 from optsim.scoring import Scorer, verdicts
-from optsim.truth import render_truth
 
 # From f/1.4, as such lenses can be set; the project's has no data sheet. Slower ones than f/16 nobody shares.
 THIRD_STOPS = tuple(2 ** (k / 6) for k in range(3, 25))
@@ -141,18 +141,12 @@ class _Taken:
         return self.light.percentile_dn * transmission / self.light.saturation_dn
 
 
-def _take(
-    experiment: Experiment,
-    share: float,
-    radiance_of: Callable[[Experiment], RadianceVideo],
-    progress: Progress,
-) -> _Taken:
+def _take(experiment: Experiment, share: float, radiance: RadianceVideo, progress: Progress) -> _Taken:
     """Take all frames of an experiment whose fullest exposure is a share of one that is on for ever."""
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
     for method in modelled.methods:
         method.check(known[modelled.operator_of(method)])
-    radiance = radiance_of(experiment)
     camera, light = set_light(modelled, radiance, known[modelled.calibration])
     camera = camera.with_nd(min(1.0, light.wanted_transmission / share))
     truth = camera.form_image(radiance)
@@ -160,29 +154,24 @@ def _take(
     return _Taken(modelled, light, frames, known, Scorer(modelled, camera, truth, radiance))
 
 
-def compare(
-    experiment: Experiment,
-    radiance_of: Callable[[Experiment], RadianceVideo] | None = None,
-    progress: Progress = silent,
-) -> OwnLight:
+def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> OwnLight:
     """Run an experiment's methods each at its own f-number, and score them together.
 
     Parameters
     ----------
     experiment : Experiment
         At the f-number that all would share.
-    radiance_of : callable, optional
-        Gives the truth that an experiment's camera sees; by default it is rendered.
+    radiance : RadianceVideo
+        The truth, from :func:`optsim.render_truth` or :func:`optsim.scene.footage.footage`.
     progress : Progress
-        Told of each finished unit.
+        Told of each finished frame.
 
     Raises
     ------
     ConfigError
         When a decoder refuses a camera that is opened so far.
     """
-    radiance_of = radiance_of or partial(render_truth, progress=progress)
-    shared = _take(experiment, 1.0, radiance_of, progress)
+    shared = _take(experiment, 1.0, radiance, progress)
     f_number, wanted = experiment.camera.objective.f_number, shared.light.wanted_transmission
     shares = shared.open_shares
     f_numbers = {name: own_f_number(f_number, wanted, share) for name, share in shares.items()}
@@ -191,9 +180,7 @@ def compare(
     for name, share in shares.items():
         alike.setdefault((f_numbers[name], round(share, 2)), []).append(name)
     taken = [
-        _take(
-            at_f_number(experiment, stop, names), max(shares[name] for name in names), radiance_of, progress
-        )
+        _take(at_f_number(experiment, stop, names), max(shares[name] for name in names), radiance, progress)
         for (stop, _), names in alike.items()
     ]
     videos = [decode(each.experiment, each.frames, each.known) for each in taken]

@@ -66,7 +66,7 @@ def compared(experiment: Experiment, shared_transmission: float, masks: list[flo
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Scorer, "moving", noted)
-        return compare(experiment, lambda _: radiance)
+        return compare(experiment, radiance)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_of_an_even_scene_every_scheme_fills_the_well_alike(overlap: bool) -> No
     even = small("normal", "random", "n_frames=1", f"camera.overlap={str(overlap).lower()}")
     grey = np.full((36, 3 * ROWS, 3 * COLS), 0.2, np.float32)
     radiance = footage(grey, slot_s=even.timing.slot_s, samples_per_pitch=3, white_w_m2_sr=0.4)
-    found = compare(even, lambda _: radiance)
+    found = compare(even, radiance)
     # The corners are darker than the percentile, and the response bends by 2 % at the full well.
     well_e = 0.8 * even.camera.sensor.full_well_e
     for name in ("normal", "random"):
@@ -154,7 +154,7 @@ def test_where_all_ask_for_the_shared_f_number_the_scores_are_those_of_a_run(
 ) -> None:
     alike = small("adaptive", "normal", "hdr_mosaic")
     radiance = moving_bar(alike, shared_transmission / 0.9)
-    compared = compare(alike, lambda _: radiance)
+    compared = compare(alike, radiance)
     assert set(compared.f_numbers.values()) == {4.0}
     whole = score(run(alike, radiance))
     assert len(whole) == len(compared.scores) > 0

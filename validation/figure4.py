@@ -20,6 +20,7 @@ from optsim.files import write_text
 from optsim.job import execute, run_folder
 from optsim.own_f_number import OwnLight, compare
 from optsim.report.schema import Results
+from optsim.truth import render_truth
 
 SCENES = ("window_room", "half_moving", "night_street")
 OUT = Path("reports") / "figure4.md"
@@ -40,7 +41,8 @@ def main(names: list[str]) -> None:
         experiment = load_experiment("figure4", [f"scene.name={name}"])
         folder = run_folder(experiment, Path("reports") / "runs" / f"figure4-{name}")
         results = execute(experiment, folder, command="make figure4", progress=_say)
-        parts += [section(results), own_section(compare(experiment, progress=_say))]
+        own = compare(experiment, render_truth(experiment), progress=_say)
+        parts += [section(results), own_section(own)]
         write_text(OUT, "\n".join(parts))
     print(f"tables: {OUT}")
 
@@ -139,10 +141,9 @@ moves).
 Each at its own f-number: the lens opens, by third stops to f/1.4, until a scheme's own fullest exposure
 (open: its share of one that is on for ever) does what the rule asks of the all-on code, fills 80 % of the
 well at the interior's 90th percentile; a density takes what is over, and nothing is stopped down. The relay
-opens with the lens. Faster lenses are taken to be as well corrected, in waves, as the nominal one, and each
-scheme is compared with the light on its own panel, where depth of field has blurred it: both favour schemes
-that open pixels briefly, and are not validated. Regions are those of the shared camera; pixels those that
-all hold valid.
+opens with the lens. Faster lenses are taken to be as well corrected, in waves, as the nominal one, which
+favours schemes that open pixels briefly and is not validated; all see the scene with the shared aperture's
+depth of field. Regions are those of the shared camera; pixels those that all hold valid.
 """
 
 if __name__ == "__main__":
