@@ -8,10 +8,10 @@ are those of third stops, and a neutral density takes what is over; none is slow
 a density does as well without its diffraction.
 
 Wavefronts keep their errors in waves and the lens its other aberrations: a faster lens is taken to be as well
-corrected, which favours schemes that ask for one and is not validated. All see the scene as it is rendered for
-the shared aperture: its depth of field is no part of the comparison. All are scored on the same pixels, those
-that all methods hold valid, in regions of the shared camera's oracle mask, and against the light on their own
-panel.
+corrected, which favours schemes that ask for one and is not validated. All see the scene as it is rendered
+for the shared aperture: its depth of field is no part of the comparison. All are scored on the same pixels,
+those that all methods hold valid, in regions of the shared camera's oracle mask, and against the light on
+their own panel.
 """
 
 from __future__ import annotations
