@@ -161,8 +161,9 @@ def test_where_all_ask_for_the_shared_f_number_the_scores_are_those_of_a_run(
     for ours, theirs in zip(compared.scores, whole, strict=True):
         same = ("method", "metric", "region", "phase", "n")
         assert [ours[key] for key in same] == [theirs[key] for key in same]
-        # Others have a percent more light, by which a pixel that was dark before is short of one on for ever.
-        rel = 5e-3 if ours["method"] == "normal" else 0.1
+        # Others have a percent more light, by which a pixel that was dark before is short of one on for ever;
+        # the adaptive scheme's masks are then others, too.
+        rel = 5e-3 if ours["method"] == "normal" else 0.2
         assert ours["value"] == pytest.approx(theirs["value"], rel=rel)
 
 
