@@ -16,7 +16,9 @@ from optsim.truth import chosen_scene, truth_view
 
 
 def small(*assignments: str) -> Experiment:
-    return load_experiment("demo", [*SMALL, "n_frames=2", *assignments])
+    larger = ["panel_rows=24", "panel_cols=32", "sensor.rows=80", "sensor.cols=104"]
+    sizes = [*(f"camera.{each}" for each in larger), "camera.objective.focal_length_m='0.6667 mm'"]
+    return load_experiment("demo", [*SMALL, *sizes, "n_frames=2", *assignments])
 
 
 @pytest.fixture(scope="module")
