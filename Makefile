@@ -27,7 +27,7 @@ test: setup ## is the code right? (minutes)
 bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
 
-figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (half an hour)
+figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (about an hour)
 	$(BIN)/python validation/figure4.py
 
 validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)

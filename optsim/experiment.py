@@ -157,6 +157,11 @@ class Experiment(Part):
         """Operators that are asked for, each once; the experiment's own, by which light is set, first."""
         return tuple(dict.fromkeys((self.calibration, *map(self.operator_of, self.methods))))
 
+    def check_methods(self, known: Mapping[Operator, Calibration]) -> None:
+        """Refuse what any method cannot do with the calibration that it knows (:meth:`Method.check`)."""
+        for method in self.methods:
+            method.check(known[self.operator_of(method)])
+
     def at_work(self) -> CodedCamera:
         """Camera that takes the frames: the one that was calibrated, as it has changed since.
 

@@ -158,8 +158,7 @@ def execute(
         progress("laboratory", 0, 1)
         known = calibrate_all(modelled)
         progress("laboratory", 1, 1)
-    for method in experiment.methods:
-        method.check(known[experiment.operator_of(method)])
+    experiment.check_methods(known)
     with watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
     objects = None

@@ -313,8 +313,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     """
     experiment, plan = planned(experiment)
     known = calibrate_all(experiment)
-    for method in experiment.methods:
-        method.check(known[experiment.operator_of(method)])
+    experiment.check_methods(known)
     camera, light = set_light(experiment, radiance, known[experiment.calibration])
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, known, progress)

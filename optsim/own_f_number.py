@@ -145,8 +145,7 @@ def _take(experiment: Experiment, share: float, radiance: RadianceVideo, progres
     """Take all frames of an experiment whose fullest exposure is a share of one that is on for ever."""
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
-    for method in modelled.methods:
-        method.check(known[modelled.operator_of(method)])
+    modelled.check_methods(known)
     camera, light = set_light(modelled, radiance, known[modelled.calibration])
     camera = camera.with_nd(min(1.0, light.wanted_transmission / share))
     truth = camera.form_image(radiance)

@@ -1,6 +1,6 @@
 """The comparison of the paper's figure 4: all schemes, same scenes, same camera, by region and phase.
 
-``make figure4`` runs the preset ``figure4`` on each scene (an hour and a half on two cores, less when the
+``make figure4`` runs the preset ``figure4`` on each scene (about an hour on two cores, half of it when the
 truth is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its
 own (:mod:`optsim.own_f_number`). Nothing is asserted: what was registered before measuring
 (:mod:`optsim.metrics.hypothesis`) is printed with its verdict, whichever it is. The priors were trained on
@@ -13,13 +13,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from optsim.experiment import load_experiment
 from optsim.files import write_text
 from optsim.job import execute, run_folder
 from optsim.own_f_number import OwnLight, compare
-from optsim.report.schema import Results
+from optsim.report.headline import Row, table
+from optsim.report.schema import Phase, Results, Score, Verdict
 from optsim.truth import render_truth
 
 SCENES = ("window_room", "half_moving", "night_street")
@@ -27,7 +27,7 @@ OUT = Path("reports") / "figure4.md"
 _METRICS = (("PU21-PSNR", "dB"), ("log-RMSE", "stops"))
 _REGIONS = ("moving", "static", "all")
 _HEADS = tuple(f"{region}, {unit}" for _, unit in _METRICS for region in _REGIONS)
-_PHASES = (
+_PHASES: tuple[tuple[Phase, str], ...] = (
     ("steady", "Steady"),
     ("merging", "Merging: fewer than four frames of a mosaic"),
     ("warm-up", "Warm-up: no motion known yet"),
@@ -95,27 +95,26 @@ def _table(heads: Sequence[str], cells: Mapping[str, Sequence[str]]) -> list[str
     return ["| " + " | ".join(row) + " |" for row in rows]
 
 
-def _cells(scores: Sequence[Mapping[str, Any]], methods: Sequence[str], phase: str) -> dict[str, list[str]]:
+def _cells(scores: Sequence[Score], methods: Sequence[str], phase: Phase) -> dict[str, list[str]]:
     """Scores of each method in a phase; the best of them bold."""
-    cells: dict[str, list[str]] = {name: [] for name in methods}
-    for metric, _ in _METRICS:
-        for region in _REGIONS:
-            found = {
-                score["method"]: score
-                for score in scores
-                if score["metric"].startswith(metric) and (score["region"], score["phase"]) == (region, phase)
-            }
-            values = {name: score["value"] for name, score in found.items() if score["value"] is not None}
-            ahead = max if any(score["higher_is_better"] for score in found.values()) else min
-            best = ahead(values.values(), default=None)
-            for name in methods:
-                value = values.get(name)
-                text = "-" if value is None else f"{value:.2f}"
-                cells[name].append(f"**{text}**" if value is not None and value == best else text)
-    return cells
+    rows = table(scores, methods, phase)
+    chosen = [
+        next(row for row in rows if row.metric.startswith(metric) and row.region == region)
+        for metric, _ in _METRICS
+        for region in _REGIONS
+    ]
+    return {name: [_cell(row, place) for row in chosen] for place, name in enumerate(methods)}
 
 
-def _judged(verdict: Mapping[str, Any]) -> str:
+def _cell(row: Row, place: int) -> str:
+    score = row.scores[place]
+    if score is None or score["value"] is None:
+        return "-"
+    text = f"{score['value']:.2f}"
+    return f"**{text}**" if score["value"] == row.best else text
+
+
+def _judged(verdict: Verdict) -> str:
     word = {True: "holds", False: "fails", None: "not measured"}[verdict["passed"]]
     return f"- {verdict['claim']}: **{word}**, {verdict['measured']}."
 

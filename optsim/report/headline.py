@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from optsim.report.schema import Phase, Region, Results, Score
@@ -68,9 +68,9 @@ def phases_reached(results: Results) -> list[Phase]:
     return [phase for phase in PHASES if phase in reached]
 
 
-def table(results: Results, phase: Phase) -> list[Row]:
+def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list[Row]:
     """Scores of a phase, a row for each region and metric."""
-    scores = [s for s in results["scores"] if s["phase"] == phase]
+    names, scores = list(methods), [s for s in scores if s["phase"] == phase]
     first = {s["metric"]: s for s in reversed(scores)}
     metrics = list(dict.fromkeys(s["metric"] for s in scores))
     found = {(s["region"], s["metric"], s["method"]): s for s in scores}
@@ -81,7 +81,7 @@ def table(results: Results, phase: Phase) -> list[Row]:
             metric,
             first[metric]["unit"],
             first[metric]["higher_is_better"],
-            tuple(found.get((region, metric, method)) for method in results["methods"]),
+            tuple(found.get((region, metric, method)) for method in names),
         )
         for region, where in REGIONS
         for metric in metrics
@@ -91,7 +91,7 @@ def table(results: Results, phase: Phase) -> list[Row]:
 def cards(results: Results, phase: Phase) -> list[Card]:
     """One card a region, each with the metric that the registered hypothesis uses there."""
     wanted = {verdict["region"]: verdict["metric"] for verdict in results["hypothesis"]}
-    rows = table(results, phase)
+    rows = table(results["scores"], results["methods"], phase)
     chosen: list[Card] = []
     for region, where in REGIONS:
         of_region = [row for row in rows if row.region == region]

@@ -81,7 +81,7 @@ def _context(results: Results) -> dict[str, object]:
         "style": {name: headline.style_of(list(results["methods"]), name) for name in results["methods"]},
         "phase": phase,
         "cards": headline.cards(results, phase) if phase else [],
-        "tables": [(p, headline.table(results, p)) for p in reached],
+        "tables": [(p, headline.table(results["scores"], results["methods"], p)) for p in reached],
         "ceilings": {p: headline.ceilings(results, p) for p in reached},
         "coverage": {(c["phase"], c["region"], c["method"]): c for c in results["coverage"]},
         "regions": headline.REGIONS,
