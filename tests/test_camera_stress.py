@@ -10,7 +10,7 @@ from optsim.camera import CodedCamera
 from optsim.config import build
 from optsim.effects import ALL, STATES, with_effects
 from optsim.errors import ConfigError, GeometryError
-from optsim.forward.panel import TABLE_ERROR
+from optsim.forward.panel import WEIGHT_ERROR
 from optsim.forward.radiometry import photons_per_joule
 from optsim.hardware import demo, icx674, imx174
 from optsim.optics import Modulator, Splitter, throughput
@@ -382,9 +382,8 @@ def test_response_times_from_0_to_100_slots_are_those_of_a_finely_integrated_equ
                 gamma = target + (gamma - target) * np.where(rising, share[on_s], share[off_s])
                 mean += np.sin(mid / 2) ** 2 / steps_a_slot
             leak = camera.column_leaks
-            # The table's error grows with the time constant; a float32 state is handed on.
-            atol = 2e-6 + TABLE_ERROR * max(1, *tau_slots)
-            np.testing.assert_allclose(weight, leak + (1 - leak) * mean, atol=atol)
+            # A float32 state is handed on.
+            np.testing.assert_allclose(weight, leak + (1 - leak) * mean, atol=2e-6 + WEIGHT_ERROR)
     np.testing.assert_allclose(panel.retardance_rad, gamma, atol=2e-5)
 
 

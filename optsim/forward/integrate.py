@@ -139,28 +139,37 @@ def _fine_segment(
         for of_key, (_, key) in zip(sums, lines, strict=True):
             energy[top : top + height] += of_key * key[top : top + height]
         for block in segment.blocks:
-            _, tall, wide = block.excess.shape
-            above, below = max(block.row, top), min(block.row + tall, top + height)
+            above, below = max(block.row, top), min(block.row + block.excess.shape[1], top + height)
             if above < below:
-                columns = slice(block.col, block.col + wide)
-                excess = block.excess[:n, above - block.row : below - block.row]
-                opened = cells[:, above - top : below - top, columns]
-                add_products(energy[above:below, columns], excess, opened)
+                add_products(energy, above, below, block.excess, block.row, block.col, cells, top)
 
     keys = np.stack([line for line, _ in lines]).astype(np.float32)
     return fine_weights(rims, weights, keys, moving, add, panel, first)
 
 
-def _add_few_products(energy: Doubles, excess: Floats, weights: Floats) -> None:
-    energy += np.einsum("tyx,tyx->yx", excess, weights, dtype=np.float64)
+def _add_few_products(
+    energy: Doubles, above: int, below: int, excess: Floats, row: int, col: int, cells: Floats, top: int
+) -> None:
+    """As :func:`_add_products`, all rows at a time."""
+    columns = slice(col, col + excess.shape[2])
+    light, opened = (
+        excess[: len(cells), above - row : below - row],
+        cells[:, above - top : below - top, columns],
+    )
+    energy[above:below, columns] += np.einsum("tyx,tyx->yx", light, opened, dtype=np.float64)
 
 
-@compiled()
-def _add_products(energy: Doubles, excess: Floats, weights: Floats) -> None:
-    for t in range(excess.shape[0]):
-        for y in range(energy.shape[0]):
-            for x in range(energy.shape[1]):
-                energy[y, x] += weights[t, y, x] * excess[t, y, x]
+# Whole arrays, whose rows are dense, and unsigned places: so this becomes vector code.
+@compiled(fastmath=True)
+def _add_products(
+    energy: Doubles, above: int, below: int, excess: Floats, row: int, col: int, cells: Floats, top: int
+) -> None:
+    """Add a block's light in the rows from above to below, through cells whose first row is ``top``."""
+    left = np.uint64(col)
+    for y in range(above, below):
+        for t in range(len(cells)):
+            for x in range(np.uint64(excess.shape[2])):
+                energy[y, left + x] += cells[t, y - top, left + x] * excess[t, y - row, x]
 
 
 @compiled()

@@ -1,7 +1,9 @@
+# pyright: reportMissingTypeStubs=false
 """The walk of a panel's pixels through the slots of a code: retardance relaxes, light is averaged.
 
-The closed form is that of :mod:`optsim.forward.panel`, with Si and Cin from its table. Many pixels walk one
-by one in a compiled loop, few of them all together: loading the loop would take longer.
+The closed form is that of :mod:`optsim.forward.panel`. Its Si(x) / x and Cin(x) / x^2 are polynomials of x^2:
+a loop over those is vectorised, whereas a table has to be looked up number by number. Many pixels walk in a
+compiled loop, few of them all together: loading the loop would take longer.
 """
 
 from __future__ import annotations
@@ -9,14 +11,39 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import sici
 
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
 from optsim.quantities import Bytes, Doubles, Floats, Ints
 
-TABLE_CELLS = 4096
 # Nearer than this to its target a pixel stays there: it changes a weight by less than 1e-14.
 _SETTLED_RAD = 1e-7
+
+
+def si_cin(x: Doubles) -> tuple[Doubles, Doubles]:
+    """Sine integral (odd) and the entire cosine integral Cin (even)."""
+    size = np.abs(x)
+    large = np.maximum(size, 1e-3)
+    si, ci = sici(large)
+    # gamma + ln x - Ci x cancels near zero, where two terms of the series are exact to 1e-21.
+    cin = np.where(size > 1e-3, np.euler_gamma + np.log(large) - ci, size**2 / 4 - size**4 / 96)
+    return np.where(size > 1e-3, np.sign(x) * si, x - x**3 / 18), cin
+
+
+def _powers(power: int, which: int) -> tuple[float, ...]:
+    """Coefficients of an integral over x to a power, in powers of the square of x, from 0 to 2 pi."""
+
+    def smooth(square: Doubles) -> Doubles:
+        x = np.sqrt(square)
+        return si_cin(x)[which] / x**power
+
+    found = np.polynomial.Chebyshev.interpolate(smooth, 9, domain=[0, 4 * np.pi**2])
+    return tuple(found.convert(kind=np.polynomial.Polynomial).coef.tolist())
+
+
+# Both integrals to 1e-10.
+_SI, _CIN = _powers(1, 0), _powers(2, 1)
 
 
 class Drive(NamedTuple):
@@ -38,7 +65,6 @@ def walk(
     instant_s: float,
     leaks: Doubles,
     spans: Doubles,
-    table: Doubles,
     weights: Floats,
 ) -> None:
     """Fill the weights of a code's instants, and bring the panel to where the last slot ends.
@@ -59,28 +85,23 @@ def walk(
         Duration of an instant, s.
     leaks, spans : ndarray of shape (u,), float64
         Weight of a dark pixel, and what a retardance of pi adds to it.
-    table : ndarray of shape (TABLE_CELLS + 1, 2), float64
-        Si and Cin from 0 to 2 pi.
     weights : ndarray of shape (slot * instants_per_slot, v, u), float32
         Filled.
     """
     if weights.size < FEW:
         _walk_together(
             levels, retardance, shown, targets, taus, turn * instant_s + early_s, instant_s, leaks, spans,
-            table, weights,
+            weights,
         )  # fmt: skip
         return
 
-    drives, tables = (
-        Drive(targets, np.cos(targets), np.sin(targets)),
-        (table[:, 0].copy(), table[:, 1].copy()),
-    )
+    drives = Drive(targets, np.cos(targets), np.sin(targets))
 
     def band(first: int, end: int) -> None:
         part = slice(first, end)
         _run(
             levels[:, part], retardance[part], shown[part], drives, taus, turn[part], early_s[part],
-            instant_s, leaks, spans, tables, weights[:, part],
+            instant_s, leaks, spans, weights[:, part],
         )  # fmt: skip
 
     in_bands(len(shown), band)
@@ -96,7 +117,6 @@ def _walk_together(
     instant_s: float,
     leaks: Doubles,
     spans: Doubles,
-    table: Doubles,
     weights: Floats,
 ) -> None:
     """Take all pixels through an instant at a time."""
@@ -119,28 +139,24 @@ def _walk_together(
                 part = cosine * length_s
                 on_the_way = np.flatnonzero(np.abs(step) >= _SETTLED_RAD)
                 some, step = level[on_the_way], step[on_the_way]
-                rest, over, across = _relax_together(step, length_s[on_the_way], taus, table)
+                rest, over, across = _relax_together(step, length_s[on_the_way], taus)
                 gamma[on_the_way] = targets[at, some] + rest
                 part[on_the_way] -= cosine[on_the_way] * over + sines[at, some] * across
                 swept += part
-            # Dark is dark: the table's error must not make light negative.
+            # Dark is dark: rounding must not make light negative.
             light = np.maximum(0.5 - 0.5 * swept / instant_s, 0).reshape(shown.shape)
             weights[slot * n_sub + sub] = leaks + spans * light
         shown[:] = new
     retardance[:] = gamma.reshape(retardance.shape)
 
 
-def _relax_together(
-    step: Doubles, length_s: Doubles, taus: Doubles, table: Doubles
-) -> tuple[Doubles, Doubles, Doubles]:
+def _relax_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[Doubles, Doubles, Doubles]:
     """As _relax for steps (pixel,): what is left of them, and tau times the changes of Cin and of Si."""
     tau, rest = taus[(step >= 0).astype(np.intp)], step * np.exp(-paces(step, length_s, taus))
-    size = np.abs(np.concatenate([step, rest])) * (TABLE_CELLS / (2 * np.pi))
-    cell = np.minimum(size.astype(np.intp), TABLE_CELLS - 1)
-    low = table[cell]
-    found = low + (size - cell)[:, None] * (table[cell + 1] - low)
-    si, cin = (found[: len(step)] - found[len(step) :]).T
-    return rest, tau * cin, tau * np.sign(step) * si
+    both = np.stack([step, rest])
+    square = both**2
+    si, cin = both * np.polyval(_SI[::-1], square), square * np.polyval(_CIN[::-1], square)
+    return rest, tau * (cin[0] - cin[1]), tau * (si[0] - si[1])
 
 
 def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:
@@ -152,35 +168,31 @@ def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:
 
 @compiled(fastmath=True)
 def _relax(
-    gamma: Floats,
-    levels: Bytes,
-    drive: Drive,
-    length_s: float,
-    taus: Doubles,
-    tables: tuple[Doubles, Doubles],
-    swept: Doubles,
+    gamma: Floats, levels: Bytes, drive: Drive, length_s: float, taus: Doubles, asked: Doubles, swept: Doubles
 ) -> None:
     """Take a row of pixels through an interval, and add the integrals of their cosines over it, s."""
     on = np.exp(-length_s / taus[0]) if taus[0] > 0 else 0.0
     off = np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
-    si, cin = tables
-    scale, last = TABLE_CELLS / (2 * np.pi), TABLE_CELLS - 1
-    # No branches, 32-bit places and lone tables: so this loop is vectorised.
+    # Looked up apart: what is left has neither places to find nor branches, and becomes vector code.
     for u in range(gamma.size):
         level = levels[u]
-        target, cosine, sine = drive.target[level], drive.cosine[level], drive.sine[level]
-        step = gamma[u] - target
+        asked[0, u], asked[1, u], asked[2, u] = drive.target[level], drive.cosine[level], drive.sine[level]
+    for u in range(gamma.size):
+        step = gamma[u] - asked[0, u]
         up = step < 0
         rest, tau = step * (on if up else off), taus[0] if up else taus[1]
-        far, near = abs(step) * scale, abs(rest) * scale
-        i, j = np.int32(far), np.int32(near)
-        i, j = i if i < last else np.int32(last), j if j < last else np.int32(last)
-        a, b = far - i, near - j
-        # Of si and cin, what they change by over the interval.
-        along = si[i] + a * (si[i + 1] - si[i]) - si[j] - b * (si[j + 1] - si[j])
-        across = cin[i] + a * (cin[i + 1] - cin[i]) - cin[j] - b * (cin[j + 1] - cin[j])
-        swept[u] += cosine * (length_s - tau * across) - sine * tau * (-along if up else along)
-        gamma[u] = target + rest
+        far, near = step * step, rest * rest
+        along = step * _series(_SI, far) - rest * _series(_SI, near)
+        across = far * _series(_CIN, far) - near * _series(_CIN, near)
+        swept[u] += asked[1, u] * (length_s - tau * across) - asked[2, u] * tau * along
+        gamma[u] = asked[0, u] + rest
+
+
+@compiled(fastmath=True)
+def _series(coefficients: tuple[float, ...], z: float) -> float:
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = coefficients
+    high = c5 + z * (c6 + z * (c7 + z * (c8 + z * c9)))
+    return c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * high))))
 
 
 @compiled()
@@ -195,13 +207,12 @@ def _run(
     instant_s: float,
     leaks: Doubles,
     spans: Doubles,
-    tables: tuple[Doubles, Doubles],
     weights: Floats,
 ) -> None:
     """Walk through the slots; a row's turn comes in instant ``turn``, ``early_s`` after its start."""
     n_slots, rows, cols = levels.shape
     n_sub = weights.shape[0] // n_slots
-    swept = np.empty(cols)
+    swept, asked, half = np.empty(cols), np.empty((3, cols)), 0.5 / instant_s
     for slot in range(n_slots):
         old = Drive(drives.target[slot], drives.cosine[slot], drives.sine[slot])
         new = Drive(drives.target[slot + 1], drives.cosine[slot + 1], drives.sine[slot + 1])
@@ -211,11 +222,11 @@ def _run(
                 before_s = early_s[v] if sub == turn[v] else instant_s if sub < turn[v] else 0.0
                 swept[:] = 0
                 if before_s > 0:
-                    _relax(retardance[v], shown[v], old, before_s, taus, tables, swept)
+                    _relax(retardance[v], shown[v], old, before_s, taus, asked, swept)
                 if before_s < instant_s:
-                    _relax(retardance[v], levels[slot, v], new, instant_s - before_s, taus, tables, swept)
+                    _relax(retardance[v], levels[slot, v], new, instant_s - before_s, taus, asked, swept)
                 row = weights[slot * n_sub + sub, v]
                 for u in range(cols):
-                    # Dark is dark: the table's error must not make light negative.
-                    row[u] = leaks[u] + spans[u] * max(0.5 - 0.5 * swept[u] / instant_s, 0.0)
+                    # Dark is dark: rounding must not make light negative.
+                    row[u] = leaks[u] + spans[u] * max(0.5 - half * swept[u], 0.0)
             shown[v] = levels[slot, v]

@@ -90,7 +90,7 @@ class Looks(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What was seen of a band in an instant, or in several, each with a weight.
+    """What was seen of a band of pixels in an instant, or in several, each with a weight.
 
     Parameters
     ----------
@@ -98,8 +98,9 @@ class Seen(NamedTuple):
         Weights of pixels, one more on every side.
     alone : ndarray of shape (v + 2, u + 2), float32
         Mean cosines of their own retardances.
-    blurred : ndarray of shape (v, point, point, u), float32
-        Mean cosines of the blurred retardance at the points of each pixel, across and down.
+    blurred : ndarray of shape (v * point * point, u), float32
+        Mean cosines of the blurred retardance at the points of each pixel, across and down. Of an instant
+        only one row of pixels is kept, in the nearest cache: (point * point, u).
     """
 
     opened: Floats
@@ -145,18 +146,19 @@ def fill_cells(
     n_slots, rows, cols = levels.shape
     points, times, n_instants = looks.points, looks.times, len(weights)
     n_points, n_sub, instant_s = len(points.shares), n_instants // n_slots, turns.instant_s
-    wide, inner = (rows, cols + 2), (rows - 2, n_points, n_points, cols)
     # A pixel more at the left and at the right, like its neighbour.
+    wide, of_row = (rows, cols + 2), n_points**2
     target, step = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    now, line = np.empty(wide, np.float32), np.empty(cols + 2, np.float32)
-    seen = Seen(np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty(inner, np.float32))
+    # Looks in an instant: before the rows' turns and after them, with the weight that each has in a row.
+    now = np.empty((2 * times.share.size, *wide), np.float32)
+    weight = np.empty((2 * times.share.size, rows), np.float32)
+    seen = Seen(np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty((of_row, cols), np.float32))
     opened, alone = np.zeros((len(keys), *wide), np.float32), np.zeros((len(keys), *wide), np.float32)
-    blurred = np.zeros((len(keys), *inner), np.float32)
-    share = np.empty(rows)
+    blurred = np.zeros((len(keys), (rows - 2) * of_row, cols), np.float32)
+    share, room = np.empty(rows), np.empty((3 + n_points, cols + 2), np.float32)
     for t in range(n_instants):
-        slot, sub = t // n_sub, t % n_sub
+        slot, sub, n_looks = t // n_sub, t % n_sub, 0
         seen.alone[:] = 0
-        seen.blurred[:] = 0
         for part in range(2):
             for r in range(rows):
                 before_s = min(max((turns.instant[r] - sub) * instant_s + turns.early_s[r], 0.0), instant_s)
@@ -166,65 +168,78 @@ def fill_cells(
             _begin(gamma, targets[slot + part], shown if part == 0 else levels[slot], target, step)
             for j in range(times.share.size):
                 for r in range(rows):
-                    _relax_row(target[r], step[r], taus, times.share[j] * share[r] * instant_s, now[r, 1:-1])
-                    now[r, 0], now[r, cols + 1] = now[r, 1], now[r, cols]
-                    _add_own_cosines(seen.alone[r], now[r], np.float32(times.weight[j] * share[r]))
-                for p in range(rows - 2):
-                    of_time = np.float32(times.weight[j] * share[p + 1])
-                    for a in range(n_points):
-                        _mix_rows(points.shares[a], *_three(now, p, 0, cols + 2), line)
-                        for b in range(n_points):
-                            _add_cosines(seen.blurred[p, b, a], line, points.shares[b], of_time)
-            gamma[:] = now[:, 1:-1]
+                    weight[n_looks, r] = times.weight[j] * share[r]
+                    _relax_row(target, step, taus, times.share[j] * share[r] * instant_s, now[n_looks], r)
+                    _add_own_cosines(seen.alone, now[n_looks], r, weight[n_looks, r])
+                n_looks += 1
+            gamma[:] = now[n_looks - 1, :, 1:-1]
         seen.opened[:, 1:-1] = weights[t]
         seen.opened[:, 0], seen.opened[:, -1] = weights[t, :, 0], weights[t, :, -1]
         for key in range(len(keys)):
-            _add(opened[key], keys[key, t], seen.opened)
-            _add(alone[key], keys[key, t], seen.alone)
-            _add(blurred[key], keys[key, t], seen.blurred)
-        for first, end in moving:
-            _open_cells(seen, looks, np.float32(1), first, end, cells[t])
+            for r in range(rows):
+                _add(opened[key], r, keys[key, t], seen.opened, r)
+                _add(alone[key], r, keys[key, t], seen.alone, r)
+        for p in range(rows - 2):
+            seen.blurred[:] = 0
+            for look in range(n_looks):
+                for a in range(n_points):
+                    _mix_rows(points.shares, a, now[look], p, 0, cols + 2, room, 0)
+                    for b in range(n_points):
+                        at = b * n_points + a
+                        _add_cosines(seen.blurred, at, room, points.shares, b, weight[look, p + 1])
+            for key in range(len(keys)):
+                for at in range(of_row):
+                    _add(blurred[key], p * of_row + at, keys[key, t], seen.blurred, at)
+            for first, end in moving:
+                _open_cells(seen, p, 0, looks, np.float32(1), first, end, room, cells[t])
         if sub == n_sub - 1:
             shown[:] = levels[slot]
     for key in range(len(keys)):
         of_key = Seen(opened[key], alone[key], blurred[key])
-        _open_cells(of_key, looks, keys[key].sum(), 0, cols, sums[key])
+        for p in range(rows - 2):
+            _open_cells(of_key, p, p, looks, keys[key].sum(), 0, cols, room, sums[key])
 
 
+# What is called most takes whole arrays and a row: each slice would cost two atomic counts.
 @compiled(fastmath=True)
-def _add(total: Floats, share: np.floating, part: Floats) -> None:
-    to, what = total.ravel(), part.ravel()
-    for i in range(to.size):
-        to[i] += share * what[i]
+def _open_cells(
+    seen: Seen,
+    p: int,
+    kept: int,
+    looks: Looks,
+    instants: np.floating,
+    first: int,
+    end: int,
+    room: Floats,
+    cells: Floats,
+) -> None:
+    """Fill the cells of some columns of a row of pixels from what was seen in so many instants.
 
-
-@compiled(fastmath=True)
-def _open_cells(seen: Seen, looks: Looks, instants: np.floating, first: int, end: int, cells: Floats) -> None:
-    """Fill the cells of some columns from what was seen in so many instants."""
+    ``kept`` is that row's place in ``seen.blurred``; ``room`` holds rows in work: what is mixed of the pixels'
+    weights and of their own cosines, the cells, and the means down each column of points.
+    """
     points, (least, span) = looks.points, looks.light
     pitch, n_points = points.means.shape
-    n = end - first
-    opened, alone, blurred = np.empty(n + 2, np.float32), np.empty(n + 2, np.float32), np.empty(n, np.float32)
-    along = np.empty((n_points, n), np.float32)
-    half, least, span = np.float32(0.5), least[first:end], span[first:end]
-    for y in range(cells.shape[0]):
-        p, i = y // pitch, y % pitch
-        _mix_rows(looks.borders[i], *_three(seen.opened, p, first, end + 2), opened)
-        _mix_rows(points.borders[i], *_three(seen.alone, p, first, end + 2), alone)
+    begin, n, half = np.uint64(first), np.uint64(end - first), np.float32(0.5)
+    for i in range(pitch):
+        _mix_rows(looks.borders, i, seen.opened, p, first, end - first + 2, room, 0)
+        _mix_rows(points.borders, i, seen.alone, p, first, end - first + 2, room, 1)
         for b in range(n_points):
-            _mean_rows(points.means[i], seen.blurred[p, b], first, end, along[b])
+            from_row = (kept * n_points + b) * n_points
+            _mean_rows(points.means, i, seen.blurred, from_row, first, end - first, room, 3 + b)
         for k in range(pitch):
-            _mean_rows(points.means[k], along, 0, n, blurred)
-            before, own, after = looks.borders[k]
-            left, middle, right = points.borders[k]
+            _mean_rows(points.means, k, room, 3, 0, end - first, room, 2)
+            before, own, after = looks.borders[k, 0], looks.borders[k, 1], looks.borders[k, 2]
+            left, middle, right = points.borders[k, 0], points.borders[k, 1], points.borders[k, 2]
             for u in range(n):
-                mixed = before * opened[u] + own * opened[u + 1] + after * opened[u + 2]
-                beyond = left * alone[u] + middle * alone[u + 1] + right * alone[u + 2] - blurred[u]
+                mixed = before * room[0, u] + own * room[0, u + 1] + after * room[0, u + 2]
+                alone = left * room[1, u] + middle * room[1, u + 1] + right * room[1, u + 2]
                 # No rim is darker than any pixel could be: there are not points enough to see that.
-                blurred[u] = max(mixed + half * span[u] * beyond, instants * least[u])
+                least_of, span_of = least[begin + u], half * span[begin + u]
+                room[2, u] = max(mixed + span_of * (alone - room[2, u]), instants * least_of)
             # Apart from the sums: a loop whose places lie apart is not vectorised.
             for u in range(n):
-                cells[y, (first + u) * pitch + k] = blurred[u]
+                cells[p * pitch + i, (begin + u) * pitch + k] = room[2, u]
 
 
 @compiled(fastmath=True)
@@ -237,47 +252,54 @@ def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Fl
 
 
 @compiled(fastmath=True)
-def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after: Floats) -> None:
+def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after: Floats, r: int) -> None:
     """Retardance of a row of pixels after a time; at once where a constant is nothing, but not in no time."""
-    still = 0.0 if time_s > 0 else 1.0
+    still, cols = 0.0 if time_s > 0 else 1.0, step.shape[1]
     on = np.float32(np.exp(-time_s / taus[0]) if taus[0] > 0 else still)
     off = np.float32(np.exp(-time_s / taus[1]) if taus[1] > 0 else still)
-    for u in range(target.size):
-        after[u] = target[u] + step[u] * (on if step[u] < 0 else off)
+    for u in range(cols):
+        after[r, u + 1] = target[r, u] + step[r, u] * (on if step[r, u] < 0 else off)
+    after[r, 0], after[r, cols + 1] = after[r, 1], after[r, cols]
 
 
 @compiled(fastmath=True)
-def _three(rows: Floats, first: int, start: int, end: int) -> tuple[Floats, Floats, Floats]:
-    """Parts of three rows, each known to be dense: over an array of them short loops take twice as long."""
-    return rows[first, start:end], rows[first + 1, start:end], rows[first + 2, start:end]
+def _mix_rows(shares: Floats, i: int, rows: Floats, p: int, first: int, n: int, to: Floats, at: int) -> None:
+    """Mix parts of three rows."""
+    begin, before, own, after = np.uint64(first), shares[i, 0], shares[i, 1], shares[i, 2]
+    for u in range(np.uint64(n)):
+        to[at, u] = (
+            before * rows[p, begin + u] + own * rows[p + 1, begin + u] + after * rows[p + 2, begin + u]
+        )
 
 
 @compiled(fastmath=True)
-def _mix_rows(shares: Floats, above: Floats, row: Floats, below: Floats, line: Floats) -> None:
-    before, own, after = shares[0], shares[1], shares[2]
-    for u in range(line.size):
-        line[u] = before * above[u] + own * row[u] + after * below[u]
-
-
-@compiled(fastmath=True)
-def _mean_rows(means: Floats, rows: Floats, start: int, end: int, mean: Floats) -> None:
+def _mean_rows(means: Floats, i: int, rows: Floats, p: int, first: int, n: int, to: Floats, at: int) -> None:
     """Weighted sum of parts of rows, of which there are three or more."""
-    _mix_rows(means, *_three(rows, 0, start, end), mean)
-    for a in range(3, means.size):
-        _add(mean, means[a], rows[a, start:end])
+    _mix_rows(means, i, rows, p, first, n, to, at)
+    begin = np.uint64(first)
+    for a in range(3, means.shape[1]):
+        share = means[i, a]
+        for u in range(np.uint64(n)):
+            to[at, u] += share * rows[p + a, begin + u]
 
 
 @compiled(fastmath=True)
-def _add_cosines(total: Floats, line: Floats, shares: Floats, weight: np.floating) -> None:
-    before, own, after = shares
-    for u in range(total.size):
-        total[u] += weight * _cosine(before * line[u] + own * line[u + 1] + after * line[u + 2])
+def _add(total: Floats, r: int, share: np.floating, part: Floats, at: int) -> None:
+    for u in range(total.shape[1]):
+        total[r, u] += share * part[at, u]
 
 
 @compiled(fastmath=True)
-def _add_own_cosines(total: Floats, line: Floats, weight: np.floating) -> None:
-    for u in range(total.size):
-        total[u] += weight * _cosine(line[u])
+def _add_cosines(total: Floats, at: int, line: Floats, shares: Floats, b: int, weight: np.floating) -> None:
+    before, own, after = shares[b, 0], shares[b, 1], shares[b, 2]
+    for u in range(total.shape[1]):
+        total[at, u] += weight * _cosine(before * line[0, u] + own * line[0, u + 1] + after * line[0, u + 2])
+
+
+@compiled(fastmath=True)
+def _add_own_cosines(total: Floats, now: Floats, r: int, weight: np.floating) -> None:
+    for u in range(total.shape[1]):
+        total[r, u] += weight * _cosine(now[r, u])
 
 
 @compiled(fastmath=True)

@@ -89,10 +89,12 @@ def collect_strip(
     hats = np.empty((2, widest), np.float32)
     # Of each instant: the columns that collect anything, and where they begin in the lines.
     reached, begin = np.empty((n, 2), np.int64), np.zeros(n + 1, np.int64)
+    light_of = _light_of_columns(light, first - half, end + half)
     for tile in range(borders.size - 1):
         start, stop = borders[tile], borders[tile + 1]
         for t in range(n):
-            lit, dark = _lit_columns(light, grid, t, first - half, end + half, start - half, stop + half)
+            lit, dark = _lit_columns(light_of, t, start - half - light.col, stop + half - light.col)
+            lit, dark = lit + light.col, dark + light.col
             reached[t, 0], reached[t, 1] = max(lit - half, start), min(dark + half, stop)
             begin[t + 1] = begin[t] + (reached[t, 1] - reached[t, 0] + 2 * half if lit < dark else 0)
             _copy_lines(light, grid, t, first - half, reached[t, 0] - half, lines[:, begin[t] : begin[t + 1]])
@@ -109,36 +111,34 @@ def collect_strip(
             totals[:, :length] = 0
             for a in range(side):
                 _add_taps(totals[0, :length], totals[1, :length], lines[y - first + a], own[:, a])
-            for t in range(n):
-                if begin[t + 1] > begin[t]:
-                    a, b = reached[t]
-                    part, weight = slice(begin[t], begin[t] + b - a), slice(a - start, b - start)
-                    _weigh(
-                        totals[:, part],
-                        hats[:, weight],
-                        target.excess[t, y - target.row, a - target.col : b - target.col],
-                    )
+            _weigh(totals, begin, hats, start, reached, target, y)
+
+
+@compiled(fastmath=True)
+def _light_of_columns(light: Patch, top: int, bottom: int) -> Floats:
+    """Sum of the magnitudes in each column of some rows of the field, (t, x): nothing where it is dark.
+
+    Beyond the field's border its own light goes on, which reaches no place that the border's does not.
+    """
+    n, tall, wide = light.excess.shape
+    found = np.zeros((n, wide), np.float32)
+    first, end = max(top - light.row, 0), min(bottom - light.row, tall)
+    for t in range(n):
+        # Unsigned: a loop whose places might be negative would not become vector code.
+        for row in range(np.uint64(first), np.uint64(max(first, end))):
+            for x in range(np.uint64(wide)):
+                found[t, x] += abs(light.excess[t, row, x])
+    return found
 
 
 @compiled()
-def _lit_columns(
-    light: Patch, grid: Grid, t: int, top: int, bottom: int, left: int, right: int
-) -> tuple[int, int]:
-    """First lit column of a part of the field, which may lie beyond its border, and that after the last."""
-    _, tall, wide = light.excess.shape
-    low, high = max(left, light.col), min(right, light.col + wide)
-    lit, dark = high, low
-    # Beyond the border its own light goes on, which reaches no place that the border's does not.
-    for row in range(max(top, light.row), min(bottom, light.row + tall)):
-        line = light.excess[t, row - light.row]
-        for col in range(low, lit):
-            if line[col - light.col] != 0:
-                lit = col
-                break
-        for col in range(high - 1, dark - 1, -1):
-            if line[col - light.col] != 0:
-                dark = col + 1
-                break
+def _lit_columns(light_of: Floats, t: int, left: int, right: int) -> tuple[int, int]:
+    """First lit column of some, which need not all be there, and that after the last."""
+    lit, dark = max(left, 0), min(right, light_of.shape[1])
+    while lit < dark and light_of[t, lit] == 0:
+        lit += 1
+    while lit < dark and light_of[t, dark - 1] == 0:
+        dark -= 1
     return lit, dark
 
 
@@ -146,14 +146,18 @@ def _lit_columns(
 def _copy_lines(light: Patch, grid: Grid, t: int, top: int, left: int, lines: Floats) -> None:
     """Copy a part of the field."""
     _, tall, wide = light.excess.shape
+    size, end = lines.shape[1], light.col + wide
+    first, last = min(max(light.col - left, 0), size), min(max(end - left, 0), size)
     for y in range(lines.shape[0]):
         row = min(max(top + y, 0), grid.rows - 1) - light.row
         if not 0 <= row < tall:
             lines[y] = 0
             continue
-        for x in range(lines.shape[1]):
-            col = min(max(left + x, 0), grid.cols - 1) - light.col
-            lines[y, x] = light.excess[t, row, col] if 0 <= col < wide else np.float32(0)
+        # Beyond the field the light of its border goes on.
+        lines[y, :first] = light.excess[t, row, 0] if light.col == 0 else np.float32(0)
+        lines[y, last:] = light.excess[t, row, -1] if end == grid.cols else np.float32(0)
+        for x in range(np.uint64(first), np.uint64(last)):
+            lines[y, x] = light.excess[t, row, np.uint64(left - light.col) + x]
 
 
 @compiled()
@@ -193,7 +197,16 @@ def _add_taps(first: Floats, second: Floats, line: Floats, taps: Floats) -> None
 
 
 @compiled(fastmath=True)
-def _weigh(totals: Floats, hats: Floats, found: Floats) -> None:
-    (first, second), (weight, other) = totals, hats
-    for x in range(found.size):
-        found[x] += weight[x] * first[x] + other[x] * second[x]
+def _weigh(
+    totals: Floats, begin: Ints, hats: Floats, start: int, reached: Ints, target: Patch, y: int
+) -> None:
+    """Add to a row of a tile, which begins at ``start``, what instants collected, by its nodes' hats."""
+    row = np.uint64(y - target.row)
+    for t in range(len(reached)):
+        a, there, of = np.uint64(begin[t]), np.uint64(reached[t, 0] - target.col), reached[t, 0] - start
+        if begin[t + 1] > begin[t]:
+            for x in range(np.uint64(reached[t, 1] - reached[t, 0])):
+                hat = np.uint64(of) + x
+                target.excess[t, row, there + x] += (
+                    hats[0, hat] * totals[0, a + x] + hats[1, hat] * totals[1, a + x]
+                )

@@ -1,4 +1,4 @@
-# pyright: reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
 """The far wings of a PSF: coarse in space, and on moving light a straight line in time.
 
 A PSF window wide enough for a bright window's wings is far larger than all that changes from one fine sample
@@ -20,11 +20,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.forward.bands import side_by_side
+from optsim.forward.bands import in_bands, side_by_side
+from optsim.forward.compiled import FEW, compiled
 from optsim.forward.fringing import add_whole_cells
 from optsim.forward.integrate import cell_means
 from optsim.forward.psf import Blur, SomeBlur, extend, make_blur
-from optsim.quantities import Doubles, Segment
+from optsim.quantities import Doubles, Floats, Segment
 
 # Where the outer ring of moving light's wings begins, and the side of its cells, panel pixels.
 _RING_HALF, _CELL = 40, 4
@@ -57,10 +58,29 @@ def moving_ends(segment: Segment) -> Doubles:
     ends = np.zeros((2, *segment.start.shape))
     lines = line_ends(segment.n_instants).astype(np.float32)
     for block in segment.blocks:
-        n, height, width = block.excess.shape
-        line = (lines @ block.excess.reshape(n, -1)).reshape(2, height, width)
-        ends[:, block.row : block.row + height, block.col : block.col + width] += line
+        _, height, width = block.excess.shape
+        found = ends[:, block.row : block.row + height, block.col : block.col + width]
+        if block.excess.size < FEW:
+            found += np.tensordot(lines, block.excess, 1)
+        else:
+            in_bands(height, partial(_add_lines, found, block.excess, lines))
     return ends
+
+
+# Not BLAS: after a product its threads wait for the next one at full speed, in the way of all others.
+@compiled(fastmath=True)
+def _add_lines(ends: Doubles, excess: Floats, lines: Floats, top: int, bottom: int) -> None:
+    width = excess.shape[2]
+    start, stop = np.empty(width, np.float32), np.empty(width, np.float32)
+    for y in range(top, bottom):
+        start[:], stop[:] = 0, 0
+        for t in range(excess.shape[0]):
+            for x in range(width):
+                start[x] += lines[0, t] * excess[t, y, x]
+                stop[x] += lines[1, t] * excess[t, y, x]
+        for x in range(width):
+            ends[0, y, x] += start[x]
+            ends[1, y, x] += stop[x]
 
 
 @dataclass(frozen=True, eq=False)

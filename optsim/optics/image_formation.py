@@ -82,7 +82,7 @@ def form_image(
             return Segment(early, late, (), segment.n_instants)
         moving = moving_ends(segment)
         fluxes = [
-            float(key.mean()) + float(line.ravel() @ factor.ravel()) / key.size
+            float(key.mean()) + float(np.einsum("yx,yx->", line, factor)) / key.size
             for key, line in zip(keys, moving, strict=True)
         ]
         if not blurs.wings:

@@ -14,7 +14,7 @@ ORACLE = "rate equation of the retardance in small steps, sin^2 averaged by the 
 SOURCE = "dG/dt = (G_inf - G) / tau, tau by direction; sin^2(G/2) of a retarder between crossed polarisers"
 TOLERANCE = 1e-5
 REASON = (
-    "The table claims 6e-7; steps of a thousandth of tau leave the midpoint rule 1e-7, and float32 "
+    "Weights claim 1.2e-7; steps of a thousandth of tau leave the midpoint rule 1e-7, and float32 "
     "retardance carried through the slots some 1e-6."
 )
 FILES = (
