@@ -6,6 +6,7 @@ Exit codes: 0 success, 1 a check failed, 2 bad input, 130 interrupted.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -253,6 +254,8 @@ def explain(
     experiment: ExperimentName, assignments: Set = None, tolerance: Tolerance = None, as_json: Json = False
 ) -> None:
     """Geometry fit, photon ledger, latency, size of each imperfection and what is left out; no rendering."""
+    # Its matrices are small, and BLAS's threads wait for work at full speed, in the way of others.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from optsim.console import page
     from optsim.experiment import experiment_path
     from optsim.explain import explanation, show

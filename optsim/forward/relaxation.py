@@ -8,7 +8,7 @@ compiled loop, few of them all together: loading the loop would take longer.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import sici
@@ -44,6 +44,16 @@ def _powers(power: int, which: int) -> tuple[float, ...]:
 
 # Both integrals to 1e-10.
 _SI, _CIN = _powers(1, 0), _powers(2, 1)
+
+
+def _series(coefficients: tuple[float, ...], z: Any) -> Any:
+    """Sum of powers of a number or an array."""
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = coefficients
+    high = c5 + z * (c6 + z * (c7 + z * (c8 + z * c9)))
+    return c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * high))))
+
+
+_series_of_one = compiled(fastmath=True)(_series)
 
 
 class Drive(NamedTuple):
@@ -155,7 +165,7 @@ def _relax_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[Do
     tau, rest = taus[(step >= 0).astype(np.intp)], step * np.exp(-paces(step, length_s, taus))
     both = np.stack([step, rest])
     square = both**2
-    si, cin = both * np.polyval(_SI[::-1], square), square * np.polyval(_CIN[::-1], square)
+    si, cin = both * _series(_SI, square), square * _series(_CIN, square)
     return rest, tau * (cin[0] - cin[1]), tau * (si[0] - si[1])
 
 
@@ -182,17 +192,10 @@ def _relax(
         up = step < 0
         rest, tau = step * (on if up else off), taus[0] if up else taus[1]
         far, near = step * step, rest * rest
-        along = step * _series(_SI, far) - rest * _series(_SI, near)
-        across = far * _series(_CIN, far) - near * _series(_CIN, near)
+        along = step * _series_of_one(_SI, far) - rest * _series_of_one(_SI, near)
+        across = far * _series_of_one(_CIN, far) - near * _series_of_one(_CIN, near)
         swept[u] += asked[1, u] * (length_s - tau * across) - asked[2, u] * tau * along
         gamma[u] = asked[0, u] + rest
-
-
-@compiled(fastmath=True)
-def _series(coefficients: tuple[float, ...], z: float) -> float:
-    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = coefficients
-    high = c5 + z * (c6 + z * (c7 + z * (c8 + z * c9)))
-    return c0 + z * (c1 + z * (c2 + z * (c3 + z * (c4 + z * high))))
 
 
 @compiled()

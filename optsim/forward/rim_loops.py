@@ -215,8 +215,8 @@ def _open_cells(
 ) -> None:
     """Fill the cells of some columns of a row of pixels from what was seen in so many instants.
 
-    ``kept`` is that row's place in ``seen.blurred``; ``room`` holds rows in work: what is mixed of the pixels'
-    weights and of their own cosines, the cells, and the means down each column of points.
+    ``kept`` is that row's place in ``seen.blurred``; ``room`` holds rows in work: what is mixed of pixels'
+    weights, of their own cosines, the cells, and the means down each column of points.
     """
     points, (least, span) = looks.points, looks.light
     pitch, n_points = points.means.shape
