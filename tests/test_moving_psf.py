@@ -121,6 +121,16 @@ def test_blocks_are_blurred_each_by_itself_and_wherever_they_end(monkeypatch):
         np.testing.assert_allclose(blurred(psf, (0, 0), whole), alone, atol=2e-6)
 
 
+def test_a_lone_sample_is_found_wherever_rows_and_columns_that_are_in_work_end(monkeypatch):
+    monkeypatch.setattr(moving_blur, "FEW", 0)
+    psf, lone = varying(), np.ones((1, 1, 1), np.float32)
+    for at in range(-8, 9):
+        place = moving_blur._ROWS + at, FIELD[1] // 2 + at
+        whole = np.zeros((1, *FIELD), np.float32)
+        whole[(0, *place)] = 1
+        np.testing.assert_allclose(blurred(psf, (0, 0), whole), blurred(psf, place, lone), atol=1e-7)
+
+
 def test_what_is_small_or_far_too_wide_stays_whole():
     for psf in (wings(reach=4), uniform(np.ones((1, 1))), wings(cell_m=0.4e-6, reach=90), wings(cell_m=1e-6)):
         assert divided(psf, PITCH).rest is None

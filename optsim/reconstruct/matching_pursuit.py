@@ -32,8 +32,8 @@ from optsim.reconstruct.correlation_bounds import (
 )
 from optsim.reconstruct.rounded_steps import Steps, follow, look, make_steps
 
-# Signals in work together: their states fit into a second-level cache beside the matrix up to 2000 atoms.
-_SLOTS = 8
+# Signals in work together share each reading of the matrix; of more their own states would be read too often.
+_SLOTS = 16
 # Shares of a signal's energy below this are rounding of its float32 numbers.
 _NOTHING = 1e-12
 # Correlations are computed afresh where their bound exceeds this share of the residual.
