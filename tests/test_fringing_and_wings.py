@@ -92,6 +92,21 @@ def test_lines_in_time_are_least_squares():
     np.testing.assert_allclose(line_ends(1) @ [3.0], [3, 3])
 
 
+@pytest.mark.parametrize("side", [20, 200])  # whole arrays, and the compiled loop
+def test_ends_of_lines_are_where_blocks_are_and_add_up(side):
+    rng, shape = np.random.default_rng(4), (side + 9, side + 30)
+    blocks = [Block(4, 7, rng.standard_normal((5, side, side)).astype(np.float32))]
+    blocks.append(Block(0, 29, rng.standard_normal((5, side + 1, side)).astype(np.float32)))
+    dark = np.zeros(shape, np.float32)
+    expected = np.zeros((2, *shape))
+    for block in blocks:
+        _, height, width = block.excess.shape
+        line = np.einsum("kt,tyx->kyx", line_ends(5), block.excess)
+        expected[:, block.row : block.row + height, block.col : block.col + width] += line
+    found = moving_ends(Segment(dark, dark, tuple(blocks), 5))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
 def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-3)
     wings = kernel - np.pad(uniform(kernel).middle(10).kernel, kernel.shape[0] // 2 - 10)
