@@ -172,6 +172,22 @@ def test_glare_keeps_the_mean_and_lifts_the_dark():
     assert with_veil[0, 0] == pytest.approx(0.99 * without[0, 0] + 0.01 * without.mean(), rel=1e-4)
 
 
+def test_moving_light_in_a_dark_corner_brings_less_glare():
+    still_light, ramp = np.ones((36, 48), np.float32), np.arange(1, 5, dtype=np.float32)[:, None, None]
+    corner = Segment(still_light, still_light, (Block(0, 0, 50 * ramp * np.ones((4, 9, 12), np.float32)),), 4)
+    scene = RadianceVideo(
+        rows=36, cols=48, samples_per_pitch=3, slot_s=1.0, instants_per_slot=1, slots_per_segment=4,
+        n_slots=4, load=lambda _: corner,
+    )  # fmt: skip
+    lens = Objective(glare_share=0.3, focal_length_m=0.2e-3)
+    found = form_image(lens, scene, PITCH_M, 2)
+    assert found.shading[1, 1] < 0.9 * found.shading.mean()  # else all places would count alike
+    for t in range(4):
+        direct = imaged(lens, corner.instant(t)).load(0).start
+        # Glare is of the light before it is blurred: off by what blur moves over the shading.
+        np.testing.assert_allclose(found.load(0).instant(t)[20:], direct[20:], rtol=2e-2)
+
+
 def test_negative_monte_carlo_light_stays_in_the_sums():
     image = np.random.default_rng(3).normal(0, 1, (36, 48)).astype(np.float32)
     video, other = imaged(Objective(), image), imaged(Objective(), -image)
