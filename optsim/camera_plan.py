@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, TypeGuard
 
-from threadpoolctl import threadpool_limits
-
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.config import Part
 from optsim.effects import ALL, Changes, changed
-from optsim.forward.bands import side_by_side
+from optsim.forward.bands import one_thread, side_by_side
 from optsim.probe import (
     FINEST_FIELD,
     NEAR_WINGS,
@@ -183,8 +181,6 @@ class CameraPlan:
         return sum(choice.size for choice in self.choices)
 
 
-# A probe's matrices are small: two threads would wait for each other.
-@threadpool_limits.wrap(limits=1)
 def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> CameraPlan:
     """Choose how finely a camera must be modelled.
 
@@ -204,22 +200,31 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     for cut in open_to_choice.values():
         planned = changed(planned, cut.steps[0][1])
     near, far = (probe(changed(planned, PLAIN), light) for probe in (near_probe, far_probe))
+    # The frames with everything, which all others are compared with.
     side_by_side([lambda: near.size(NOTHING, NOTHING), lambda: far.size(NOTHING, NOTHING)])
     ladders = {name: _Ladder(name, cut, near, far, {}) for name, cut in open_to_choice.items()}
-    chosen = dict.fromkeys(ladders, 0)
-    if tolerance > 0:
-        share = tolerance / len(ladders)
-        for name, ladder in ladders.items():
-            chosen[name] = ladder.farthest(share)
-        left = tolerance - sum(ladders[name].size(step) for name, step in chosen.items())
-        for name, ladder in ladders.items():
-            now = ladder.size(chosen[name])
-            chosen[name] = max(chosen[name], ladder.farthest(now + left))
-            left -= ladder.size(chosen[name]) - now
+    with one_thread():
+        chosen = _steps(ladders, tolerance)
     for name, step in chosen.items():
         planned = changed(planned, ladders[name].cut.steps[step][1])
     choices = [ladders[name].choice(step) for name, step in chosen.items()]
     return CameraPlan(tolerance, tuple(choices), planned, near)
+
+
+def _steps(ladders: dict[str, _Ladder], tolerance: float) -> dict[str, int]:
+    """Cheapest steps that together stay within a tolerance: an equal share each, then what is left over."""
+    chosen = dict.fromkeys(ladders, 0)
+    if tolerance <= 0:
+        return chosen
+    share = tolerance / len(ladders)
+    for name, ladder in ladders.items():
+        chosen[name] = ladder.farthest(share)
+    left = tolerance - sum(ladders[name].size(step) for name, step in chosen.items())
+    for name, ladder in ladders.items():
+        now = ladder.size(chosen[name])
+        chosen[name] = max(chosen[name], ladder.farthest(now + left))
+        left -= ladder.size(chosen[name]) - now
+    return chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from optsim.effects import ALL, Changes, Effect, switched
-from optsim.forward.bands import side_by_side
-from optsim.probe import NOTHING, PLAIN, Probe, compared_with
+from optsim.forward.bands import one_thread
+from optsim.probe import PLAIN, Probe, compared_with
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
@@ -35,8 +33,7 @@ class EffectSize:
     size: float | None
 
 
-# As in a plan.
-@threadpool_limits.wrap(limits=1)
+@one_thread()
 def effect_sizes(probe: Probe) -> list[EffectSize]:
     """Predict the size of every effect that a probe shows, the largest first."""
 
@@ -44,10 +41,7 @@ def effect_sizes(probe: Probe) -> list[EffectSize]:
         against = probe.mapping if _moves_pixels(effect, probe) else compared_with(name)
         return probe.size(_over(against, switched({name: "ideal"})), against), name
 
-    # The frames with all of them come first: each is compared with one of these.
-    probe.size(NOTHING, NOTHING)
-    probe.size(probe.mapping, probe.mapping)
-    sizes = side_by_side(partial(found, *each) for each in ALL.items() if not each[1].in_scene)
+    sizes = [found(*each) for each in ALL.items() if not each[1].in_scene]
     return [EffectSize(name, ALL[name].what, size) for size, name in sorted(sizes, reverse=True)]
 
 

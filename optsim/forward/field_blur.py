@@ -17,7 +17,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.forward.bands import CORES, side_by_side
+from optsim.forward.bands import n_threads, side_by_side
 from optsim.forward.neighbourhoods import Reals
 from optsim.forward.psf import Blur, fft, make_blur
 from optsim.quantities import Doubles, Ints
@@ -281,7 +281,7 @@ def varying_blur(cores: Doubles, shape: tuple[int, int]) -> FieldBlur:
     half = cores.shape[2] // 2
     rows, cols = (_cells(size, len(cores)) for size in shape)
     sides = [int(fft.next_fast_len(cells.side + 2 * half, real=True)) for cells in (rows, cols)]
-    transfers = np.asarray(fft.rfft2(cores, s=sides, workers=CORES))
+    transfers = np.asarray(fft.rfft2(cores, s=sides, workers=n_threads()))
     return FieldBlur(shape, half, rows, cols, (sides[0], sides[1]), transfers)
 
 

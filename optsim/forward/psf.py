@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import fft as _scipy_fft
 from scipy.special import j1, ndtr
 
-from optsim.forward.bands import CORES
+from optsim.forward.bands import n_threads
 from optsim.quantities import Doubles
 
 fft: Any = _scipy_fft  # comes without types
@@ -192,9 +192,9 @@ class Blur:
         """Convolve an image, or a stack of them, (..., y, x)."""
         rows, cols = self.shape
         exact = image.astype(np.float64, copy=False)
-        spectrum = fft.rfft2(exact, s=self.padded, workers=CORES)
+        spectrum = fft.rfft2(exact, s=self.padded, workers=n_threads())
         spectrum *= self.transfer
-        whole = fft.irfft2(spectrum, s=self.padded, workers=CORES, overwrite_x=True)
+        whole = fft.irfft2(spectrum, s=self.padded, workers=n_threads(), overwrite_x=True)
         return np.asarray(whole[..., :rows, :cols])
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
@@ -220,7 +220,7 @@ def make_blur(kernel: Doubles, shape: tuple[int, int], *, wraps: bool = False) -
     wrapped = np.zeros(padded)
     wrapped[: 2 * half + 1, : 2 * half + 1] = kernel
     wrapped = np.roll(wrapped, (-half, -half), axis=(0, 1))
-    return Blur(shape, padded, np.ascontiguousarray(fft.rfft2(wrapped, workers=CORES).real))
+    return Blur(shape, padded, np.ascontiguousarray(fft.rfft2(wrapped, workers=n_threads()).real))
 
 
 def extend(image: NDArray[np.floating], reach: int) -> NDArray[np.floating]:

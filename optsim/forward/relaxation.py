@@ -129,44 +129,44 @@ def _walk_together(
     spans: Doubles,
     weights: Floats,
 ) -> None:
-    """Take all pixels through an instant at a time."""
-    n_sub = len(weights) // len(levels)
-    cosines, sines = np.cos(targets), np.sin(targets)
-    # Lengths of an instant before and after each row's turn, (instant of a slot, v, u).
-    before_s = (delays_s[:, None] - np.arange(n_sub)[:, None, None] * instant_s).clip(0, instant_s)
-    before_s = np.broadcast_to(before_s, (n_sub, *shown.shape))
-    gamma = retardance.ravel()
-    for slot, new in enumerate(levels):
-        for sub in range(n_sub):
-            swept = np.zeros(gamma.shape)
-            for level, at, length_s in (
-                (shown.ravel(), slot, before_s[sub].ravel()),
-                (new.ravel(), slot + 1, instant_s - before_s[sub].ravel()),
-            ):
-                if not length_s.any():
-                    continue
-                cosine, step = cosines[at, level], gamma - targets[at, level]
-                part = cosine * length_s
-                on_the_way = np.flatnonzero(np.abs(step) >= _SETTLED_RAD)
-                some, step = level[on_the_way], step[on_the_way]
-                rest, over, across = _relax_together(step, length_s[on_the_way], taus)
-                gamma[on_the_way] = targets[at, some] + rest
-                part[on_the_way] -= cosine[on_the_way] * over + sines[at, some] * across
-                swept += part
-            # Dark is dark: rounding must not make light negative.
-            light = np.maximum(0.5 - 0.5 * swept / instant_s, 0).reshape(shown.shape)
-            weights[slot * n_sub + sub] = leaks + spans * light
-        shown[:] = new
-    retardance[:] = gamma.reshape(retardance.shape)
+    """Let all pixels relax interval by interval, then average the light of all intervals together."""
+    n_slots, (rows, cols) = len(levels), shown.shape
+    n_sub = len(weights) // n_slots
+    # Lengths of an instant before and after each row's turn, (instant of a slot, 2, v).
+    before_s = (delays_s - np.arange(n_sub)[:, None] * instant_s).clip(0, instant_s)
+    lengths_s = np.stack([before_s, instant_s - before_s], axis=1)
+    both = [np.concatenate([shown[None], levels[:-1]]), levels]
+    # What is asked for in each interval, by its place among the targets, (slot, 2, v, u).
+    asked = np.stack([256 * (np.arange(n_slots) + k)[:, None, None] + both[k] for k in (0, 1)], axis=1)
+    target, gamma = targets.ravel()[asked], retardance.astype(np.float64)
+    steps = np.zeros((n_slots, n_sub, 2, rows, cols))
+    for slot, sub, part in np.ndindex(n_slots, n_sub, 2):
+        length_s = lengths_s[sub, part][:, None]
+        if length_s.any():
+            step = gamma - target[slot, part]
+            step[np.abs(step) < _SETTLED_RAD] = 0
+            steps[slot, sub, part] = step
+            gamma = target[slot, part] + step * np.exp(-paces(step, length_s, taus))
+    shape = steps.shape
+    swept = np.broadcast_to(lengths_s[..., None], shape) * np.cos(target)[:, None]
+    on_the_way = np.flatnonzero(steps)
+    where, step = np.unravel_index(on_the_way, shape), steps.ravel()[on_the_way]
+    over, across = _relaxed_together(step, lengths_s[where[1:4]], taus)
+    at = target[where[0], *where[2:]]
+    swept.ravel()[on_the_way] -= np.cos(at) * over + np.sin(at) * across
+    # Dark is dark: rounding must not make light negative.
+    light = np.maximum(0.5 - 0.5 * swept.sum(axis=2) / instant_s, 0)
+    weights[:] = leaks + spans * light.reshape(weights.shape)
+    retardance[:], shown[:] = gamma, levels[-1]
 
 
-def _relax_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """As _relax for steps (pixel,): what is left of them, and tau times the changes of Cin and of Si."""
+def _relaxed_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[Doubles, Doubles]:
+    """As _relax for steps (pixel,): tau times the changes of Cin and of Si."""
     tau, rest = taus[(step >= 0).astype(np.intp)], step * np.exp(-paces(step, length_s, taus))
     both = np.stack([step, rest])
     square = both**2
     si, cin = both * _series(_SI, square), square * _series(_CIN, square)
-    return rest, tau * (cin[0] - cin[1]), tau * (si[0] - si[1])
+    return tau * (cin[0] - cin[1]), tau * (si[0] - si[1])
 
 
 def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:

@@ -1,0 +1,66 @@
+"""Work side by side: on as many threads as there are cores, on one where asked, and never threads in threads."""
+
+import threading
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from optsim.forward import bands
+from optsim.forward.bands import in_bands, n_threads, one_thread, side_by_side
+
+
+@pytest.fixture(autouse=True)
+def three_cores(monkeypatch):
+    monkeypatch.setattr(bands, "CORES", 3)
+
+
+def blas_threads() -> set[int]:
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+def test_pieces_run_at_the_same_time_and_results_keep_their_order():
+    meet = threading.Barrier(3, timeout=20)
+
+    def piece(k):
+        meet.wait()
+        return k
+
+    assert side_by_side(lambda k=k: piece(k) for k in range(3)) == [0, 1, 2]
+
+
+def test_pieces_of_pieces_stay_in_their_thread():
+    def outer():
+        inner = side_by_side([threading.get_ident] * 4)
+        return {threading.get_ident(), *inner}
+
+    used = side_by_side([outer] * 3)
+    assert [len(each) for each in used] == [1, 1, 1]
+    assert threading.get_ident() not in set().union(*used)
+    assert n_threads() == 3
+
+
+def test_one_thread_holds_for_work_and_for_blas_until_its_end_even_after_an_error():
+    before = blas_threads()
+    with pytest.raises(KeyError), one_thread():
+        assert side_by_side([threading.get_ident] * 3) == [threading.get_ident()] * 3
+        assert blas_threads() == {1}
+        raise KeyError
+    assert n_threads() == 3
+    assert blas_threads() == before
+
+
+@pytest.mark.parametrize("rows", [1, 2, 63, 64, 200])
+def test_bands_cover_each_row_once_on_any_number_of_threads(rows):
+    seen = np.zeros((2, rows), int)
+
+    def count(which):
+        def work(first, end):
+            seen[which, first:end] += 1
+
+        in_bands(rows, work, few=3)
+
+    count(0)
+    with one_thread():
+        count(1)
+    assert (seen == 1).all()
