@@ -62,12 +62,15 @@ def _numba_type(loop: Compiled[..., Any], _: object) -> object:
     return types.Dispatcher(loop.dispatcher())
 
 
-def compiled(**options: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
+def compiled(*, makes_arrays: bool = True, **options: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
     """Mark a loop as one that numba compiles when it is first called; it lets go of Python's lock.
 
     Parameters
     ----------
+    makes_arrays : bool
+        Whether it makes any. One that doesn't need not count references to those it is given, which for a
+        tuple of arrays is an atomic count of each at every call.
     **options
         Of ``numba.njit``, such as ``fastmath``.
     """
-    return lambda function: Compiled(function, options)
+    return lambda function: Compiled(function, options if makes_arrays else {**options, "_nrt": False})

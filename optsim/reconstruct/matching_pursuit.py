@@ -146,7 +146,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
 
 
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
-@compiled()
+@compiled(makes_arrays=False)
 def _look(
     slot: int, residual: Doubles, energy: Doubles, grid: tuple[float, float], state: Floats, steps: Steps
 ) -> None:
@@ -167,7 +167,7 @@ def _turn(matrix: Floats, columns: Floats) -> None:
                 columns[k, m] = matrix[m, k]
 
 
-@compiled()
+@compiled(makes_arrays=False)
 def _restart(slot: int, state: Floats, width: int) -> None:
     """Distances of unit atoms from nothing; what lies beyond the last atom is never picked."""
     for panel in range(len(state)):
@@ -177,7 +177,7 @@ def _restart(slot: int, state: Floats, width: int) -> None:
         state[atom // PANEL, slot, 1, atom % PANEL] = np.inf
 
 
-@compiled()
+@compiled(makes_arrays=False)
 def _best(
     slot: int,
     state: Floats,
@@ -240,7 +240,7 @@ def _best(
     return best
 
 
-@compiled(fastmath={"nnan", "nsz"})
+@compiled(fastmath={"nnan", "nsz"}, makes_arrays=False)
 def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
     """Largest of a chunk of peaks."""
     largest = np.float32(-1)
@@ -250,7 +250,7 @@ def _largest(peaks: Floats, slot: int, first: int) -> np.float32:
     return largest
 
 
-@compiled()
+@compiled(makes_arrays=False)
 def _bounds(
     state: Floats, slot: int, atom: int, c_error: np.float32, n_error: np.float32
 ) -> tuple[float, float]:
@@ -262,7 +262,7 @@ def _bounds(
     return float(most * most), float(max(state[panel, slot, 1, place] - n_error, np.float32(COPY)))
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"}, makes_arrays=False)
 def _energy_taken(
     slot: int,
     atom: int,
@@ -299,7 +299,7 @@ def _energy_taken(
     return product * product / distance if distance >= COPY else -1.0
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"}, makes_arrays=False)
 def _extend(
     slot: int,
     atom: int,
@@ -336,7 +336,7 @@ def _extend(
     return share, energy
 
 
-@compiled()
+@compiled(makes_arrays=False)
 def _solve(triangle: Doubles, shares: Doubles, length: float, amounts: Floats) -> None:
     """Coefficients of the atoms from those of the basis."""
     for i in range(len(amounts) - 1, -1, -1):

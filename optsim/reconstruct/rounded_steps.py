@@ -45,7 +45,7 @@ def make_steps(slots: int, rows: int, pairs: int) -> Steps:
 
 
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
-@compiled()
+@compiled(makes_arrays=False)
 def look(slot: int, residual: Doubles, length: float, grid: tuple[float, float], steps: Steps) -> None:
     """Have correlations, which are set to zero, computed from the residual of some length itself.
 
@@ -70,7 +70,7 @@ def look(slot: int, residual: Doubles, length: float, grid: tuple[float, float],
     steps.terms[slot, 2] = _drifted(slot, length, grid[1], steps) + steps.rounding[slot]
 
 
-@compiled()
+@compiled(makes_arrays=False)
 def follow(
     slot: int,
     directions: Doubles,
@@ -114,7 +114,7 @@ def follow(
     terms[slot, 3] = 2 * off + off * off + count * _ROUNDING
 
 
-@compiled(fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"}, makes_arrays=False)
 def _drifted(slot: int, left: float, grid_error: float, steps: Steps) -> float:
     """Most that a correlation with a residual of some length is off, but for its float32 rounding."""
     square = 0.0
@@ -123,7 +123,7 @@ def _drifted(slot: int, left: float, grid_error: float, steps: Steps) -> float:
     return (1 + grid_error) * np.sqrt(square) + grid_error * left
 
 
-@compiled(fastmath={"reassoc", "contract", "nnan", "nsz"})
+@compiled(fastmath={"reassoc", "contract", "nnan", "nsz"}, makes_arrays=False)
 def _round_unit(
     vectors: Doubles, which: int, length: float, factor: float, slot: int, steps: Steps
 ) -> tuple[float, float]:
