@@ -90,10 +90,15 @@ def run(
             people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
         return
     command = " ".join(["optsim", *sys.argv[1:]])
-    with progress_bars() as progress:
-        results = job.execute(
-            loaded, folder, command=command, backend=backend, export_truth=export_truth, progress=progress
-        )
+    try:
+        with progress_bars() as progress:
+            results = job.execute(
+                loaded, folder, command=command, backend=backend, export_truth=export_truth, progress=progress
+            )
+    except KeyboardInterrupt:
+        if (folder / job.UNFINISHED).exists():
+            people.print(f"Finished frames are in {folder}: with --out {folder} the same command finds them.")
+        raise
     if as_json:
         print_json(results)
     else:

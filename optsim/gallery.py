@@ -17,7 +17,8 @@ from optsim.report.schema import Picture
 from optsim.report.sheet import Moment, Shot, choose_crops, render_pictures
 from optsim.scoring import Scorer
 
-_MOVING_FRAMES = 2
+MOVING_FRAMES = 2
+"""Coded frames of the film: the last ones."""
 # Share of the panel's height and width: large enough to know the place, small enough to see pixels.
 _CROP_SHARE = 0.3
 
@@ -39,7 +40,7 @@ class Gallery:
         """Keep what the pictures need of one reconstruction."""
         scale = self.scorer.scale
         last = self.experiment.n_frames - 1
-        if name == self.experiment.methods[0].name and video.index > last - _MOVING_FRAMES:
+        if name == self.experiment.methods[0].name and video.index > last - MOVING_FRAMES:
             reference = self.scorer.reference(video.index)
             self._moving += [
                 (

@@ -23,7 +23,8 @@ from optsim.errors import StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
 from optsim.files import read_json, writable_folder, write_exr, write_json, write_png8, write_png16
-from optsim.gallery import Gallery
+from optsim.gallery import MOVING_FRAMES, Gallery
+from optsim.journal import open_journal
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
@@ -37,6 +38,9 @@ from optsim.stopwatch import Stopwatch
 from optsim.truth import check_truth, describe_truth, render_truth, renderer, scene_light
 
 Results = dict[str, Any]
+
+UNFINISHED = "unfinished"
+"""Folder in a run's, of its journal; gone when the run is done."""
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
 
@@ -99,6 +103,10 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     truth_mb = images * view.rows * view.cols * 4 / 1e6
     panel = experiment.camera.panel_rows * experiment.camera.panel_cols
     run_mb = (len(experiment.save_reconstructions) + 1) * timing.n_slots * panel * 2 / 1e6 + 50
+    # Frames, and once more with the panel's state until the run is done.
+    sensor = experiment.camera.sensor
+    a_frame = 2 * sensor.rows * sensor.cols * 2 + panel * 5
+    run_mb += experiment.n_frames * len(experiment.methods) * a_frame / 1e6
     needs = {"truth in the cache": (truth_mb, Cache().folder)}
     if folder is not None:
         needs["run folder"] = (run_mb, folder)
@@ -165,24 +173,33 @@ def execute(
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
             objects = object_masks(experiment, backend=backend, progress=progress)
-    experiment = modelled
+    journal = open_journal(folder / UNFINISHED, experiment, chosen, versions())
+    experiment, names = modelled, [method.name for method in experiment.methods]
+    resumed = {"captured": journal.n_shots(names)}
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, known[experiment.calibration])
         truth = camera.form_image(radiance)
-        frames = capture(experiment, camera, truth, known, progress)
+        frames = capture(experiment, camera, truth, known, progress, journal)
         _write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
     saturation_dn = float(np.median(known[experiment.calibration].saturation_dn))
     gallery = Gallery(experiment, scorer, saturation_dn)
-    decode_s = {method.name: 0.0 for method in experiment.methods}
+    decode_s = dict.fromkeys(names, 0.0)
+    # Pictures are of the last frames.
+    scored = journal.scores(names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
+    for scores in scored:
+        scorer.recall(scores)
+    resumed["scored"] = len(scored)
     with watch.stage("decode and score"):
-        for decoded in decode(experiment, frames, known):
-            scorer.add(decoded.videos)
+        progress("decode", len(scored), experiment.n_frames)
+        for decoded in decode(experiment, frames, known, first=len(scored)):
+            scores = scorer.add(decoded.videos)
             for name, video in decoded.videos.items():
                 decode_s[name] += decoded.seconds[name]
                 gallery.add(name, video, frames[name][decoded.index])
                 if name in experiment.save_reconstructions:
                     _write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+            journal.keep_scores(decoded.index, scores)
             progress("decode", decoded.index + 1, experiment.n_frames)
     with watch.stage("noise ceiling"):
         ceiling = scorer.noise_ceiling(progress)
@@ -201,6 +218,7 @@ def execute(
         "backend": f"{chosen}: {why}",
         "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
         "timings": watch.stages,
+        "resumed": resumed,
         "light_rule": _light(experiment, light),
         "photons": scorer.photons(frames),
         "ledgers": _ledgers(camera, radiance.white_w_m2_sr),
@@ -233,6 +251,7 @@ def execute(
     }
     write_json(folder / "results.json", results)
     write_report(folder, results)
+    journal.close()
     return results
 
 

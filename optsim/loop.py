@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from optsim.camera_plan import CameraPlan, plan_camera
 from optsim.errors import ConfigError
 from optsim.experiment import Experiment, Method, Operator
 from optsim.forward.integrate import cell_means
+from optsim.journal import NOTHING_KEPT, Journal
 from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.progress import Progress, silent
@@ -155,6 +157,7 @@ def shots(
     camera: CodedCamera,
     truth: IrradianceVideo,
     calibration: Calibration,
+    journal: Journal = NOTHING_KEPT,
 ) -> Iterator[Shot]:
     """Take the coded frames of one method, each when it is asked for; arguments as of :func:`capture`."""
     # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
@@ -166,7 +169,8 @@ def shots(
         arrived = frames[: max(0, index - camera.latency_frames + 1)]
         code, state = method.scheme.next(index, arrived, state)
         photons = stream(experiment.seed, "shot", method.name, index)
-        frame, panel = camera.expose(truth, index, code, before, photons)
+        take = partial(camera.expose, truth, index, code, before, photons)
+        frame, panel = journal.shot(method.name, index, code, take)
         frames.append(frame)
         yield Shot(frame, before)
 
@@ -177,6 +181,7 @@ def capture(
     truth: IrradianceVideo,
     calibrations: Calibrations,
     progress: Progress = silent,
+    journal: Journal = NOTHING_KEPT,
 ) -> Frames:
     """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
 
@@ -190,6 +195,10 @@ def capture(
         Light on the modulator.
     calibrations : dict
         All that the schemes know: operator -> calibration, from :func:`calibrate_all`.
+    progress : Progress
+        Told of each coded frame.
+    journal : Journal
+        What an earlier run of the same was stopped at; each frame is kept there.
 
     Returns
     -------
@@ -197,7 +206,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.operator_of(m)])
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.operator_of(m)], journal)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
@@ -227,12 +236,17 @@ class Decoded:
     seconds: dict[str, float]
 
 
-def decode(experiment: Experiment, frames: Frames, calibrations: Calibrations) -> Iterator[Decoded]:
-    """Decode frame by frame, in their order; causal, and never sees the truth."""
-    running = {
-        m.name: m.decoder.decode(frames[m.name], calibrations[experiment.operator_of(m)])
-        for m in experiment.methods
-    }
+def decode(
+    experiment: Experiment, frames: Frames, calibrations: Calibrations, first: int = 0
+) -> Iterator[Decoded]:
+    """Decode frame by frame, in their order; causal, and never sees the truth.
+
+    Frames before ``first`` are followed only as far as later ones depend on them, and not handed over.
+    """
+    running: dict[str, Iterator[Reconstruction]] = {}
+    for m in experiment.methods:
+        asked = _without_video(frames[m.name], first)
+        running[m.name] = m.decoder.decode(asked, calibrations[experiment.operator_of(m)])
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
         seconds: dict[str, float] = {}
@@ -240,7 +254,15 @@ def decode(experiment: Experiment, frames: Frames, calibrations: Calibrations) -
             start = time.perf_counter()
             videos[name] = next(decoder)
             seconds[name] = time.perf_counter() - start
-        yield Decoded(index, videos, seconds)
+        if index >= first:
+            yield Decoded(index, videos, seconds)
+
+
+def _without_video(frames: Sequence[CodedFrame], first: int) -> Iterator[CodedFrame]:
+    """Frames of which those before ``first`` ask for no video: it takes long, and no later one needs it."""
+    for frame in frames:
+        still = replace(frame.code, moving=np.zeros_like(frame.code.moving))
+        yield replace(frame, code=still) if frame.index < first else frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from optsim import metrics
 from optsim.camera import CodedCamera
 from optsim.experiment import Experiment
 from optsim.forward.integrate import cell_means, slot_means
+from optsim.journal import FrameScores
 from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
 from optsim.metrics.hypothesis import Verdict
@@ -75,8 +76,9 @@ class Scorer:
     def moving(self, index: int) -> Bools:
         """Oracle mask of a frame, array (v, u): the same for all methods."""
         if index not in self._moving:
-            reference = self.reference(index)
+            # In this order: only the last two are held.
             previous = self.reference(index - 1) if index else None
+            reference = self.reference(index)
             self._moving[index] = metrics.oracle_moving(reference, previous, self._slot_sigma(reference))
         return self._moving[index]
 
@@ -87,16 +89,22 @@ class Scorer:
         sigma_dn = np.sqrt(pixel.dn_per_e * signal_dn + pixel.read_noise_dn**2)
         return (sigma_dn / pixel.responsivity_dn).astype(np.float32)
 
-    def add(self, videos: dict[str, Reconstruction]) -> None:
+    def add(self, videos: dict[str, Reconstruction]) -> FrameScores:
         """Score one coded frame of all methods, on the pixels that all of them hold valid."""
         scored = np.logical_and.reduce([video.valid for video in videos.values()])
+        slots = self.camera.coded_slots
+        found = FrameScores([], [])
         for method, video in videos.items():
             reference, moving = self.reference(video.index), self.moving(video.index)
-            self.tallies.append(self.board.tally(method, video, reference, moving, scored))
-            slots = self.camera.coded_slots
-            spread = metrics.tally_uncertainty(method, video, reference, moving, scored, slots)
-            if spread is not None:
-                self.spreads.append(spread)
+            found.tallies.append(self.board.tally(method, video, reference, moving, scored))
+            found.spreads.append(metrics.tally_uncertainty(method, video, reference, moving, scored, slots))
+        self.recall(found)
+        return found
+
+    def recall(self, scores: FrameScores) -> None:
+        """Let a coded frame count that was scored before."""
+        self.tallies += scores.tallies
+        self.spreads += [spread for spread in scores.spreads if spread is not None]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
@@ -143,14 +151,14 @@ class Scorer:
             metrics.MaskTally(
                 method.name,
                 frame.index,
-                metrics.mask_agreement(frame.code.moving, self._moving[frame.index]),
+                metrics.mask_agreement(frame.code.moving, self.moving(frame.index)),
             )
             for method in self.experiment.methods
             if method.scheme.kind == "motion_adaptive"
             for frame in frames[method.name]
         ]
         if objects is not None and tallies:
-            agreements = (metrics.mask_agreement(mask, self._moving[k]) for k, mask in enumerate(objects))
+            agreements = (metrics.mask_agreement(mask, self.moving(k)) for k, mask in enumerate(objects))
             tallies += [metrics.MaskTally(OBJECTS, k, each) for k, each in enumerate(agreements)]
         rows = [{"method": t.method, "frame": t.index, **t.agreement.shares} for t in tallies]
         pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)

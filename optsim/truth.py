@@ -268,6 +268,12 @@ def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthF
     return TruthFacts("footage", files, said, recorded.source.white_w_m2_sr, None)
 
 
+def truth_content(experiment: Experiment) -> object:
+    """Say for a hash what the truth is made of: the loaded scene, or what the files of a recording hold."""
+    recorded = chosen_footage(experiment)
+    return chosen_scene(experiment).model_dump(mode="json") if recorded is None else recorded.keys()
+
+
 def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, str]:
     """Mitsuba variant that renders an experiment's truth, and why; ``none`` for footage.
 

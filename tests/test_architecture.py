@@ -46,6 +46,7 @@ TOP = {
     "__main__",
     "experiment",
     "truth",
+    "journal",
     "loop",
     "object_masks",
     "own_f_number",

@@ -103,6 +103,23 @@ def test_output_never_depends_on_later_frames(kind):
 
 
 @pytest.mark.parametrize("kind", ALL)
+def test_a_frame_s_light_does_not_depend_on_whether_earlier_video_was_asked_for(kind):
+    calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
+    light = [each.copy() for each in crossing(4)]
+    for each in light:
+        # Saturates in some frames; what the others saw of it is remembered.
+        each[:, 4:8, 4:8] *= 400
+    frames = film(calibration, NATURAL[kind], light, np.random.default_rng(1))
+    assert (frames[3].dn >= 15_000).any()
+    unasked = [replace(f, code=replace(f.code, moving=np.zeros_like(f.code.moving))) for f in frames[:3]]
+    one, other = (last(kind(), taken, calibration) for taken in (frames, [*unasked, frames[3]]))
+    # Threads add overlapping patches in any order.
+    np.testing.assert_allclose(one.irradiance_w_m2, other.irradiance_w_m2, rtol=1e-5, atol=1e-7)
+    for mask in ("valid", "interpolated", "moving"):
+        np.testing.assert_array_equal(getattr(one, mask), getattr(other, mask))
+
+
+@pytest.mark.parametrize("kind", ALL)
 def test_decoders_are_lazy_and_deterministic(kind):
     calibration = ideal_calibration(ROWS, COLS)
     frames = film(calibration, NATURAL[kind], crossing(3), np.random.default_rng(1))

@@ -57,7 +57,7 @@ class TotalVariation(Branch):
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             known = image.usable & (image.exposure > 0)
             moving = (frame.code.moving & known).astype(np.float32)
-            video = self._video(image) * moving[:, :, None]
+            video = self._video(image) * moving[:, :, None] if moving.any() else np.zeros_like(image.weights)
             yield covered(frame, image, video, moving, np.ones_like(moving))
 
     def _video(self, image: CodedImage) -> Floats:

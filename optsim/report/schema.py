@@ -36,6 +36,14 @@ class StageTime(TypedDict):
 
 
 @with_config(_STRICT)
+class Resumed(TypedDict):
+    """Coded frames of all methods that an interrupted run had left."""
+
+    captured: int
+    scored: int
+
+
+@with_config(_STRICT)
 class LightRule(TypedDict):
     """The fixed light rule and what it decided, the same for all methods."""
 
@@ -269,6 +277,7 @@ class Results(TypedDict):
     backend: str
     seeds: dict[str, int]
     timings: list[StageTime]
+    resumed: NotRequired[Resumed]
     light_rule: LightRule
     photons: list[Photons]
     ledgers: list[Ledger]

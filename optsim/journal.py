@@ -1,0 +1,164 @@
+"""What a run that was stopped has made, in its folder: the same command goes on after the last whole frame.
+
+Coded frames are kept with the state in which they leave the panel. Of what was decoded only the scores are:
+they are small, and all that a report asks of any frame but the last ones.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.cache import hash_of
+from optsim.evidence import hash_files
+from optsim.experiment import Experiment
+from optsim.metrics import FrameTally, UncertaintyTally
+from optsim.quantities import CodedFrame, ExposureCode, PanelState
+from optsim.reconstruct.checkpoint import Checkpoint
+from optsim.scene.footage_truth import content_hash
+from optsim.truth import truth_content
+
+Shot = tuple[CodedFrame, PanelState]
+_SHOT = ("dn", "negative_light", "retardance_rad", "levels", "slots_shown")
+_TALLY, _SPREAD = (
+    tuple(f.name for f in fields(kind) if f.name not in ("method", "index"))
+    for kind in (FrameTally, UncertaintyTally)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameScores:
+    """Tallies of one coded frame of all methods, in the methods' order.
+
+    Parameters
+    ----------
+    tallies : list of FrameTally
+        One a method.
+    spreads : list of UncertaintyTally or None
+        One a method, None for those that state no uncertainty.
+    """
+
+    tallies: list[FrameTally]
+    spreads: list[UncertaintyTally | None]
+
+
+@dataclass(frozen=True)
+class Journal:
+    """Keeps each coded frame, and the scores of each, as soon as it is there.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Where; None keeps nothing.
+    key : str
+        Hash of everything that decides the numbers of a run; what another key wrote is as good as absent.
+    """
+
+    folder: Path | None
+    key: str
+
+    def shot(self, method: str, index: int, code: ExposureCode, take: Callable[[], Shot]) -> Shot:
+        """Recall a coded frame and the panel after it, or take and keep them."""
+        page = self._page("shot", index, method)
+        found = page.read(*_SHOT)
+        if found is None:
+            frame, panel = take()
+            page.write(
+                index,
+                dn=frame.dn,
+                negative_light=frame.negative_light,
+                retardance_rad=panel.retardance_rad,
+                levels=panel.levels,
+                slots_shown=panel.slots_shown,
+            )
+            return frame, panel
+        dn, negative_light, retardance_rad, levels, slots_shown = found[1]
+        frame = CodedFrame(index, dn, code, int(negative_light))
+        return frame, PanelState(retardance_rad, levels, int(slots_shown))
+
+    def n_shots(self, methods: Sequence[str]) -> int:
+        """Count the coded frames, from the first on, that all methods have taken."""
+        done = 0
+        while all(self._page("shot", done, method).read() is not None for method in methods):
+            done += 1
+        return done
+
+    def keep_scores(self, index: int, scores: FrameScores) -> None:
+        """Keep what a coded frame of all methods scored."""
+        arrays: dict[str, Any] = {}
+        for place, (tally, spread) in enumerate(zip(scores.tallies, scores.spreads, strict=True)):
+            arrays |= {f"{place}.tally.{name}": getattr(tally, name) for name in _TALLY}
+            # Empty stands for none, so that all frames hold the same names.
+            arrays |= {f"{place}.spread.{name}": getattr(spread, name, np.empty(0)) for name in _SPREAD}
+        self._page("scores", index).write(index, **arrays)
+
+    def scores(self, methods: Sequence[str]) -> list[FrameScores]:
+        """Recall the scores of the coded frames, from the first on, as far as they go."""
+        found: list[FrameScores] = []
+        while (scores := self._scores(len(found), methods)) is not None:
+            found.append(scores)
+        return found
+
+    def _scores(self, index: int, methods: Sequence[str]) -> FrameScores | None:
+        page, found = self._page("scores", index), FrameScores([], [])
+        for place, method in enumerate(methods):
+            tally = page.read(*(f"{place}.tally.{name}" for name in _TALLY))
+            spread = page.read(*(f"{place}.spread.{name}" for name in _SPREAD))
+            if tally is None or spread is None:
+                return None
+            found.tallies.append(FrameTally(method, index, *tally[1]))
+            stated = all(array.size for array in spread[1])
+            found.spreads.append(UncertaintyTally(method, index, *spread[1]) if stated else None)
+        return found
+
+    def close(self) -> None:
+        """Forget everything: the run is done."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _page(self, *place: str | int) -> Checkpoint:
+        if self.folder is None:
+            return Checkpoint(None, "")
+        name = "-".join(f"{p:06d}" if isinstance(p, int) else p for p in place)
+        return Checkpoint(self.folder / f"{name}.npz", hash_of(self.key, place))
+
+
+NOTHING_KEPT = Journal(None, "")
+
+
+def open_journal(folder: Path, experiment: Experiment, *further: object) -> Journal:
+    """Journal of a run; what other code, or the same with other files, wrote is as good as absent.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is kept.
+    experiment : Experiment
+        What is run; files that it names, priors for example, count by their content.
+    *further : object
+        What else decides the numbers, anything JSON can say: renderer, versions of libraries.
+    """
+    resolved = experiment.model_dump(mode="json")
+    named, truth = _named_files(resolved), truth_content(experiment)
+    code = hash_files(["optsim/**/*.py", "optsim/**/*.npz"])
+    return Journal(folder, hash_of(resolved, named, truth, code, *further))
+
+
+def _named_files(value: object) -> list[str]:
+    """Hashes of the files named anywhere in an experiment."""
+    if isinstance(value, dict):
+        return [found for each in cast("dict[str, object]", value).values() for found in _named_files(each)]
+    if isinstance(value, list):
+        return [found for each in cast("list[object]", value) for found in _named_files(each)]
+    if isinstance(value, str):
+        # Most strings are no names of files, and some cannot be.
+        with suppress(OSError, RuntimeError, ValueError):
+            named = Path(value).expanduser()
+            return [content_hash(named)] if named.is_file() else []
+    return []

@@ -1,0 +1,262 @@
+"""A run that is stopped and goes on: as if it had never been stopped, without the work done before."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_footage_run import FOOTAGE, SMALL, recording
+from typer.testing import CliRunner
+
+from optsim import cli, job, journal
+from optsim.camera import CodedCamera
+from optsim.experiment import Experiment, experiment_path, load_experiment
+from optsim.files import read_exr, read_json
+from optsim.journal import FrameScores, Journal, open_journal
+from optsim.metrics import FrameTally, UncertaintyTally
+from optsim.quantities import CodedFrame, ExposureCode, PanelState
+from optsim.reconstruct import GaussianMixture
+
+FRAMES = 4
+QUICK = [
+    *SMALL,
+    f"n_frames={FRAMES}",
+    "calibration=ideal",
+    "methods.random.decoder.kind=gaussian_mixture",
+    "methods.random.decoder.uncertainty=true",
+    "methods.adaptive.decoder.moving.kind=gaussian_mixture",
+    "save_reconstructions=['adaptive', 'random']",
+]
+METHODS = ("adaptive", "hdr_mosaic", "random")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A demo experiment whose scene is a recording beside it."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    np.save(folder / "shots.npy", recording())
+    demo = experiment_path("demo").read_text()
+    start, stop = demo.index("[scene]"), demo.index("[camera]")
+    path = folder / "lab.toml"
+    path.write_text(demo[:start] + FOOTAGE.format(path="shots.npy") + 'axes = "tyx"\n' + demo[stop:])
+    return path
+
+
+@pytest.fixture(scope="module")
+def experiment(lab: Path) -> Experiment:
+    loaded = load_experiment(str(lab), QUICK)
+    chosen = tuple(method for method in loaded.methods if method.name in METHODS)
+    return loaded.model_copy(update={"methods": chosen})
+
+
+@pytest.fixture(scope="module")
+def whole(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody stopped."""
+    folder = tmp_path_factory.mktemp("run") / "whole"
+    job.execute(experiment, folder)
+    return folder
+
+
+def stop_at(stage: str, done: int) -> Callable[[str, int, int], None]:
+    """Ctrl-C as soon as so much of a stage is done."""
+
+    def progress(now: str, so_far: int, _: int) -> None:
+        if (now, so_far) == (stage, done):
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def same_numbers(one: object, other: object) -> None:
+    """Compare what results hold: numbers to rounding, since threads add patches in any order."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            same_numbers(one[key], other[key])
+    elif isinstance(one, list) and isinstance(other, list):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            same_numbers(a, b)
+    elif isinstance(one, float) and isinstance(other, float):
+        assert one == pytest.approx(other, rel=1e-6, abs=1e-12)
+    else:
+        assert one == other
+
+
+def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, whole = tmp_path / "stopped", tmp_path / "whole"
+    job.execute(experiment, whole)
+    exposed: list[int] = []
+    expose = CodedCamera.expose
+
+    def counted(camera: CodedCamera, truth: Any, index: int, *rest: Any) -> Any:
+        exposed.append(index)
+        return expose(camera, truth, index, *rest)
+
+    monkeypatch.setattr(CodedCamera, "expose", counted)
+    for stage, done in (("capture", 1), ("decode", 1)):
+        with pytest.raises(KeyboardInterrupt):
+            job.execute(experiment, folder, progress=stop_at(stage, done))
+    assert exposed == [k for k in range(FRAMES) for _ in METHODS], "each of them once"
+    asked: list[tuple[int, bool]] = []
+    layers = GaussianMixture.layers
+
+    def watched(decoder: GaussianMixture, frames: Iterable[CodedFrame], known: Any) -> Any:
+        def seen() -> Iterator[CodedFrame]:
+            for frame in frames:
+                asked.append((frame.index, bool(frame.code.moving.any())))
+                yield frame
+
+        return layers(decoder, seen(), known)
+
+    # All is scored, but pictures are of the last two.
+    with pytest.raises(KeyboardInterrupt):
+        job.execute(experiment, folder, progress=stop_at("decode", FRAMES))
+    monkeypatch.setattr(GaussianMixture, "layers", watched)
+    results = job.execute(experiment, folder)
+    assert len(exposed) == FRAMES * len(METHODS)
+    assert {index for index, video in asked if video} == {2, 3}
+    assert results["resumed"] == {"captured": FRAMES, "scored": 2}
+    assert "had been taken, 2 of them decoded" in (folder / "report.html").read_text()
+
+    told = read_json(whole / "results.json")
+    assert told["resumed"] == {"captured": 0, "scored": 0}
+    assert "had been taken" not in (whole / "report.html").read_text()
+    series = ["frame_series", "slot_series"]
+    for key in ("scores", "coverage", *series, "uncertainty", "masks", "pooled_masks", "photons"):
+        same_numbers(read_json(folder / "results.json")[key], told[key])
+    assert {u["method"] for u in told["uncertainty"]} == {"hdr_mosaic", "random"}
+    files = sorted(p.relative_to(whole) for p in whole.rglob("*") if p.is_file())
+    assert sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file()) == files
+    for file in files:
+        if file.parts[0] in ("frames", "masks"):
+            assert (folder / file).read_bytes() == (whole / file).read_bytes()
+        elif file.parts[0] == "reconstructions":
+            (one, _), (other, _) = read_exr(folder / file), read_exr(whole / file)
+            for slot, light in one.items():
+                np.testing.assert_allclose(light, other[slot], rtol=2e-3, atol=1e-6)
+
+
+def code(level: int) -> ExposureCode:
+    return ExposureCode(np.full((36, 2, 3), level, np.uint8), np.zeros((2, 3), np.bool_))
+
+
+def shot(index: int) -> tuple[CodedFrame, PanelState]:
+    rng = np.random.default_rng(index)
+    dn = rng.integers(0, 2**14, (8, 9)).astype(np.uint16)
+    panel = PanelState(rng.random((2, 3), np.float32), np.full((2, 3), 7, np.uint8), 36 * (index + 1))
+    return CodedFrame(index, dn, code(index), 5), panel
+
+
+def never() -> tuple[CodedFrame, PanelState]:
+    pytest.fail("taken again")
+
+
+def test_shots_come_back_to_the_bit(tmp_path: Path) -> None:
+    book = Journal(tmp_path, "key")
+    for index in range(3):
+        book.shot("one", index, code(index), lambda k=index: shot(k))
+    book.shot("other", 0, code(0), lambda: shot(9))
+    assert (book.n_shots(["one"]), book.n_shots(["one", "other"]), book.n_shots(["third"])) == (3, 1, 0)
+    frame, panel = book.shot("one", 2, code(2), never)
+    expected, after = shot(2)
+    np.testing.assert_array_equal(frame.dn, expected.dn)
+    np.testing.assert_array_equal(frame.code.levels, expected.code.levels)
+    assert (frame.index, frame.negative_light, frame.dn.dtype) == (2, 5, np.uint16)
+    np.testing.assert_array_equal(panel.retardance_rad, after.retardance_rad)
+    np.testing.assert_array_equal(panel.levels, after.levels)
+    assert panel.slots_shown == after.slots_shown == 108
+
+
+def test_pages_of_another_key_or_damaged_ones_are_as_good_as_absent(tmp_path: Path) -> None:
+    Journal(tmp_path, "key").shot("one", 0, code(0), lambda: shot(0))
+    assert Journal(tmp_path, "other").n_shots(["one"]) == 0
+    frame, _ = Journal(tmp_path, "other").shot("one", 0, code(0), lambda: shot(4))
+    np.testing.assert_array_equal(frame.dn, shot(4)[0].dn)
+    book = Journal(tmp_path, "key")
+    book.shot("one", 0, code(0), lambda: shot(0))
+    (page,) = tmp_path.glob("*.npz")
+    page.write_bytes(page.read_bytes()[:-100])
+    assert book.n_shots(["one"]) == 0
+    book.shot("one", 0, code(0), lambda: shot(1))
+    np.testing.assert_array_equal(book.shot("one", 0, code(0), never)[0].dn, shot(1)[0].dn)
+    book.close()
+    assert not tmp_path.exists()
+
+
+def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+
+    def tally(method: str, index: int) -> FrameTally:
+        counts = rng.integers(0, 1000, (4, 2, 36))
+        return FrameTally(method, index, rng.random((3, 2, 36)), *counts, rng.integers(0, 9, (3, 2)))
+
+    def spread(method: str, index: int) -> UncertaintyTally:
+        counts = rng.integers(0, 9, 2)
+        return UncertaintyTally(method, index, rng.random(2), rng.integers(0, 9, (2, 2)), counts)
+
+    book = Journal(tmp_path, "key")
+    kept = [FrameScores([tally("one", k), tally("other", k)], [None, spread("other", k)]) for k in range(3)]
+    for index in (0, 1, 2):
+        book.keep_scores(index, kept[index])
+    found = book.scores(["one", "other"])
+    assert len(found) == 3
+    for index, (one, other) in enumerate(zip(found, kept, strict=True)):
+        assert one.spreads[0] is None
+        for a, b in [*zip(one.tallies, other.tallies, strict=True), (one.spreads[1], other.spreads[1])]:
+            assert a is not None
+            assert (a.method, a.index) == (b.method, index)
+            for name, array in vars(b).items():
+                np.testing.assert_array_equal(getattr(a, name), array)
+                assert np.asarray(getattr(a, name)).dtype == np.asarray(array).dtype
+    # As far as they go without a gap, and of these very methods.
+    next(tmp_path.glob("scores-000001*")).unlink()
+    assert len(book.scores(["one", "other"])) == 1
+    assert book.scores(["one", "other", "third"]) == []
+
+
+def test_whatever_decides_a_run_s_numbers_decides_its_journal(
+    lab: Path, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prior = tmp_path / "mine.npz"
+    prior.write_bytes(b"one")
+    named = [*QUICK, f"methods.random.decoder.mixture='{prior}'"]
+
+    def key(assignments: list[str], *further: object) -> str:
+        return open_journal(tmp_path, load_experiment(str(lab), assignments), *further).key
+
+    first = {key(QUICK), key(QUICK, "another renderer"), key([*QUICK, "seed=2"]), key(named)}
+    assert len(first) == 4
+    assert key(QUICK) in first
+    prior.write_bytes(b"two")
+    assert key(named) not in first, "the same name, another content"
+    monkeypatch.setattr(journal, "hash_files", lambda _: "other code")
+    assert key(QUICK) not in first
+    monkeypatch.undo()
+    shots = lab.parent / "shots.npy"
+    before = shots.read_bytes()
+    try:
+        np.save(shots, recording() // 2)
+        assert key(QUICK) not in first, "another recording"
+    finally:
+        shots.write_bytes(before)
+    assert key(QUICK) in first
+
+
+def test_ctrl_c_says_how_to_go_on(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    execute = job.execute
+    folder = tmp_path / "stopped"
+
+    def stopped(*given: Any, **named: Any) -> Any:
+        return execute(*given, **{**named, "progress": stop_at("capture", 1)})
+
+    monkeypatch.setattr(job, "execute", stopped)
+    settings = [word for one in QUICK for word in ("--set", one)]
+    found = CliRunner().invoke(cli.app, ["run", str(lab), "--out", str(folder), *settings])
+    assert found.exit_code == 130
+    assert f"--out {folder}" in "".join((found.output, *capsys.readouterr())).replace("\n", "")
