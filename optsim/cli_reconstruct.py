@@ -8,6 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from optsim.cli_options import Json, Set, print_json
+from optsim.errors import ConfigError
 
 
 def reconstruct_files(
@@ -45,6 +46,8 @@ def reconstruct_files(
         found, own = read_run(measurement, method)
         start = {} if decoder else {"decoder": own.model_dump(mode="json")}
         chosen = build(DecoderChoice, override(start, wanted), where="--set").decoder
+    elif method is not None:
+        raise ConfigError(f"--method {method}: {measurement} is no folder of a run; drop it")
     else:
         files = measurement_files(measurement, wanted)
         found, chosen = read_measurement(files), files.decoder

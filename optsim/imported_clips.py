@@ -75,9 +75,16 @@ class ImportedClip:
             for frame in range(slot * self.frames_per_slot, (slot + 1) * self.frames_per_slot):
                 with _naming_options():
                     total += self.source.radiance(next(frames), self.recording.where(frame)).w_m2_sr
-            clip[slot] = total / self.frames_per_slot
+            with np.errstate(over="ignore"):
+                clip[slot] = total / self.frames_per_slot
             progress(f"footage {self.name}", slot + 1, self.n_slots)
-        if not clip.mean() > 0:
+        mean = float(clip.mean(dtype=np.float64))
+        if not np.isfinite(mean):
+            raise ValueCheckError(
+                f"--clips {self.name}: holds values beyond what 32 bits can, {np.finfo(np.float32).max:.2g}; "
+                "cure: divide them, scale has no part in learning"
+            )
+        if not mean > 0:
             raise ValueCheckError(
                 f"--clips {self.name}: got no light above the black level, expected some; cure: "
                 "leave the clip out, or correct --black-level"

@@ -146,6 +146,7 @@ def test_what_cannot_teach_is_refused_with_the_cure(values, keys, error, message
     [
         (np.where(light() > 0.9, np.nan, light()), {}, "not a finite number"),
         (light() - 0.2, {}, "state --black-level"),
+        (np.full((SLOTS, 9, 9), 1e39), {}, "beyond what 32 bits can, 3.4e"),
         (np.zeros((SLOTS, 9, 9), np.uint16), {}, "no light above the black level"),
         (100 * light(), {"black_level": 90}, "below --black-level"),
     ],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from optsim.errors import ValueCheckError
 from optsim.reconstruct.atom_updates import dense, k_svd_atoms
 from optsim.reconstruct.checkpoint import Checkpoint, checkpoint_path
 from optsim.reconstruct.dictionary import unit
@@ -157,3 +158,20 @@ def test_other_settings_footage_or_a_damaged_file_begin_again(prior, changed, tm
     found, steps = learn(prior, path, **changed)
     assert steps[0] == 0
     assert_same(found, learn(prior, None, **changed)[0])
+
+
+@pytest.mark.parametrize("prior", LEARN)
+@pytest.mark.parametrize("clip", [np.full((40, 40, 40), 0.3), np.tile(CLIPS[0][:1], (40, 1, 1))])
+def test_footage_in_which_nothing_moves_teaches_nothing(prior, clip, monkeypatch):
+    monkeypatch.setitem(globals(), "CLIPS", [clip.astype(np.float32)])
+    with pytest.raises(ValueCheckError, match=r"nothing in them changes from slot to slot.*cure: other"):
+        learn(prior, None)
+
+
+def test_a_mixture_of_few_patterns_is_a_mixture(monkeypatch):
+    """Two stripes that drift alike fill three dimensions, of the 24 that are asked for."""
+    stripes = 1 + 0.5 * np.sin(np.arange(40)[:, None, None] * 0.7 + np.arange(40) * np.pi / 2)
+    monkeypatch.setitem(globals(), "CLIPS", [np.broadcast_to(stripes, (40, 40, 40)).astype(np.float32)])
+    found = learn("mixture", None)[0]
+    assert all(np.isfinite(value).all() for value in arrays(found).values())
+    assert (np.linalg.eigvalsh(found.covariances) > 0).all()

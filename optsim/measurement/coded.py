@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optsim.calibrate import Calibration
 from optsim.config import Part
@@ -18,6 +18,8 @@ from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode, Floats, Wo
 # An instantaneous panel without leak, whose weight is the sine squared of a quarter turn times its level.
 _OPEN_OR_SHUT = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=1.0)
 _WORDS = 65535
+# Of what is bright, steps that are too coarse if they are coarser than the noise as well.
+_BRIGHT, _STEPS = 90, 1000
 
 
 class Sensor(Part):
@@ -30,19 +32,29 @@ class Sensor(Part):
     saturation : float or None
         Least count that means saturated; None for the largest number that whole numbers of 8 or 16 bits
         hold, and no saturation for others.
-    read_noise : float
-        Temporal noise in the dark, quantisation included, counts; 1 has no source.
+    read_noise : float or None
+        Temporal noise in the dark, quantisation included, counts; None for 1 (no source), or for as little
+        as 8 bits would have where an image of broken numbers, 0 to 1 for example, holds less than 255.
     counts_per_electron : float
         System gain; 0 leaves shot noise out.
     slot_s : float
         Duration of a slot, s; decoders don't depend on it.
     """
 
-    black: float = 0.0
-    saturation: float | None = None
-    read_noise: float = Field(default=1.0, gt=0)
-    counts_per_electron: float = Field(default=0.0, ge=0)
-    slot_s: float = Field(default=1.0, gt=0)
+    black: float = Field(default=0.0, allow_inf_nan=False)
+    saturation: float | None = Field(default=None, allow_inf_nan=False)
+    read_noise: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    counts_per_electron: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    slot_s: float = Field(default=1.0, gt=0, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _light_between(self) -> Sensor:
+        if self.saturation is not None and self.saturation <= self.black:
+            raise ValueError(
+                f"saturation: got {self.saturation:g}, expected more than black, {self.black:g}: there is "
+                "no light between them"
+            )
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,38 +123,56 @@ def coded_measurement(
     Raises
     ------
     ValueCheckError
-        For shapes that don't agree, weights outside of 0..1, or light that isn't finite.
+        For shapes that don't agree, weights outside of 0..1, light that isn't finite, or a few pixels so
+        bright that 16 bits leave too little for the others.
     """
     known = sensor or Sensor()
-    images, codes = stacked(np.asarray(images), np.asarray(codes))
+    images, codes = stacked(images, codes)
     if images.shape[1:] != codes.shape[2:]:
         raise ValueCheckError(
             f"images of {images.shape[1:]} and codes of {codes.shape[2:]} pixels: expected codes of the "
             "images' pixels; images of a sensor with other pixels need a calibration (key 'bench')"
         )
     levels, rounded = code_levels(codes)
-    words, scale = _words(images, known.black)
+    full, noise = _full(images, known), _read_noise(images, known)
+    words, scale = _words(images, known.black, full, noise)
     alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
     return Measurement(
         coded_frames(words, levels, moving_masks(moving, len(images), images.shape[1:])),
-        _calibration(levels.shape[1], alive, known, scale, _full(images, known)),
+        _calibration(levels, alive, known, noise, scale, full),
         truth_frames(truth, len(images), levels.shape[1]),
         "counts a slot",
         rounded,
     )
 
 
-def stacked(images: NDArray[Any], codes: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def numbers(name: str, given: object) -> NDArray[Any]:
+    """Array of real numbers.
+
+    Raises
+    ------
+    ValueCheckError
+        When it is anything else.
+    """
+    try:
+        found = np.asarray(given)
+    except ValueError as error:
+        raise ValueCheckError(f"{name}: {error}; expected one array of numbers") from None
+    if found.dtype.kind not in "biuf":
+        cure = "take one part of it" if found.dtype.kind == "c" else "convert it"
+        raise ValueCheckError(f"{name}: got {found.dtype}, expected real numbers; {cure}")
+    return found
+
+
+def stacked(images: object, codes: object) -> tuple[NDArray[Any], NDArray[Any]]:
     """Images (frame, y, x), and codes (frame, slot, v, u) of which there is one for all or one each."""
+    images, codes = numbers("image", images), numbers("code", codes)
     images = images[None] if images.ndim == 2 else images
     codes = codes[None] if codes.ndim == 3 else codes
-    for name, each in (("image", images), ("code", codes)):
-        if np.iscomplexobj(each):
-            raise ValueCheckError(f"{name}: got {each.dtype}, expected real numbers; take one part of it")
-    if images.ndim != 3 or codes.ndim != 4:
+    if images.ndim != 3 or codes.ndim != 4 or not images.size or not codes.size:
         raise ValueCheckError(
             f"image {images.shape}, code {codes.shape}: expected (v, u) or (frame, v, u), and "
-            "(slot, v, u) or (frame, slot, v, u)"
+            "(slot, v, u) or (frame, slot, v, u), none of them empty"
         )
     if len(codes) not in (1, len(images)):
         raise ValueCheckError(
@@ -170,10 +200,11 @@ def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, .
     """
     if moving is None:
         return np.ones((1, *shape), np.bool_)
-    masks = np.asarray(moving[None] if moving.ndim == 2 else moving) != 0
+    found = numbers("moving", moving)
+    masks: Bools = (found[None] if found.ndim == 2 else found) != 0
     if masks.ndim != 3 or masks.shape[1:] != shape or len(masks) not in (1, n_frames):
         raise ValueCheckError(
-            f"moving: got {moving.shape}, expected one mask of {shape} pixels, those of the code, or "
+            f"moving: got {found.shape}, expected one mask of {shape} pixels, those of the code, or "
             f"{n_frames} of them, one a coded image"
         )
     return masks
@@ -208,11 +239,14 @@ def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple
     """Light a coded image, (slot, v, u) each; whole frames only."""
     if truth is None:
         return ()
-    stack = truth.reshape(-1, *truth.shape[-2:]).astype(np.float32)
-    if truth.ndim < 3 or len(stack) < n_frames * slots:
+    found = numbers("truth", truth)
+    fits = found.ndim == 4 and found.shape[:2] == (n_frames, slots)
+    fits |= found.ndim == 3 and len(found) >= n_frames * slots
+    if not fits:
         raise ValueCheckError(
-            f"truth: got {truth.shape}, expected {n_frames} x {slots} pictures: all slots of each coded image"
+            f"truth: got {found.shape}, expected {n_frames} x {slots} pictures: all slots of each coded image"
         )
+    stack = found.reshape(-1, *found.shape[-2:]).astype(np.float32)
     if not np.isfinite(stack).all():
         raise ValueCheckError(
             f"truth: {int((~np.isfinite(stack)).sum())} of its numbers are not finite, expected light "
@@ -228,19 +262,51 @@ def _full(images: NDArray[Any], sensor: Sensor) -> float:
     return float(np.iinfo(images.dtype).max) if images.dtype.name in ("uint8", "uint16") else float("inf")
 
 
-def _words(images: NDArray[Any], black: float) -> tuple[list[Words], tuple[float, float]]:
-    """Images as 16-bit numbers, and what a number is: first + step x count; whole numbers that fit stay."""
-    finite = np.where(np.isfinite(images), images, black)
+def _read_noise(images: NDArray[Any], sensor: Sensor) -> float:
+    """Noise in the dark, counts, as stated, or as a default that is no more than 8 bits have."""
+    seen = images[np.isfinite(images)]
+    if sensor.read_noise is not None:
+        return sensor.read_noise
+    if not seen.size or np.array_equal(seen, np.rint(seen)):
+        return 1.0
+    bright = float(np.percentile(np.abs(seen - sensor.black), _BRIGHT))
+    return min(1.0, max(bright, 1e-30) / 255)
+
+
+def _opened(levels: Bytes) -> int:
+    """Slots until the last that any pixel is open in; the shutter is closed in those after it."""
+    opened = np.flatnonzero(levels.any(axis=(0, 2, 3)))
+    return int(opened[-1]) + 1 if opened.size else levels.shape[1]
+
+
+def _words(
+    images: NDArray[Any], black: float, full: float, noise: float
+) -> tuple[list[Words], tuple[float, float]]:
+    """Images as 16-bit numbers, and what a number is: first + step x count; whole numbers that fit stay.
+
+    Raises
+    ------
+    ValueCheckError
+        When a few bright pixels would leave the others too few numbers.
+    """
+    finite = np.minimum(np.where(np.isfinite(images), images, black), full)
     least, most = float(finite.min(initial=black)), float(finite.max(initial=black))
     first, step = (0.0, 1.0)
     if least < 0 or most > _WORDS or not np.array_equal(finite, np.rint(finite)):
         # Noise below black stays noise, and rounding stays far below what any sensor tells apart.
         first, step = least, max(most - least, 1e-30) / _WORDS
+    bright = float(np.percentile(np.abs(finite - black), _BRIGHT))
+    if step > max(2 * noise, bright / _STEPS):
+        raise ValueCheckError(
+            f"image: its numbers, {least:g} to {most:g}, are held in 16 bits, in steps of {step:g}, but "
+            f"nine of ten are within {bright:g} of black; cure: sensor.saturation, from which on a number "
+            "only says that it is too bright, or NaN for dead pixels"
+        )
     return [np.rint((image - first) / step).astype(np.uint16) for image in finite], (first, step)
 
 
 def _calibration(
-    slots: int, valid: Bools, sensor: Sensor, scale: tuple[float, float], full: float
+    levels: Bytes, valid: Bools, sensor: Sensor, noise: float, scale: tuple[float, float], full: float
 ) -> Calibration:
     """Camera whose pixels are those of the code: what the paper's equations take for granted."""
     first, step = scale
@@ -252,8 +318,8 @@ def _calibration(
     return Calibration(
         source="ideal",
         slot_s=sensor.slot_s,
-        slots_per_frame=slots,
-        coded_slots=slots,
+        slots_per_frame=levels.shape[1],
+        coded_slots=_opened(levels),
         response=_OPEN_OR_SHUT,
         pick_row=own[0],
         pick_col=own[1],
@@ -261,7 +327,7 @@ def _calibration(
         responsivity_dn=np.full(valid.shape, 1 / step, np.float32),
         black_dn=even(sensor.black),
         saturation_dn=even(full) if np.isfinite(full) else np.full(valid.shape, 2.0 * _WORDS, np.float32),
-        read_noise_dn=float(np.hypot(sensor.read_noise / step, 0.0 if step == 1 else 12**-0.5)),
+        read_noise_dn=float(np.hypot(noise / step, 0.0 if step == 1 else 12**-0.5)),
         dn_per_e=sensor.counts_per_electron / step,
         crosstalk=np.ones((*valid.shape, 1, 1), np.float32),
         gain_uncertainty=0.0,

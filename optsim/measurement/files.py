@@ -158,11 +158,28 @@ def _on_a_bench(
     truth: NDArray[Any] | None,
 ) -> Measurement:
     """Measurement of a camera that a bench calibrated: its codes are drive levels."""
-    calibration = calibrate_from(Bench.read(folder))
+    bench = Bench.read(folder)
     images, codes = stacked(images, codes)
     if images.dtype != np.uint16:
         raise ValueCheckError(f"image: got {images.dtype}, expected the sensor's own numbers of 16 bits")
-    as_shown = codes if codes.max(initial=0) > 1 else codes * 255
+    if images.shape[1:] != bench.darks.shape[1:]:
+        raise ValueCheckError(
+            f"image: got {images.shape[1:]} pixels, expected {bench.darks.shape[1:]}, the whole sensor as on "
+            f"the bench {folder}"
+        )
+    if codes.shape[1:] != (bench.slots_per_frame, *bench.panel_shape):
+        raise ValueCheckError(
+            f"code: got {codes.shape[1:]}, expected {(bench.slots_per_frame, *bench.panel_shape)} as on the "
+            f"bench {folder}: (slot, v, u)"
+        )
+    least, most = float(codes.min()), float(codes.max())
+    if not (least >= 0 and most <= 255):
+        raise ValueCheckError(
+            f"code: got values from {least:g} to {most:g}, expected drive levels from 0 to 255, or weights "
+            "from 0 to 1 of them"
+        )
+    calibration = calibrate_from(bench)
+    as_shown = codes if most > 1 else codes * 255
     levels = np.rint(as_shown).astype(np.uint8)
     return Measurement(
         coded_frames(list(images), levels, moving_masks(moving, len(images), calibration.shape)),
@@ -193,10 +210,13 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
         else [path] * (path.suffix.lower() == ".exr")
     )
     if exr and role not in ("image", "moving"):
-        found = [read_exr(each)[0] for each in exr]
-        stacks = [
-            np.stack([channels[name] for name in sorted(channels, key=by_number)]) for channels in found
-        ]
+        stacks = [_slots(read_exr(each)[0], f"{role}: {each}") for each in exr]
+        for each, stack in zip(exr, stacks, strict=True):
+            if stack.shape != stacks[0].shape:
+                raise ValueCheckError(
+                    f"{role}: {each} holds {stack.shape[0]} channels of {stack.shape[1:]} pixels, expected "
+                    f"{stacks[0].shape[0]} of {stacks[0].shape[1:]} as {exr[0].name} does"
+                )
         return np.concatenate(stacks) if len(stacks[0]) == 1 else np.stack(stacks)
     try:
         pictures = np.stack(list(open_recording(path).read(0)))
@@ -206,3 +226,17 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
     if pictures.shape[3] != 1:
         raise ValueCheckError(f"{role}: {path} has {pictures.shape[3]} channels, expected grey pictures")
     return pictures[..., 0]
+
+
+def _slots(channels: dict[str, NDArray[Any]], what: str) -> NDArray[Any]:
+    """Channels of an EXR in the order of the numbers in their names, (slot, v, u); none may be missing."""
+    names = sorted(channels, key=by_number)
+    told = [[number for number, word in by_number(name) if not word] for name in names]
+    numbers = [each[-1] for each in told if each]
+    if len(numbers) == len(names) and numbers != list(range(numbers[0], numbers[0] + len(names))):
+        missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
+        raise ValueCheckError(
+            f"{what}: got channels {', '.join(names)}, expected slots one after the other; "
+            f"missing: {', '.join(map(str, missing)) or 'none, but some are there twice'}"
+        )
+    return np.stack([channels[name] for name in names])

@@ -13,7 +13,7 @@ from optsim.errors import ConfigError, StorageError
 from optsim.files import atomic, write_exr, write_json, write_png8
 from optsim.measurement.coded import Measurement
 from optsim.progress import Progress, silent
-from optsim.quantities import Bytes, Floats, Reconstruction
+from optsim.quantities import Bools, Bytes, Floats, Reconstruction
 from optsim.reconstruct import Decoder
 from optsim.report.pictures import enlarge
 
@@ -41,9 +41,9 @@ def decode_measurement(
     decoder : decoder
         Any of :mod:`optsim.reconstruct`.
     folder : Path
-        New or empty: gets ``reconstruction/*.exr`` (float32 channels ``slot00`` and on, ``valid``, and
-        ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``, ``film.gif`` (of scenes
-        with bright lights logarithmic) and ``results.json``.
+        New or empty: gets ``reconstruction/*.exr`` (float32 channels ``slot00`` and on, ``valid``,
+        ``interpolated``, and ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``,
+        ``film.gif`` (of scenes with bright lights logarithmic) and ``results.json``.
     peak : float, optional
         Of the PSNR, in the light's unit; default the brightest of the truth.
     progress : Progress
@@ -52,7 +52,8 @@ def decode_measurement(
     Returns
     -------
     dict
-        The content of results.json; PSNR and its peak are None where the truth isn't known.
+        The content of results.json; PSNR and its peak are None where the truth isn't known. The PSNR is of
+        slots in which the code opens a pixel, and of pixels that are valid.
 
     Raises
     ------
@@ -75,7 +76,8 @@ def decode_measurement(
         decoded.append(video)
         _write(folder, video, measurement.unit)
         if measurement.truth:
-            off = (video.irradiance_w_m2 - measurement.truth[video.index])[:, video.valid]
+            seen = _opened(measurement, video.index)
+            off = (video.irradiance_w_m2 - measurement.truth[video.index])[seen][:, video.valid]
             errors.append(float(np.mean(off.astype(np.float64) ** 2)) if off.size else None)
         progress("decode", len(decoded), len(measurement.frames))
         start = time.perf_counter()
@@ -84,11 +86,16 @@ def decode_measurement(
         "decoder": decoder.model_dump(mode="json"),
         "frames": len(decoded),
         "slots": measurement.calibration.slots_per_frame,
+        "slots_opened": max(int(_opened(measurement, k).sum()) for k in range(len(decoded))),
         "pixels": list(measurement.calibration.shape),
         "unit": measurement.unit,
         "weights_rounded_by": measurement.rounded,
+        "read_noise": _read_noise(measurement),
         "saturated_share": _saturated(measurement),
         "valid_share": float(np.mean([video.valid.mean() for video in decoded])),
+        "interpolated_share": float(
+            np.mean([(video.interpolated & video.valid).mean() for video in decoded])
+        ),
         "decode_s": round(seconds, 3),
         "psnr_peak": top,
         "psnr_db": [None if not (e and top) else round(10 * np.log10(top**2 / e), 3) for e in errors] or None,
@@ -109,6 +116,19 @@ def check_empty(folder: Path) -> None:
         raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
 
 
+def _opened(measurement: Measurement, index: int) -> Bools:
+    """Slots in which a frame's code opens any pixel, (slot,): what others showed a decoder only guesses."""
+    opened: Bools = np.asarray(measurement.frames[index].code.levels.any(axis=(1, 2)))
+    opened[measurement.calibration.coded_slots :] = False
+    return opened
+
+
+def _read_noise(measurement: Measurement) -> float:
+    """Noise in the dark that decoders go by, in the unit of the image: the light's times slots."""
+    known = measurement.calibration
+    return float(known.read_noise_dn / np.median(known.responsivity_dn))
+
+
 def _saturated(measurement: Measurement) -> float:
     seen = [measurement.calibration.observe(frame) for frame in measurement.frames]
     return float(np.mean([(each.saturated & each.valid).mean() for each in seen]))
@@ -120,7 +140,11 @@ def _write(folder: Path, video: Reconstruction, unit: str) -> None:
         light |= {f"sigma{slot:02d}": each for slot, each in enumerate(video.uncertainty_w_m2)}
     write_exr(
         folder / "reconstruction" / f"{video.index:06d}.exr",
-        {**light, "valid": video.valid.astype(np.float32)},
+        {
+            **light,
+            "valid": video.valid.astype(np.float32),
+            "interpolated": video.interpolated.astype(np.float32),
+        },
         attributes={"unit": unit, "axes": "slot, v, u", "frame": video.index},
     )
 

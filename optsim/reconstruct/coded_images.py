@@ -79,6 +79,9 @@ def covered(
     error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation
     can make the mean's error larger than that.
 
+    What saturates is known to be so bright at least, or by other frames: it counts as interpolated, and as
+    uncertain as bright.
+
     What came out negative or nearly so is brought to its :func:`positive_mean`, with the error that negative
     light nearby shows.
 
@@ -104,12 +107,15 @@ def covered(
     for slot in video:
         slot[seen] = positive_mean(slot[seen], error)
     moving = frame.code.moving
+    told_least = image.saturated & image.usable & moving & seen
+    if spread is not None:
+        spread[:, told_least] = np.maximum(spread[:, told_least], video[:, told_least])
     return Layer(
         frame.index,
         video,
         (count / full).astype(np.float32),
         image.usable & moving & seen,
-        np.zeros_like(moving),
+        told_least,
         moving,
         total.shape[2],
         spread,

@@ -30,6 +30,7 @@ from optsim.reconstruct.shared_weights import shared_weights
 # Patches whose videos are held at once: 256 of 8 x 8 x 36 are 2.4 MB.
 _TOGETHER = 256
 _BAND = 16
+# Slots that are no exposure, and brightness beside the brightest patch that is none.
 _NOTHING = np.float32(1e-12)
 # Noise variance, relative to the brightness, beyond which a patch says nothing; it keeps float32 finite.
 _NOISIEST = 1e12
@@ -101,8 +102,9 @@ class GaussianMixture(Branch):
         signals, exposure, variance = cut
         # In the dark it may come out negative: what noise leaves of a patch then is that, without a bias.
         scale = signals.sum(axis=1) / np.maximum(exposure.sum(axis=1), _NOTHING)
-        told = (exposure.sum(axis=1) > _NOTHING) & (np.abs(scale) > _NOTHING)
-        scale = np.where(told, scale, _NOTHING).astype(np.float32)
+        dark = _NOTHING * np.abs(scale).max(initial=0) or _NOTHING
+        told = (exposure.sum(axis=1) > _NOTHING) & (np.abs(scale) > dark)
+        scale = np.where(told, scale, dark).astype(np.float32)
         relative = signals / scale[:, None]
         mean_variance = variance.sum(axis=1) / np.maximum((exposure > 0).sum(axis=1), 1)
         noise = mean_variance * (self.noise_gain / scale.astype(np.float64)) ** 2

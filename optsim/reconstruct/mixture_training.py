@@ -24,6 +24,8 @@ _LEAST_SHARE = 1e-3
 _FIRST = 24
 # A patch that belongs less to a component than this doesn't teach it.
 _NEGLIGIBLE = 1e-6
+# Variance in a direction that has none, relative to the mean one; above what single precision rounds.
+_EMPTY = 1e-5
 
 
 def train_mixture(
@@ -177,9 +179,19 @@ def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> tuple[Doubles,
         off = (z[some] - means[k]).astype(np.float32)
         inner = (off * part[:, None].astype(np.float32)).T @ off
         prior = _PRIOR_PATCHES * rank
-        covariances[k] = (inner + prior * pooled) / (count + prior)
+        covariances[k] = _definite((inner + prior * pooled) / (count + prior))
     shares = np.maximum(shares, _LEAST_SHARE)
     return shares / shares.sum(), means, covariances
+
+
+def _definite(covariance: Doubles) -> Doubles:
+    """Fill directions that footage of few patterns leaves empty: there a density would be infinite."""
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        rank = len(covariance)
+        return covariance + _EMPTY * np.trace(covariance) / rank * np.eye(rank)
+    return covariance
 
 
 def _memberships(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> tuple[Doubles, float]:

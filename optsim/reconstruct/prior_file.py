@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,11 +61,11 @@ def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str,
         When the file is missing or is no such prior.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in names}, json.loads(str(stored["provenance"]))
     except FileNotFoundError:
         raise StorageError(f"no such {kind}: {path}; make one with 'optsim train'") from None
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise StorageError(f"{path} is not a {kind}: {error}") from None
 
 

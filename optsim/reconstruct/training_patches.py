@@ -12,6 +12,8 @@ from optsim.quantities import Bools, Floats, Ints
 _BLOCK = 1024
 # Patches darker than this, relative to the mean of their clip, hold only noise.
 _LEAST_MEAN = 1e-3
+# Change in time, relative to the brightness, of patches that only rounding moves.
+_STILL = 1e-5
 
 
 def training_patches(
@@ -38,10 +40,11 @@ def training_patches(
     Raises
     ------
     ValueCheckError
-        When a clip is too small.
+        When a clip is too small, or nothing moves in any.
     """
     size = sum(clip.size for clip in clips)
     kept: list[Floats] = []
+    most = 0.0
     for clip in clips:
         share = -(-n_patches * clip.size // size)
         n, rows, cols = clip.shape
@@ -52,11 +55,17 @@ def training_patches(
         # Twice what is needed, to keep the half that changes most in relation to its brightness.
         corners = rng.integers((n - slots + 1, rows - patch + 1, cols - patch + 1), size=(2 * share, 3))
         bright, motion = _bright_and_moving(clip, corners, patch, slots)
+        most = max(most, float(motion.max(initial=0)))
         chance = rng.random(len(motion)) ** (1 / (motion + 0.02 * motion.mean() + 1e-9))
         best = corners[bright][np.argsort(chance)[::-1][:share]]
         for first in range(0, len(best), _BLOCK):
             found = _cut(clip, best[first : first + _BLOCK], patch, slots)
             kept += [_turned(block, rng) for block in found / _means(found)]
+    if most < _STILL:
+        raise ValueCheckError(
+            "training clips: nothing in them changes from slot to slot, expected something that moves; cure: "
+            "other footage (or is time not where it should be in this array?)"
+        )
     stack = np.stack(kept)
     # Equal energy: a few patches across a bright edge would outweigh all others.
     energy = np.sqrt((stack.astype(np.float64) ** 2).mean(axis=(1, 2, 3), keepdims=True))

@@ -100,7 +100,7 @@ class Union(Part):
                 still.index,
                 joined.astype(np.float32, copy=False),
                 np.where(share > 0, video.valid | still.valid, still.valid),
-                still.interpolated & (share == 0),
+                np.where(share > 0, video.interpolated, still.interpolated),
                 video.moving,
                 spread,
             )
