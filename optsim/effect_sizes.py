@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from optsim.effects import ALL, Changes, Effect, switched
 from optsim.forward.bands import one_thread
-from optsim.probe import PLAIN, Probe, compared_with
+from optsim.probe import NOTHING, PLAIN, Probe, compared_with
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
@@ -25,7 +26,8 @@ class EffectSize:
         Name and a few words.
     size : float or None
         Rms change of the frame by the effect as this camera has it, relative to the noise, by the full model
-        of what it asks for even where numerics are set by hand; None where only rendering would tell.
+        of what it asks for even where numerics are set by hand; None where only rendering would tell, or
+        every pixel of the probe clips.
     """
 
     effect: str
@@ -34,15 +36,39 @@ class EffectSize:
 
 
 @one_thread()
-def effect_sizes(probe: Probe) -> list[EffectSize]:
-    """Predict the size of every effect that a probe shows, the largest first."""
+def effect_sizes(probe: Probe, drift: Changes = NOTHING) -> list[EffectSize]:
+    """Predict the size of every effect that a probe shows.
 
-    def found(name: str, effect: Effect) -> tuple[float, str]:
+    Parameters
+    ----------
+    probe : Probe
+        Near probe of the camera as it was calibrated.
+    drift : mapping
+        By how much fields of its parts have changed since.
+    """
+
+    def found(name: str, effect: Effect) -> float:
+        if effect.drifts:
+            return probe.size(_over(PLAIN, _drifting(effect, probe, drift)), PLAIN)
         against = probe.mapping if _moves_pixels(effect, probe) else compared_with(name)
-        return probe.size(_over(against, switched({name: "ideal"})), against), name
+        return probe.size(_over(against, switched({name: "ideal"})), against)
 
-    sizes = [found(*each) for each in ALL.items() if not each[1].in_scene]
-    return [EffectSize(name, ALL[name].what, size) for size, name in sorted(sizes, reverse=True)]
+    sizes = {name: found(name, effect) for name, effect in ALL.items() if not effect.in_scene}
+    return [
+        EffectSize(name, ALL[name].what, size if math.isfinite(size) else None)
+        for name, size in sizes.items()
+    ]
+
+
+def _drifting(effect: Effect, probe: Probe, drift: Changes) -> Changes:
+    """Return what of a drift is an effect's, as a change of the probe's camera."""
+    return {
+        part: {
+            key: getattr(getattr(probe.camera, part), key) + drift[part][key]
+            for key in fields.keys() & drift.get(part, {}).keys()
+        }
+        for part, fields in effect.pessimistic.items()
+    }
 
 
 def size_of_defocus(probe: Probe, blur_px: float) -> float:

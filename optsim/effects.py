@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from optsim.camera import CodedCamera
-from optsim.config import Part
+from optsim.config import Part, Table
 from optsim.errors import unknown_name
 
 _SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
 _TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
 STATES = ("ideal", "nominal", "pessimistic")
 Changes = Mapping[str, Mapping[str, Any]]
+ITSELF = "camera"
+"""Stands for the camera where parts are named."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +34,20 @@ class Effect:
     what : str
         In a few words.
     ideal, pessimistic : mapping
-        Part -> field -> value.
+        Part -> field -> value; :data:`ITSELF` is the part of the camera's own fields.
     in_scene : bool
         Whether it acts where light is rendered, so that only the scene tells its size (:mod:`optsim.focus`,
         :func:`optsim.truth.scene_light`).
+    drifts : bool
+        Whether it comes after the calibration, so that no decoder knows (``Experiment.drift``): the values
+        are then added to the camera's. Ideal and nominal cameras stay as they were calibrated.
     """
 
     what: str
     ideal: Changes
     pessimistic: Changes
     in_scene: bool = False
+    drifts: bool = False
 
 
 ALL: dict[str, Effect] = {
@@ -59,9 +65,10 @@ ALL: dict[str, Effect] = {
         {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
         {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
     ),
-    # What is called the panel's ripple: from slot to slot. Within a slot it is not modelled.
+    # Of the drive: in white, at the top of its sine, half a percent of light at most. Ripple of the light is
+    # not modelled, neither from slot to slot nor within one.
     "fields": Effect(
-        "colour fields and polarities that are driven differently: ripple from slot to slot",
+        "colour fields and polarities that are driven differently",
         {"modulator": {"field_drive": (1.0, 1.0, 1.0), "polarity_drive": 0.0}},
         {"modulator": {"field_drive": (1.03, 1.0, 0.97), "polarity_drive": 0.03}},
     ),
@@ -175,6 +182,25 @@ ALL: dict[str, Effect] = {
             }
         },
     ),
+    # What a bench leaves of it is in every calibration; this is what moves later. 0.4 CCD pixels: no source.
+    "misregistration": Effect(
+        "panel that moved on the CCD since it was calibrated",
+        {},
+        {"relay": {"shift_x_px": 0.4}},
+        drifts=True,
+    ),
+    # A twentieth of the exponent is 8 % of a density of a quarter; no source.
+    "grey_curve": Effect(
+        "grey levels of the panel that changed since it was calibrated; shipped schemes show none",
+        {},
+        {"modulator": {"drive_exponent": 0.05}},
+        drifts=True,
+    ),
+    "lost_fields": Effect(
+        "slots that pass while the CCD is read out, if it cannot be read during the next exposure",
+        {ITSELF: {"overlap": True}},
+        {ITSELF: {"overlap": False}},
+    ),
     "lateral_colour": Effect(
         "image of the relay that is larger in red light than in blue; nothing in 550 nm",
         {"relay": {"lateral_colour": 0.0}},
@@ -239,9 +265,20 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
     for name, effect in ALL.items():
         state = switches.get(name, switches.get("all", "nominal"))
         chosen = {"ideal": effect.ideal, "pessimistic": effect.pessimistic}.get(str(state), {})
-        for part, fields in chosen.items():
+        for part, fields in () if effect.drifts else chosen.items():
             changes.setdefault(part, {}).update(fields)
     return changes
+
+
+def drifted(camera: CodedCamera, switches: Mapping[str, object]) -> Table:
+    """Return what of a camera changes after its calibration, as ``drift``; switches as checked before."""
+    drift: dict[str, dict[str, Any]] = {}
+    for name, effect in ALL.items():
+        if effect.drifts and switches.get(name, switches.get("all")) == "pessimistic":
+            for part, fields in effect.pessimistic.items():
+                for key, more in fields.items():
+                    drift.setdefault(part, {})[key] = getattr(getattr(camera, part), key) + more
+    return drift
 
 
 def with_effects(camera: CodedCamera, switches: Mapping[str, object]) -> CodedCamera:
@@ -250,9 +287,11 @@ def with_effects(camera: CodedCamera, switches: Mapping[str, object]) -> CodedCa
 
 
 def changed(camera: CodedCamera, changes: Changes) -> CodedCamera:
-    """Return a camera with other values in fields of its parts."""
-    parts = {part: _updated(getattr(camera, part), fields) for part, fields in changes.items()}
-    return camera.model_copy(update=parts)
+    """Return a camera with other values in fields of its parts, and in its own."""
+    parts = {
+        part: _updated(getattr(camera, part), fields) for part, fields in changes.items() if part != ITSELF
+    }
+    return camera.model_copy(update={**parts, **changes.get(ITSELF, {})})
 
 
 def _updated(part: Part, fields: Mapping[str, Any]) -> Part:

@@ -17,7 +17,7 @@ from optsim.calibrate import Calibration
 from optsim.camera import CodedCamera
 from optsim.coding import Scheme
 from optsim.config import Part, Table, build, override, read_toml
-from optsim.effects import switched
+from optsim.effects import ITSELF, drifted, switched
 from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
@@ -136,6 +136,20 @@ class Experiment(Part):
             raise ValueError(
                 f"scene, source.footage: got {got}, expected exactly one: a scene to render or a recording"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _within_memory(self) -> Experiment:
+        camera = self.camera
+        for key, value, most in (
+            ("slots_per_frame", camera.slots_per_frame, 1000),
+            ("sensor.read_noise_e", camera.sensor.read_noise_e, 1e6),
+            ("sensor.dsnu_e", camera.sensor.dsnu_e, 1e6),
+            ("relay.shift_y_px", abs(camera.relay.shift_y_px), 1e5),
+            ("relay.shift_x_px", abs(camera.relay.shift_x_px), 1e5),
+        ):
+            if value > most:
+                raise ValueError(f"camera.{key}: got {value:g}, expected at most {most:g}; lower it")
         return self
 
     @model_validator(mode="after")
@@ -262,6 +276,10 @@ def load_experiment(
     _find_footage(table, path.parent)
     where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name
     experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
+    switches: Table = cast("Table", camera).get("effects", {}) if isinstance(camera, dict) else {}
+    # Set by hand wins, here as well.
+    drift = _merged(drifted(experiment.camera, switches), experiment.drift)
+    experiment = experiment.model_copy(update={"drift": drift})
     if check_geometry:
         experiment.camera.geometry().check()
     if check_geometry and experiment.drift:
@@ -307,7 +325,8 @@ def _on_hardware(table: object) -> object:
     """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
 
     So does its ``sensor`` table, or is the name itself.
-    The switches of its ``effects`` table come between: over the hardware, under what is set by hand.
+    The switches of its ``effects`` table come between: over the hardware, under what is set by hand. Those of
+    what drifts have no part in the camera (:func:`~optsim.effects.drifted`).
     """
     if not isinstance(table, dict):
         return table
@@ -332,7 +351,9 @@ def _on_hardware(table: object) -> object:
         raise ConfigError(
             f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}"
         )
-    return _merged(_merged(under, switched(cast("Table", switches))), keys)
+    changes = switched(cast("Table", switches))
+    changes |= changes.pop(ITSELF, {})
+    return _merged(_merged(under, changes), keys)
 
 
 def _merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from optsim.camera import CodedCamera
     from optsim.camera_plan import CameraPlan
     from optsim.effect_sizes import EffectSize
+    from optsim.experiment import Experiment
     from optsim.focus import Focus
     from optsim.probe import Probe
 
@@ -21,6 +22,7 @@ Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
+_DRIFTING = ("splitter", "modulator", "relay", "sensor")
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
@@ -33,6 +35,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         and effects and plan, which are found by taking pictures, are left out.
     """
     from optsim.camera_plan import plan_camera
+    from optsim.densities import densities, mosaics
     from optsim.effect_sizes import effect_sizes
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
@@ -51,7 +54,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     found: list[EffectSize] = []
     if plan:
         in_scene = scene_effects(plan.near, truth.focus, polarised=light.azimuth_rad is not None)
-        found = sorted([*effect_sizes(plan.near), *in_scene], key=_unknown_last)
+        found = sorted([*effect_sizes(plan.near, drift_of(experiment)), *in_scene], key=_unknown_last)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -78,10 +81,26 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "contrast_budget": contrast_budget(camera),
         "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
+        "densities": {name: densities(camera, each) for name, each in mosaics(experiment).items()},
         "drift": experiment.drift,
         "noise_e": plan.near.noise_e() if plan else None,
         "effects": [asdict(each) for each in found],
         "plan": plan_record(plan) if plan else None,
+    }
+
+
+def drift_of(experiment: Experiment) -> dict[str, dict[str, float]]:
+    """Say by how much numbers of a camera's parts have changed since its calibration: part -> field."""
+    parts = {
+        part: (getattr(experiment.camera, part), getattr(experiment.at_work(), part)) for part in _DRIFTING
+    }
+    return {
+        part: {
+            key: now - before
+            for (key, before), (_, now) in zip(was, has, strict=True)
+            if isinstance(before, float) and isinstance(now, float) and now != before
+        }
+        for part, (was, has) in parts.items()
     }
 
 
@@ -102,8 +121,9 @@ def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list
 
     blur_px = 0.0 if focus is None or focus.choice == "everywhere" else max(focus.near_px, focus.far_px)
     corner_px = focus.corner_px if focus else 0.0
+    defocus = size_of_defocus(probe, blur_px)
     sizes = {
-        "depth_of_field": size_of_defocus(probe, blur_px),
+        "depth_of_field": defocus if math.isfinite(defocus) else None,
         "objective_distortion": None if corner_px else 0.0,
         "polarised_scene": None if polarised else 0.0,
     }
@@ -202,11 +222,28 @@ def show(record: dict[str, Any]) -> list[object]:
             rows,
         )
     )
+    items += _density_tables(record["densities"])
     if record["plan"]:
         items += _what_matters(record)
     else:
         items.append(f"the geometry does not fit, so this experiment cannot be run: {record['misfit']}")
     return items
+
+
+def _density_tables(found: dict[str, list[dict[str, Any]]]) -> list[object]:
+    """One table for all methods whose mosaics have the same exposures."""
+    names: dict[tuple[tuple[Any, ...], ...], list[str]] = {}
+    for name, rows in found.items():
+        names.setdefault(tuple(tuple(row.values()) for row in rows), []).append(name)
+    return [
+        table(
+            f"exposures of the mosaic ({', '.join(which)}), in slots of a panel held open; leak and "
+            "transitions of the panel are what they are more or less",
+            ("commanded", "effective", "effective over commanded"),
+            [(told, made, made / told) for told, made in rows],
+        )
+        for rows, which in names.items()
+    ]
 
 
 def _band_rows(band: dict[str, float]) -> list[Row]:
@@ -249,6 +286,13 @@ def _latency_rows(latency: dict[str, Any]) -> list[Row]:
     ]
 
 
+def _unknown(effect: str) -> str:
+    """Say why an effect's size isn't known."""
+    from optsim.effects import ALL
+
+    return "needs a render" if ALL[effect].in_scene else "every pixel clips"
+
+
 def _what_matters(record: dict[str, Any]) -> list[object]:
     """Table of effects and plan."""
     effects, plan = cast("list[dict[str, Any]]", record["effects"]), cast("dict[str, Any]", record["plan"])
@@ -259,7 +303,7 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
             f"{noise_e:.3g} e- (that of light itself is {light_e / noise_e:.3f} of it, and has no switch)",
             ("effect", "size in noise", "what it is"),
             [
-                (row["effect"], "needs a render" if row["size"] is None else row["size"], row["what"])
+                (row["effect"], _unknown(row["effect"]) if row["size"] is None else row["size"], row["what"])
                 for row in effects
             ],
         ),

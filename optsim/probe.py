@@ -137,10 +137,11 @@ class Probe:
         """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
         camera = changed(self.camera, changes)
         expected = camera.electrons_of(self._image(camera))
-        inner = slice(2 * _MARGIN_PX, -2 * _MARGIN_PX)
+        edges = (min(2 * _MARGIN_PX, (n - 1) // 2) for n in expected.shape)
+        inner = tuple(slice(edge, n - edge) for edge, n in zip(edges, expected.shape, strict=True))
         smear = camera.sensor.smear_e(expected, camera.exposure_s)
         signal = camera.sensor.signal_e(expected, smear, camera.serial_number)
-        return signal[inner, inner], (expected < camera.sensor.full_well_e)[inner, inner]
+        return signal[inner], (expected < camera.sensor.full_well_e)[inner]
 
     def _image(self, camera: CodedCamera) -> Doubles:
         """Radiant exposure of the CCD."""
@@ -162,7 +163,10 @@ class Probe:
         return self._once(("image", behind, camera.relay.model_dump_json(), camera.relay_geometry()), image)
 
     def size(self, changes: Changes, of: Changes) -> float:
-        """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise."""
+        """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise.
+
+        Infinite where every pixel clips, with the changes or without.
+        """
         whole, usable = self._whole(of)
         without, unclipped = self.frame(changes)
         both = usable & unclipped

@@ -46,6 +46,7 @@ TOP = {
     "__main__",
     "experiment",
     "truth",
+    "densities",
     "journal",
     "loop",
     "object_masks",

@@ -98,7 +98,8 @@ def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_t
     light, state, bound
 ):
     """Even PSFs and mixed rims save most of a plan's time; the oracle has fields of PSFs and fine rims."""
-    camera = with_effects(demo(), {"all": state})
+    # Of periods that are no whole rounds of the panel's fields (28 slots) rims show more: there it is 0.4.
+    camera = with_effects(demo(), {"all": state, "lost_fields": "nominal"})
     fine = changed(
         camera, compared_with("objective_blur") | compared_with("relay_blur") | compared_with("fringing")
     )

@@ -14,6 +14,7 @@ import pytest
 
 from optsim import metrics, report
 from optsim.errors import StorageError, ValueCheckError
+from optsim.evidence import NOT_MODELLED
 from optsim.files import read_json, write_json
 from optsim.metrics import (
     MaskTally,
@@ -613,3 +614,9 @@ def test_shares_never_round_a_missing_part_away() -> None:
         "0.0 %",
         "–",
     ]
+
+
+def test_the_readme_says_what_is_not_modelled() -> None:
+    readme = " ".join((Path(__file__).parents[1] / "README.md").read_text().split())
+    for item in NOT_MODELLED:
+        assert item in readme, f"the README's list lacks: {item}"

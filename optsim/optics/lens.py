@@ -15,6 +15,8 @@ from optsim.forward.radiometry import MONO_WAVELENGTH_M
 
 # Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
 _LARGEST_HALF = 4096
+# Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.
+_MOST_WAVES = 3.0
 
 
 class LensGroup(Part):
@@ -100,6 +102,12 @@ class LensGroup(Part):
                 f"{part}.wing_share: got {self.wing_share:g}, at f/{f_number:.3g} and cells of "
                 f"{cell_m * 1e6:.3g} um the PSF would reach {half} cells, expected at most {_LARGEST_HALF}; "
                 f"raise it to {self.wing_share * half / _LARGEST_HALF * 1.05:.2g}, or lower the f-number"
+            )
+        waves = sum(abs(value) for _, value in self.wavefront)
+        if self.diffraction and not waves <= _MOST_WAVES:
+            raise ConfigError(
+                f"{part}.wavefront: got {waves:g} waves rms in all, expected at most {_MOST_WAVES:g}; lower "
+                "them, or let aberration_m stand for them"
             )
         blur_m, limit_m = abs(defocus_m) / f_number + 4 * self.aberration_m, _LARGEST_HALF / 4 * cell_m
         if blur_m > limit_m:

@@ -61,8 +61,10 @@ class Splitter(Part):
         Unpolarised light stands for a perfect depolariser in front.
     placement : {"collimated", "converging"}
         Where it stands. In collimated space a point of the panel sees the coating under one angle, which
-        varies over its columns, and light comes back along its own way: nothing is skew. In converging space
-        every point sees the whole cone, and skew rays leak, since for them p and s are turned.
+        varies over its columns, and light comes back along its own way: a dark panel leaks no more for being
+        skew. A bright one passes 1.2 % less 5 mm above or below the middle row, where p is turned: not
+        modelled. In converging space every point sees the whole cone, and skew rays leak, since for them p
+        and s are turned.
     collimator_m : float
         Focal length between splitter and panel, for collimated space; no source.
     glass_index : float
@@ -94,7 +96,7 @@ class Splitter(Part):
     collimator_m: float = Field(default=75e-3, gt=0)
     glass_index: float = Field(default=1.52, ge=1, le=3)
     acceptance_rad: float = Field(default=0.035, gt=0)
-    chromatic_m: float = Field(default=100e-9, gt=0)
+    chromatic_m: float = Field(default=100e-9, ge=1e-9)
     shortest_m: float = Field(default=420e-9, gt=0)
     longest_m: float = Field(default=680e-9, gt=0)
     face_transmission: float = Field(default=0.97, gt=0, le=1)
