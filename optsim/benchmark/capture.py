@@ -5,10 +5,11 @@ The scene is made, not rendered: a textured interior, a window a thousand times 
 patches that move; a random code on every panel pixel. Ours is what every run does: the camera that a plan
 chooses for a tenth of the noise, the objective on base and moving blocks, the panel's weights with their
 history, one exposure, the relay once. The dense computation takes each slot as a whole picture through
-objective, panel and relay of the full model, and adds the slots up on the CCD. What ours leaves out (by its
-plan; and the part of the moving light's far PSF wings and veiling glare that is not linear in time, and the
-wings' slope within a panel pixel) is the difference of the two, in units of a tenth of the predicted noise of
-a pixel. Time and error are measured for a series of tolerances.
+objective, panel and relay of the full model, and adds the slots up on the CCD; smear, clip and bend of the
+sensor follow in both. What ours leaves out (by its plan; and the part of the moving light's far PSF wings and
+veiling glare that is not linear in time, and the wings' slope within a panel pixel) is the difference of the
+two, in units of a tenth of the predicted noise of a pixel. Time and error are measured for a series of
+tolerances.
 """
 
 from __future__ import annotations
@@ -76,17 +77,20 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
     for done, tolerance in enumerate((_TOLERANCE, *_FURTHER_TOLERANCES)):
         planned = plan_camera(camera, light, tolerance).camera
         seconds[tolerance] = _seconds_a_frame(planned, radiance, code)
-        frames[tolerance], _ = planned.expected_electrons(
+        expected, _ = planned.expected_electrons(
             planned.form_image(radiance), 0, code, planned.panel_at_rest()
         )
+        frames[tolerance] = _signal(planned, expected)
         if tolerance == _TOLERANCE:
             peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         progress("optsim", done + 1, 1 + len(_FURTHER_TOLERANCES))
     start = time.perf_counter()
-    dense = _dense(plan_camera(camera, light, 0.0).camera, radiance, code, progress)
+    whole = plan_camera(camera, light, 0.0).camera
+    dense_e = _dense(whole, radiance, code, progress)
+    dense = _signal(whole, dense_e)
     dense_s = time.perf_counter() - start
-    valid = dense < camera.sensor.full_well_e
-    noise = np.sqrt(dense + camera.sensor.read_noise_e**2)
+    valid = dense_e < camera.sensor.full_well_e
+    noise = np.sqrt(dense_e + camera.sensor.read_noise_e**2)
     errors = {tolerance: ((frame - dense) / noise)[valid] for tolerance, frame in frames.items()}
     best_s, error = seconds[_TOLERANCE], errors[_TOLERANCE]
     return {
@@ -130,6 +134,13 @@ def _seconds_a_frame(camera: CodedCamera, radiance: RadianceVideo, code: Exposur
         _, panel = camera.expose(light, turn, code, panel, np.random.default_rng(turn))
         seconds.append(time.perf_counter() - start)
     return min(seconds[1:])
+
+
+def _signal(camera: CodedCamera, expected_e: Doubles) -> Doubles:
+    """Signal without noise, electrons: with smear, the full well's clip and what bends below it."""
+    sensor = camera.sensor
+    smear_e = sensor.smear_e(expected_e, camera.exposure_s)
+    return np.asarray(sensor.signal_e(expected_e, smear_e, camera.serial_number))
 
 
 def moving_patches(camera: CodedCamera, share: float, rng: np.random.Generator) -> RadianceVideo:
