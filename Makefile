@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test setup bench figure4 validate lint types architecture requirements clean help
+.PHONY: force demo test setup bench figure4 imperfections validate lint types architecture requirements clean help
 
 force:
 
@@ -29,6 +29,9 @@ bench: setup ## run time against peers, measured now
 
 figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (about an hour)
 	$(BIN)/python validation/figure4.py
+
+imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
+	$(BIN)/python validation/imperfections.py
 
 validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)
 	@$(BIN)/python validation/environments.py >/dev/null # first what needs a network
