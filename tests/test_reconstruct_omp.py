@@ -335,7 +335,7 @@ def test_training_refuses_too_little():
     with pytest.raises(ValueCheckError, match="at least"):
         train_dictionary([np.ones((4, 9, 9), np.float32)], rng=rng)
     with pytest.raises(ValueCheckError, match="usable patches"):
-        train_dictionary([np.ones((36, 9, 9), np.float32)], rng=rng, n_patches=100)
+        train_dictionary([rng.random((36, 9, 9), np.float32)], rng=rng, n_patches=100)
 
 
 def test_dictionary_file_keeps_atoms_to_8_bits(tmp_path):
