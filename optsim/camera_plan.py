@@ -15,13 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, TypeGuard
 
-from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.camera import CodedCamera
 from optsim.config import Part
 from optsim.effects import ALL, Changes, changed
 from optsim.forward.bands import one_thread, side_by_side
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.probe import (
     FINEST_FIELD,
-    NEAR_WINGS,
     NOTHING,
     PLAIN,
     Illumination,
@@ -29,6 +29,7 @@ from optsim.probe import (
     compared_with,
     far_probe,
     near_probe,
+    share_beyond_window,
 )
 
 # Scenes differ from the probe's: what is predicted is doubled.
@@ -51,7 +52,7 @@ class Coarser:
 
     what: str
     part: Literal["objective", "relay", "modulator"]
-    field: Literal["field_error", "wing_share", "rim_model"]
+    field: Literal["field_error", "wing_share", "moving_wing_share", "rim_model"]
     values: tuple[float, ...] | tuple[str, ...]
 
     @property
@@ -98,6 +99,12 @@ SHORT_CUTS: dict[str, Coarser | LeftOut] = {
         "modulator",
         "rim_model",
         ("fine", "coarse", "mixed"),
+    ),
+    "moving_wings": Coarser(
+        "far wings of moving light, and with them its glare, along straight lines in time: share in them",
+        "objective",
+        "moving_wing_share",
+        (0.0, MOVING_WING_SHARE, 6e-3),
     ),
     "objective_field": Coarser(
         "PSF of the objective over the field: share of a point's light that may be misplaced",
@@ -241,14 +248,21 @@ class _Ladder:
         if step == 0:
             return 0.0
         if step not in self.found:
-            changes = self.cut.steps[step][1]
-            wings = float(self.cut.values[step]) if _of_wings(self.cut) else None
-            # Wings reach over the whole panel; a near probe has no room for those that lose least.
-            sizes = [] if wings is None else [self.far.size(changes, NOTHING)]
-            if wings is None or wings > NEAR_WINGS:
-                sizes.append(self.near.size(changes, compared_with(self.name)))
-            self.found[step] = _MARGIN * max(sizes)
+            self.found[step] = _MARGIN * self._seen(step)
         return self.found[step]
+
+    def _seen(self, step: int) -> float:
+        cut, changes, far = self.cut, self.cut.steps[step][1], 0.0
+        if _of_wings(cut):
+            # They reach over the whole panel; a near probe has no room for those that lose least.
+            far = self.far.size(changes, NOTHING)
+            if float(cut.values[step]) <= getattr(self.near.camera, cut.part).wing_share:
+                return far
+        near = self.near.size(changes, compared_with(self.name))
+        if isinstance(cut, Coarser) and cut.field == "moving_wing_share":
+            # Its patch moves in a part of the frame. Others may move in all of it: at worst that adds up.
+            near *= self.near.parts
+        return max(far, near)
 
     def farthest(self, limit: float) -> int:
         """Cheapest step whose size is within a limit, by bisection: cheaper steps err more."""
@@ -270,18 +284,9 @@ def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | Left
     """Leave out steps whose wings would reach farther than twice the length of the panel."""
     if not _of_wings(cut):
         return cut
-    lens, cell_m = camera.objective, camera.modulator.pitch_m / SAMPLES_PER_PITCH
-    f_number = lens.working_f_number
-    if cut.part == "relay":
-        lens, f_number = camera.relay, camera.relay.image_f_number(f_number)
-        cell_m *= camera.relay.magnification
-    farthest = 2 * max(camera.view.rows, camera.view.cols)
-
-    def reaches(share: float) -> int:
-        return lens.half_width(f_number, cell_m, share, camera.wavelength_m)
-
     shares = [float(share) for share in cut.values]
-    fitting = [share for share in shares if reaches(share) <= farthest]
+    least = share_beyond_window(camera, cut.part, 2 * max(camera.view.rows, camera.view.cols))
+    fitting = [share for share in shares if share >= least]
     return replace(cut, values=tuple(fitting) or tuple(shares[-1:]))
 
 

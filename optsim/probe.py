@@ -25,8 +25,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from optsim.camera import CodedCamera
+from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import Changes, changed
+from optsim.forward.psf import share_beyond
+from optsim.optics.lens import LARGEST_WING_SHARE
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.quantities import (
     Block,
     Bools,
@@ -43,12 +46,13 @@ from optsim.scene import BrightLight
 T = TypeVar("T")
 
 NOTHING: Changes = {}
-# Probes of a plan mix the rims of panel pixels and let PSFs be the same all over the field, which saves most
-# of their time and changes other sizes by at most a sixth for the nominal camera, a third for a pessimistic
-# one. Only what asks for one of these is compared with it whole, by the names of effects and short cuts.
+# Probes of a plan mix the rims of panel pixels, let PSFs be the same all over the field and wings of moving
+# light be coarse, which saves most of their time and changes other sizes by at most a sixth for the nominal
+# camera (the sensor's bend by a quarter), a third for a pessimistic one. Only what asks for one of these is
+# compared with it whole, by the names of effects and short cuts.
 PLAIN: Changes = {
     "modulator": {"rim_model": "mixed"},
-    "objective": {"field_error": 1.0},
+    "objective": {"field_error": 1.0, "moving_wing_share": MOVING_WING_SHARE},
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
@@ -58,21 +62,22 @@ _RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
 _WHOLE: dict[str, Changes] = {
     "fringing": _RIMS,
     "fringing_rims": _RIMS,
+    "moving_wings": {"objective": {"moving_wing_share": 0.0}},
     "objective_blur": _OBJECTIVE,
     "objective_field": _OBJECTIVE,
     "relay_blur": _RELAY,
     "relay_field": _RELAY,
 }
 
-# Wings that lose less than this share of the light reach beyond a near probe.
-NEAR_WINGS = 1e-3
 _COLS = 40
+# Wings of a near probe lose this share of the light or more: what reaches beyond its length has no room.
+_NEAR_WINGS = 1e-3
 _MARGIN_PX = 4
 # Declared white over the interior's bright places: about that of window_room, whose interior is lit by its
 # window alone; in brighter rooms a lamp in the picture is then taken for too bright.
 WHITE_OVER_INTERIOR = 40.0
-_STEP_PX = 0.5  # fine samples a slot that the patch moves
-_SEEN = 4  # one slot in so many shows the patch: each takes as long as all that stands still
+_WAY_PX = 30  # fine samples that the patch moves
+_PARTS = (4, 5, 3, 2, 1)  # of a frame, of which it moves in one
 _SHIFTS = ("shift_y_px", "shift_x_px")
 # Fields of the relay that move what is far from the middle the farther.
 _SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
@@ -122,6 +127,11 @@ class Probe:
     camera: CodedCamera
     radiance: RadianceVideo
     mapping: Changes = field(default_factory=dict[str, dict[str, float]])
+
+    @property
+    def parts(self) -> int:
+        """Parts of a frame, in one of which something moves."""
+        return self.radiance.n_slots // self.radiance.slots_per_segment
 
     # Most changes leave most of what a frame is made from as it is.
     @cached_property
@@ -191,12 +201,28 @@ class Probe:
 
 def near_probe(camera: CodedCamera, light: Illumination) -> Probe:
     """Probe of the same pixels, but fewer, that sees the same field angles; far wings would leave it."""
-    reach = {
-        part: {"wing_share": max(getattr(camera, part).wing_share, NEAR_WINGS)}
-        for part in ("objective", "relay")
-    }
-    small = shrunk(changed(camera, reach))
-    return replace(_lit(small, light), mapping=_as_far(camera, small))
+    small = shrunk(camera)
+    lit = _lit(changed(small, _window_within(small)), light)
+    return replace(lit, mapping=_as_far(camera, small))
+
+
+def _window_within(small: CodedCamera) -> Changes:
+    """Wings that reach no farther than a small camera's panel is long."""
+    length = max(small.view.rows, small.view.cols)
+
+    def share(part: str) -> float:
+        least = max(_NEAR_WINGS, share_beyond_window(small, part, length))
+        return max(getattr(small, part).wing_share, min(least, LARGEST_WING_SHARE))
+
+    return {part: {"wing_share": share(part)} for part in ("objective", "relay")}
+
+
+def share_beyond_window(camera: CodedCamera, part: str, half: int) -> float:
+    """Share of its light that the PSF of objective or relay has farther off than so many fine samples."""
+    f_number, sample_m = camera.objective.working_f_number, camera.modulator.pitch_m / SAMPLES_PER_PITCH
+    if part == "relay":
+        f_number, sample_m = camera.relay.image_f_number(f_number), sample_m * camera.relay.magnification
+    return share_beyond(camera.wavelength_m, f_number, half * sample_m)
 
 
 def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
@@ -288,23 +314,34 @@ def _scene(camera: CodedCamera, light: Illumination) -> RadianceVideo:
         # Its left part is in the way of what moves.
         row, col = (view.rows - height) // 3, (view.cols - width) // 4
         base[row : row + height, col : col + width] *= over * WHITE_OVER_INTERIOR
+    parts = next(n for n in _PARTS if n_slots % n == 0)
+    n = n_slots // parts
     height, width = view.rows // 3, view.cols // 3
     # A panel of a few pixels leaves less way to go.
-    reach = min(int(np.ceil(_STEP_PX * n_slots)), view.cols // 3)
+    reach = min(_WAY_PX, view.cols // 3)
     row, col = view.rows * 5 // 12, max(0, (view.cols - width - reach) // 2)
     width = min(width, view.cols - col - reach)
     patch = white_w_m2_sr * _reflectances(rng, height, width)
-    under = base[row : row + height, col : col + width + reach]
-    excess = np.zeros((n_slots, *under.shape), np.float32)
-    for slot in range(0, n_slots, _SEEN):
-        left = min(round(slot * _STEP_PX), reach)
-        excess[slot, :, left : left + width] = patch - under[:, left : left + width]
-    segment = Segment(base, base, (Block(row, col, excess),), n_slots)
+
+    def picture(share: float) -> Floats:
+        """Patch a share of its way along."""
+        left, seen = col + round(share * reach), base.copy()
+        seen[row : row + height, left : left + width] = patch
+        return seen
+
+    start, stop = picture(0.0), picture(1.0)
+    # It stands, moves for a part of the frame, and stands: to move in all of it would take as often as long.
+    still = Segment(start, start, (), n), Segment(stop, stop, (), n)
+    lines = Segment(start, stop, (), n)
+    window = np.s_[row : row + height, col : col + width + reach]
+    excess = np.stack([picture((t + 0.5) / n)[window] - lines.instant(t)[window] for t in range(n)])
+    moving = replace(lines, blocks=(Block(row, col, excess),))
+    segments = [still[0], moving, *[still[1]] * (parts - 2)] if parts > 1 else [moving]
     return made_radiance(
         view,
         camera.slot_s,
-        lambda _: segment,
-        slots_per_segment=n_slots,
+        lambda index: segments[index],
+        slots_per_segment=n,
         n_slots=n_slots,
         white_w_m2_sr=white_w_m2_sr,
     )

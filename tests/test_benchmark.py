@@ -10,10 +10,11 @@ from optsim.benchmark.axes import Axes, even_numbers, round_numbers
 from optsim.benchmark.curve import time_against_error
 from optsim.benchmark.render import _Point, _Reference, _seconds_for
 from optsim.calibrate.sample import take
+from optsim.effects import changed
 from optsim.errors import ConfigError
 from optsim.forward import moving_blur
 from optsim.hardware import demo
-from optsim.optics.objective import CORE_SHARE
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.progress import silent
 from optsim.quantities import ExposureCode
 from optsim.reconstruct import (
@@ -93,7 +94,7 @@ def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(monkeypatch, share
     monkeypatch.setattr(moving_blur, "FEW", 0 if is_divided else 10**9)
     whole = demo().without_glare()
     # Nor with a PSF that varies, whose modes leave a stated rest on what moves (tests/test_field_blur.py).
-    lens = whole.objective.model_copy(update={"wing_share": CORE_SHARE, "field_error": 1.0})
+    lens = whole.objective.model_copy(update={"wing_share": MOVING_WING_SHARE, "field_error": 1.0})
     sensor = whole.sensor.model_copy(update={"rows": 80, "cols": 98})
     camera = whole.model_copy(
         update={"objective": lens, "sensor": sensor, "panel_rows": 24, "panel_cols": 30}
@@ -110,6 +111,24 @@ def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(monkeypatch, share
     pictures = np.stack([radiance.load(segment).instant(i) for segment in (0, 1) for i in (0, 9, 17)])
     moved = np.mean(np.ptp(pictures, axis=0) > 1e-4 * pictures.mean(axis=0))
     assert 0.8 * share < moved <= share
+
+
+def test_the_dense_frame_is_ours_when_nothing_is_left_out():
+    """Wings, glare and a PSF that varies, before a window a thousand times as bright as the room."""
+    lens = {"moving_wing_share": 0.0, "field_error": 0.05, "wing_share": 1e-3, "glare_share": 0.01}
+    camera = changed(demo(), {"objective": lens})
+    sensor = camera.sensor.model_copy(update={"rows": 80, "cols": 98})
+    camera = camera.model_copy(update={"sensor": sensor, "panel_rows": 24, "panel_cols": 30})
+    rng = np.random.default_rng(3)
+    radiance = capture.moving_patches(camera, 1.0, rng)
+    levels = capture._random_code(camera, rng)
+    code = ExposureCode(levels, np.ones(levels.shape[1:], np.bool_))
+    ours, _ = camera.expected_electrons(camera.form_image(radiance), 0, code, camera.panel_at_rest())
+    dense = capture._dense(camera, radiance, code, silent)
+    np.testing.assert_allclose(ours, dense, rtol=1e-5, atol=1e-6 * dense.max())
+    cheaper = changed(camera, {"objective": {"moving_wing_share": 6e-3}})
+    ours, _ = cheaper.expected_electrons(cheaper.form_image(radiance), 0, code, camera.panel_at_rest())
+    assert np.abs(ours - dense).max() > 1e-5 * dense.max()
 
 
 def test_the_plain_mixture_is_ours(monkeypatch):

@@ -44,6 +44,7 @@ def test_nothing_is_left_out_without_a_tolerance():
     for name, cut in SHORT_CUTS.items():
         if not name.endswith("wings"):
             assert changed(plan.camera, cut.steps[0][1]) == plan.camera
+    assert plan.camera.objective.moving_wing_share == 0
     # Wings need not reach beyond the panel, here 480 cells wide, and back.
     for lens in (plan.camera.objective, plan.camera.relay):
         assert lens.wing_share == 3e-4
@@ -109,8 +110,10 @@ def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_t
     )
     large = {name for name, size in exact.items() if size > 0.05}
     assert len(large) > 12
+    # Sensors bend just below the full well, where a probe before a window has few pixels.
+    bounds = dict.fromkeys(large, bound) | {"bend": max(bound, 0.3)}
     for name in large:
-        assert quick[name] == pytest.approx(exact[name], rel=bound), name
+        assert quick[name] == pytest.approx(exact[name], rel=bounds[name]), name
 
 
 def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():
@@ -122,6 +125,30 @@ def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():
         assert probe.size(cheapest, {}) == 0
     for lens in ("objective", "relay"):
         assert compared_with(f"{lens}_blur") == compared_with(f"{lens}_field")
+
+
+def test_wings_of_moving_light_count_in_each_part_of_the_frame():
+    """As in every instant, against lines in time; the near probe moves something in one part of four."""
+    plan = plan_camera(demo(), WINDOW, 0.1)
+    found, share = choices(plan)["moving_wings"], plan.camera.objective.moving_wing_share
+    assert plan.near.parts == 4
+    assert share > 0
+    seen = plan.near.size({"objective": {"moving_wing_share": share}}, compared_with("moving_wings"))
+    assert found.size == pytest.approx(2 * 4 * seen)
+    coarser = plan.near.size({"objective": {"moving_wing_share": 2 * share}}, compared_with("moving_wings"))
+    assert 0 < seen < coarser < 0.1
+    still = plan.near.radiance.load(0)
+    assert not still.blocks
+    assert still.start is still.stop
+
+
+@pytest.mark.parametrize("f_number", [4.0, 32.0])
+def test_a_near_probe_has_no_wider_wings_than_room(f_number):
+    camera = changed(demo(), {"objective": {"f_number": f_number, "wing_share": 1e-4}})
+    near = near_probe(camera, ROOM).camera
+    kernel = near.objective.psf(near.objective.working_f_number, near.modulator.pitch_m / 3, (90, 120)).kernel
+    assert len(kernel) // 2 == pytest.approx({4.0: 101, 32.0: 120}[f_number], abs=2)
+    assert camera.objective.wing_share < near.objective.wing_share
 
 
 def test_numbers_set_by_hand_stay():

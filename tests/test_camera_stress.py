@@ -14,7 +14,7 @@ from optsim.forward.panel import WEIGHT_ERROR
 from optsim.forward.radiometry import photons_per_joule
 from optsim.hardware import demo, icx674, imx174
 from optsim.optics import Modulator, Splitter, throughput
-from optsim.optics.objective import CORE_SHARE
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.quantities import Block, ExposureCode, IrradianceVideo, Segment, made_radiance
 
 # What is linear and not negative may fall below zero by the rounding of transforms: of the brightest light.
@@ -177,7 +177,7 @@ def check_frames(camera, moving, rng):
         peak = max(float(np.abs(segment.instant(i)).max()) for i in range(segment.n_instants))
         flat = camera.expected_electrons(even_light(camera, 1.0), index, code, panel)[0] - camera.dark_e
         # What goes on in a straight line in time: far wings and glare.
-        share = CORE_SHARE + camera.objective.glare_share + ROUNDING_32
+        share = MOVING_WING_SHARE + camera.objective.glare_share + ROUNDING_32
         dip = share * steps(source) * camera.irradiance_per_radiance + ROUNDING * peak
         assert np.isfinite(expected).all()
         assert (expected - camera.dark_e >= -dip * flat.max() - 1e-9).all()
@@ -473,8 +473,8 @@ def test_a_window_that_goes_dark_leaves_neither_light_nor_less_than_none():
 
     left, dark = instant(lit, (Block(20, 150, gone),)), instant(room, ())
     # Far wings are even within a panel pixel where they are a mover's, and not where they are the base's.
-    assert np.abs(left - dark).max() < 0.04 * CORE_SHARE
-    assert left.min() > -0.04 * CORE_SHARE
+    assert np.abs(left - dark).max() < 0.04 * MOVING_WING_SHARE
+    assert left.min() > -0.04 * MOVING_WING_SHARE
 
 
 def test_no_light_is_too_bright_for_the_sensor_and_rounding_is_not_negative_light():

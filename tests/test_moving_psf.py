@@ -11,8 +11,9 @@ from optsim.forward.moving_psf import divided
 from optsim.forward.pixel_splines import draw, splines, spread
 from optsim.forward.psf import psf_kernel
 from optsim.forward.tap_blur import Grid, Patch
+from optsim.forward.wings import cut_softly
 from optsim.hardware import prototype
-from optsim.optics.objective import CORE_SHARE
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.quantities import Block
 
 RNG = np.random.default_rng(88)
@@ -151,8 +152,8 @@ def test_the_prototypes_psf_is_divided_as_is_said():
     camera = prototype()
     shape, cell_m = (camera.panel_rows * 3, camera.panel_cols * 3), camera.modulator.pitch_m / 3
     lens = camera.objective
-    reach = lens.half_width(lens.working_f_number, cell_m, CORE_SHARE, camera.wavelength_m)
-    psf = lens.psf(lens.working_f_number, cell_m, shape, 0.0, camera.wavelength_m).middle(reach)
+    reach = lens.half_width(lens.working_f_number, cell_m, MOVING_WING_SHARE, camera.wavelength_m)
+    psf, _ = cut_softly(lens.psf(lens.working_f_number, cell_m, shape, 0.0, camera.wavelength_m), reach)
     assert divided(psf, 3).near.half == 7
     whole = psf.whole
     inner = slice(psf.half - 7, psf.half + 8)

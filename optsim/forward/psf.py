@@ -43,12 +43,16 @@ def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
 
 
 def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, wing_share: float) -> int:
-    """Cells from the centre to the edge of a window that misses at most ``wing_share`` of an Airy pattern.
+    """Cells from the centre to the edge of a window that misses at most ``wing_share`` of an Airy pattern."""
+    return max(2, int(np.ceil(share_beyond(wavelength_m, f_number, cell_m) / wing_share)))
 
-    Outside radius r an Airy pattern has about 2 lambda N / (pi^2 r) of its energy (Born and Wolf, 8.5.2).
+
+def share_beyond(wavelength_m: float, f_number: float, radius_m: float) -> float:
+    """Share of an Airy pattern's energy beyond a large radius, about 2 lambda N / (pi^2 r).
+
+    From M. Born and E. Wolf, Principles of Optics, 8.5.2.
     """
-    radius_m = 2 * wavelength_m * f_number / (np.pi**2 * wing_share)
-    return max(2, int(np.ceil(radius_m / cell_m)))
+    return 2 * wavelength_m * f_number / (np.pi**2 * radius_m)
 
 
 def psf_kernel(

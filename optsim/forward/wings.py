@@ -2,14 +2,16 @@
 """The far wings of a PSF: coarse in space, and on moving light a straight line in time.
 
 A PSF window wide enough for a bright window's wings is far larger than all that changes from one fine sample
-to the next. So wings work on panel pixels, behind the panel as before it: within a pixel they are even, which
-misplaces a share of them by less than two pixels, the smaller the farther from the middle they begin.
+to the next. So wings work on panel pixels, behind the panel as before it. Those of the relay are even within
+a pixel, which misplaces a share of them by less than two pixels, the smaller the farther from the middle they
+begin.
 
 Such a window is also far larger than the movers that cross it, and would be paid for in every instant. So
 moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
 block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
-for light that comes and goes evenly, and nothing at all in the mean over the segment. These wings are two
-rings, the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
+for light that comes and goes evenly, and nothing at all in the mean over the segment. Core and wings pass
+softly into each other, so that pixels hold the wings between their splines. These are two rings, the outer
+one on cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -22,13 +24,19 @@ from numpy.typing import NDArray
 
 from optsim.forward.bands import in_bands, side_by_side
 from optsim.forward.compiled import FEW, compiled
-from optsim.forward.fringing import add_whole_cells
+from optsim.forward.field_blur import FieldPsf
+from optsim.forward.fringing import add_whole_cells, fine_image_adjoint
 from optsim.forward.integrate import cell_means
+from optsim.forward.pixel_splines import spline_kernel, splines, spread
 from optsim.forward.psf import Blur, SomeBlur, extend, make_blur
+from optsim.forward.tap_blur import Grid, Patch
 from optsim.quantities import Doubles, Floats, Segment
 
-# Where the outer ring of moving light's wings begins, and the side of its cells, panel pixels.
-_RING_HALF, _CELL = 40, 4
+# Of moving light's wings, panel pixels: where the outer ring begins, the side of its cells, room for splines.
+_RING_HALF, _CELL, _ROOM = 40, 4, 8
+# Share of a core's half width within which it has all of the PSF, and cells beyond what varies to its edge. A
+# sharp cut would be off by four times as much, and pixels that are even by nine times.
+_WHOLE, _SOFT_CELLS = 0.6, 6
 
 
 def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
@@ -112,28 +120,61 @@ class Ring:
         return found.repeat(self.cell, axis=1)[:, :rows].repeat(self.cell, axis=2)[:, :, :cols]
 
 
-def make_wings(kernel: Doubles, core_half: int, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
+def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
+    """Cut a PSF in a core and wings that add up to it.
+
+    Parameters
+    ----------
+    psf : FieldPsf
+        What each point collects.
+    half : int
+        Cells from the middle of the core to its edge; more where the PSF varies so far, all of the PSF where
+        it is no wider.
+
+    Returns
+    -------
+    core : FieldPsf
+        Falling to nothing towards its edge.
+    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+        The same everywhere.
+    """
+    half = max(half, psf.core_half + _SOFT_CELLS)
+    if half >= psf.half:
+        return psf, np.zeros_like(psf.kernel)
+    core = psf.middle(half)
+    whole = max(_WHOLE * half, psf.core_half)
+    far = np.abs(np.arange(-half, half + 1))
+    fall = np.clip((np.maximum(far[:, None], far) - whole) / (half + 1 - whole), 0, 1)
+    kept = core.kernel * np.cos(np.pi / 2 * fall) ** 2
+    wings = psf.kernel.copy()
+    inner = slice(psf.half - half, psf.half + half + 1)
+    wings[inner, inner] -= kept
+    return FieldPsf(kept, core.cores), wings
+
+
+def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
     """Prepare a PSF's wings for moving light on a fine grid of one shape; none if there are none.
 
     Parameters
     ----------
-    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
-        The whole PSF, of which the wings are all but the middle, (2 core_half + 1)^2.
-    core_half : int
-        At most h.
+    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+        From :func:`cut_softly`.
     pitch : int
         Fine samples to a panel pixel.
     shape : tuple of int
         Rows and columns of the fine grid.
     """
-    coarse = _coarse_wings(kernel, core_half, pitch)
-    if coarse is None:
+    if not wings.any():
         return ()
-    half = min(_RING_HALF, len(coarse) // 2)
-    middle = slice(len(coarse) // 2 - half, len(coarse) // 2 + half + 1)
-    parts = [(coarse[middle, middle], 1)]
-    if (outer := _coarse_wings(coarse, half, _CELL)) is not None:
-        parts.append((outer, _CELL))
+    coarse = coarse_kernel(wings, pitch)
+    outer = _coarse_wings(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
+    # Splines reach a little farther than what they stand for.
+    half, room = len(wings) // 2, (_RING_HALF + _ROOM) * pitch
+    inner = spline_kernel(wings[(at := slice(max(half - room, 0), half + room + 1)), at], pitch)
+    beyond = max(len(inner) // 2 - _RING_HALF, 0)
+    inner = inner[beyond : len(inner) - beyond, beyond : len(inner) - beyond]
+    parts = [(inner, 1)] if outer is None else [(inner, 1), (outer, _CELL)]
+    inner *= (wings.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
     rings: list[Ring] = []
     for part, cell in parts:
         reach = len(part) // 2
@@ -149,7 +190,7 @@ def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None
 
 
 def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
-    """Light in the wings of the moving light's straight lines, on panel pixels: array (2, v, u).
+    """Light in the wings of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
 
     Parameters
     ----------
@@ -160,8 +201,17 @@ def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
     pitch : int
         Fine samples to a panel pixel.
     """
-    panel = np.stack(side_by_side(partial(cell_means, end, pitch) for end in ends))
+    panel = np.stack(side_by_side(partial(_spline_means, end, pitch) for end in ends))
     return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
+
+
+def _spline_means(image: Doubles, pitch: int) -> Doubles:
+    """Mean of an image under the spline of each panel pixel, (v, u); beyond its border it goes on."""
+    if image.size < FEW:
+        return fine_image_adjoint(image, splines(pitch)) / pitch**2
+    around = Grid(image.shape[0] // pitch + 2, image.shape[1] // pitch + 2, 1)
+    found = spread(Patch(image[None].astype(np.float32), 0, 0), pitch, around).excess[0, 2:-2, 2:-2]
+    return found.astype(np.float64) / pitch**2
 
 
 @dataclass(frozen=True, eq=False)

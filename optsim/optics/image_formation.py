@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,13 +12,15 @@ import numpy as np
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
 from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
+from optsim.forward.fringing import fine_image
 from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import blur_moving
+from optsim.forward.pixel_splines import splines
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.forward.wings import Ring, far_light, make_wings, moving_ends
-from optsim.optics.objective import CORE_SHARE, Objective
-from optsim.quantities import Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
+from optsim.forward.wings import Ring, cut_softly, far_light, make_wings, moving_ends
+from optsim.optics.objective import Objective
+from optsim.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
 
 
 def form_image(
@@ -30,7 +33,8 @@ def form_image(
     """Irradiance on the modulator: blur, cos^4, radiance to irradiance, veiling glare.
 
     The far wings of the PSF and the veiling glare get moving light as the straight line in time that fits
-    it best within a segment; what deviates from the line is dropped (far below the wings and the glare).
+    it best within a segment; what deviates from the line is dropped (far below the wings and the glare). With
+    a ``moving_wing_share`` of 0 every instant is imaged as a still picture is.
 
     Parameters
     ----------
@@ -55,17 +59,24 @@ def form_image(
     cell_m = pitch_m / pitch
     f_number = objective.working_f_number
     psf = objective.psf(f_number, cell_m, shape, 0.0, wavelength_m)
-    blurs = _blurs(psf, objective.half_width(f_number, cell_m, CORE_SHARE, wavelength_m), pitch, shape)
+    moving_share = objective.moving_wing_share
+    core_half = (
+        objective.half_width(f_number, cell_m, moving_share, wavelength_m) if moving_share else psf.half
+    )
+    blurs = _blurs(psf, core_half, pitch, shape)
     relative = objective.shading(*shape, cell_m)
     factor = relative * objective.irradiance_per_radiance
     seen_keys: list[tuple[Floats, Doubles]] = []
+
+    def still(image: Floats) -> Doubles:
+        return blurs.collected(image) * factor
 
     def key_image(image: Floats) -> Doubles:
         """Image of a key, remembered: a segment starts with the key that the last one stopped with."""
         for seen, result in seen_keys:
             if seen is image or np.array_equal(seen, image):
                 return result
-        result = blurs.collected(image) * factor
+        result = still(image)
         seen_keys.append((image, result))
         del seen_keys[:-2]
         return result
@@ -76,10 +87,10 @@ def form_image(
     def load(index: int) -> Segment:
         segment = radiance.load(index)
         keys = (key_image(segment.start), key_image(segment.stop))
-        if not segment.blocks:
+        if not segment.blocks or not moving_share:
             early = _with_glare(keys[0], keys[0].mean(), share)
             late = early if keys[0] is keys[1] else _with_glare(keys[1], keys[1].mean(), share)
-            return Segment(early, late, (), segment.n_instants)
+            return Segment(early, late, _each_instant(segment, still, share), segment.n_instants)
         moving = moving_ends(segment)
         fluxes = [
             float(key.mean()) + float(np.einsum("yx,yx->", line, factor)) / key.size
@@ -150,15 +161,31 @@ class _Blurs:
 @lru_cache(maxsize=2)
 def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) -> _Blurs:
     turned = reversed_psf(psf)
-    core = turned.middle(core_half)
+    core, wings = cut_softly(turned, core_half)
     wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
     return _Blurs(
         core,
-        make_wings(turned.kernel, core.half, pitch, shape),
+        make_wings(wings, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
         varying_blur(turned.cores, shape) if psf.cores.size else None,
     )
+
+
+def _each_instant(
+    segment: Segment, still: Callable[[Floats], Doubles], glare_share: float
+) -> tuple[Block, ...]:
+    """Image of moving light in each instant, as of a picture of its own: it covers the field."""
+    if not segment.blocks:
+        return ()
+    dark = np.zeros_like(segment.start)
+    moving = Segment(dark, dark, segment.blocks, segment.n_instants)
+    excess = np.zeros((segment.n_instants, *dark.shape), np.float32)
+    for t in range(segment.n_instants):
+        if any(block.excess[t].any() for block in segment.blocks):
+            image = still(moving.instant(t))
+            excess[t] = _with_glare(image, image.mean(), glare_share)
+    return (Block(0, 0, excess),)
 
 
 def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
@@ -167,23 +194,39 @@ def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
 
 
 def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
-    """Keep a share of a key's image; add far light, given on panel pixels, and glare."""
+    """Keep a share of a key's image; add far light, given as splines of panel pixels, and glare."""
+    shares = splines(len(key) // len(far))
     if key.size < FEW:
-        pitch = len(key) // len(far)
-        light = far.repeat(pitch, axis=0).repeat(pitch, axis=1)
-        return (kept * key + factor * light + evenly).astype(np.float32)
+        return (kept * key + factor * fine_image(far, shares) + evenly).astype(np.float32)
     result = np.empty(key.shape, np.float32)
-    in_bands(len(key), lambda a, b: _add_far(key, far, factor, evenly, kept, a, b, result))
+    # Beyond the panel's edge the nearest pixel counts.
+    around = np.pad(far, 1, mode="edge")
+    in_bands(len(key), lambda a, b: _add_far(key, around, shares, factor, evenly, kept, a, b, result))
     return result
 
 
 @compiled()
 def _add_far(
-    key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, top: int, bottom: int, out: Floats
+    key: Doubles,
+    around: Doubles,
+    shares: Doubles,
+    factor: Floats,
+    evenly: float,
+    kept: float,
+    top: int,
+    bottom: int,
+    out: Floats,
 ) -> None:
-    pitch = key.shape[0] // far.shape[0]
+    pitch, cols = len(shares), around.shape[1]
+    line, drawn = np.empty(cols), np.empty((cols - 2) * pitch)
     for y in range(top, bottom):
-        for u in range(far.shape[1]):
-            light = far[y // pitch, u]
-            for x in range(u * pitch, (u + 1) * pitch):
-                out[y, x] = kept * key[y, x] + factor[y, x] * light + evenly
+        v = y // pitch
+        before, own, after = shares[y % pitch]
+        for u in range(cols):
+            line[u] = before * around[v, u] + own * around[v + 1, u] + after * around[v + 2, u]
+        for k in range(pitch):
+            before, own, after = shares[k]
+            for u in range(cols - 2):
+                drawn[u * pitch + k] = before * line[u] + own * line[u + 1] + after * line[u + 2]
+        for x in range(len(drawn)):
+            out[y, x] = kept * key[y, x] + factor[y, x] * drawn[x] + evenly

@@ -13,6 +13,7 @@ from optsim.forward.field_blur import FieldPsf, uniform
 from optsim.forward.psf import kernel_half_width, psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 
+LARGEST_WING_SHARE = 0.1  # of a PSF's energy: beyond, a window would not hold the first ring
 # Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
 _LARGEST_HALF = 4096
 # Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.
@@ -43,7 +44,7 @@ class LensGroup(Part):
     diffraction: bool = True
     wavefront: Wavefront = Wavefront()
     glare_share: float = Field(ge=0, lt=1)
-    wing_share: float = Field(default=1e-3, ge=1e-4, le=0.1)
+    wing_share: float = Field(default=1e-3, ge=1e-4, le=LARGEST_WING_SHARE)
     field_error: float = Field(default=0.02, ge=1e-3, le=1)
 
     def psf(

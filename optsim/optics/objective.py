@@ -8,15 +8,14 @@ from pydantic import Field, field_validator, model_validator
 
 from optsim.forward.lens import STRONGEST_DISTORTION
 from optsim.forward.radiometry import clipped_pupil, cos4, irradiance_factor
-from optsim.optics.lens import LensGroup
+from optsim.optics.lens import LARGEST_WING_SHARE, LensGroup
 from optsim.quantities import Doubles
 from optsim.units import parse_quantity
 
 _FOCUS_WORDS = ("target", "everywhere")
-# Beyond this share of the PSF's energy, moving light gets its wings coarser (see forward/wings.py). Where all
-# of the prototype's field moves (`optsim bench capture`) a frame is then off by 0.63 of a tenth of its noise;
-# by 0.51 at 0.005, which takes a tenth longer, and by 0.82 at 0.008.
-CORE_SHARE = 6e-3
+# What plans mostly take for a tenth of the noise. Where all of the prototype's field moves, a window in it, a
+# frame is then off by half of that (`optsim bench capture`), by what is not straight in time.
+MOVING_WING_SHARE = 3.5e-3
 
 
 class Objective(LensGroup):
@@ -55,6 +54,9 @@ class Objective(LensGroup):
     distortion : float
         Relative displacement of what belongs into the corner of the used panel, growing with the square of
         the distance from the middle; negative is a barrel, as in the relay.
+    moving_wing_share : float
+        Share of the PSF's energy that moving light gets as its wings, coarser and along straight lines in
+        time, and with it its veiling glare (see forward/wings.py); 0 images every instant by itself.
     """
 
     focal_length_m: float = Field(default=12.5e-3, gt=0)
@@ -69,6 +71,7 @@ class Objective(LensGroup):
     focus_m: float | Literal["target", "everywhere"] = "target"
     defocus_per_m: float = Field(default=0.0, ge=0, le=10)
     distortion: float = Field(default=0.0, ge=-STRONGEST_DISTORTION, le=STRONGEST_DISTORTION)
+    moving_wing_share: float = Field(default=MOVING_WING_SHARE, ge=0, le=LARGEST_WING_SHARE)
 
     @field_validator("focus_m", mode="before")
     @classmethod
