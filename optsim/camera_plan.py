@@ -104,7 +104,7 @@ SHORT_CUTS: dict[str, Coarser | LeftOut] = {
         "far wings of moving light, and with them its glare, along straight lines in time: share in them",
         "objective",
         "moving_wing_share",
-        (0.0, MOVING_WING_SHARE, 6e-3),
+        (0.0, MOVING_WING_SHARE),
     ),
     "objective_field": Coarser(
         "PSF of the objective over the field: share of a point's light that may be misplaced",

@@ -144,7 +144,7 @@ def test_what_is_small_or_far_too_wide_stays_whole():
     point = np.zeros((35, 35))
     point[17, 17] = 1
     found = divided(uniform(point), PITCH)
-    assert found.near.half == 2 * PITCH
+    assert found.near.half == 3 * PITCH
     np.testing.assert_allclose(found.rest.kernel, 0, atol=1e-15)
 
 
@@ -154,9 +154,9 @@ def test_the_prototypes_psf_is_divided_as_is_said():
     lens = camera.objective
     reach = lens.half_width(lens.working_f_number, cell_m, MOVING_WING_SHARE, camera.wavelength_m)
     psf, _ = cut_softly(lens.psf(lens.working_f_number, cell_m, shape, 0.0, camera.wavelength_m), reach)
-    assert divided(psf, 3).near.half == 7
+    assert divided(psf, 3).near.half == 9
     whole = psf.whole
-    inner = slice(psf.half - 7, psf.half + 8)
+    inner = slice(psf.half - 9, psf.half + 10)
     assert 1 - (whole[:, :, inner, inner].sum(axis=(2, 3)) / whole.sum(axis=(2, 3))).min() < 1e-2
 
 

@@ -21,9 +21,9 @@ from optsim.forward.tap_blur import LARGEST_TAPS
 from optsim.forward.wings import near_half
 from optsim.quantities import Doubles
 
-# Light that pixels collect at most, and the least that the middle reaches, fine samples. Of the prototype's
-# PSF the middle is of 13 x 13 samples; at 0.02 it would be of 11 x 11, and edges off by twice as much.
-_REST_SHARE, _LEAST_NEAR = 1e-2, 2
+# Light that pixels collect at most, and the least that the middle reaches, panel pixels. With two, a frame would
+# be off by half of its noise where something moves before a window a thousand times as bright as the room.
+_REST_SHARE, _LEAST_NEAR = 1e-2, 3
 # Most that the light of a point may be off anywhere, of all of it.
 _LARGEST_ERROR = 2e-4
 # Beside the squares a solution's rounding: what hardly matters for them stays small.
@@ -61,7 +61,7 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
         Fine samples to a panel pixel.
     """
     whole = psf.whole
-    half, reach = near_half(whole, _LEAST_NEAR * pitch, _REST_SHARE), -(-psf.half // pitch)
+    half, reach = near_half(whole, min(_LEAST_NEAR * pitch, LARGEST_TAPS), _REST_SHARE), -(-psf.half // pitch)
     if pitch == 1 or half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
         return MovingPsf(psf)
     # As far as pixels collect: between the splines of the outermost ones.
