@@ -21,8 +21,8 @@ from optsim.forward.tap_blur import LARGEST_TAPS
 from optsim.forward.wings import near_half
 from optsim.quantities import Doubles
 
-# Light that pixels collect at most, and the least that the middle reaches, panel pixels. With two, a frame would
-# be off by half of its noise where something moves before a window a thousand times as bright as the room.
+# Light that pixels collect at most, and the least that the middle reaches, panel pixels. With two, a frame is
+# off by half of its noise where something moves before a window a thousand times as bright as the room.
 _REST_SHARE, _LEAST_NEAR = 1e-2, 3
 # Most that the light of a point may be off anywhere, of all of it.
 _LARGEST_ERROR = 2e-4
