@@ -3,6 +3,7 @@
 import io
 import json
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from optsim.experiment import load_experiment
 from optsim.explain import explanation, scene_effects, show
 from optsim.hardware import imx174, prototype
 from optsim.probe import Illumination, near_probe, shrunk
-from optsim.quantities import Block, ExposureCode, Segment, made_radiance
+from optsim.quantities import Block, ExposureCode, Segment
 from optsim.scene import BrightLight
 from optsim.scene.footage import still
 
@@ -331,17 +332,18 @@ def test_a_finer_converter_has_the_same_range(bits, in_all):
 def test_the_size_of_defocus_is_that_of_a_disc(blur_px):
     """Against the probe's scene, spread over discs by brute force."""
     probe = near_probe(prototype(), ROOM)
-    segment = probe.radiance.load(0)
-    start = disc_blurred(segment.start, 3 * blur_px)
-    blocks = tuple(
-        Block(b.row, b.col, np.stack([disc_blurred(each, 3 * blur_px) for each in b.excess]))
-        for b in segment.blocks
-    )
-    spread = Segment(start, start, blocks, 36)
-    blurred = made_radiance(
-        probe.camera.view, probe.camera.slot_s, lambda _: spread,
-        slots_per_segment=36, n_slots=36, white_w_m2_sr=probe.radiance.white_w_m2_sr,
-    )  # fmt: skip
+
+    def spread(index):
+        segment = probe.radiance.load(index)
+        start = disc_blurred(segment.start, 3 * blur_px)
+        stop = start if segment.stop is segment.start else disc_blurred(segment.stop, 3 * blur_px)
+        blocks = tuple(
+            Block(b.row, b.col, np.stack([disc_blurred(each, 3 * blur_px) for each in b.excess]))
+            for b in segment.blocks
+        )
+        return Segment(start, stop, blocks, segment.n_instants)
+
+    blurred = replace(probe.radiance, load=lru_cache(spread))
     before, usable = probe.frame({})
     after, _ = replace(probe, radiance=blurred).frame({})
     expected = np.sqrt(np.mean((after - before)[usable] ** 2)) / probe.noise_e()[0]
