@@ -330,7 +330,7 @@ def _scene(camera: CodedCamera, light: Illumination) -> RadianceVideo:
         return seen
 
     start, stop = picture(0.0), picture(1.0)
-    # It stands, moves for a part of the frame, and stands: to move in all of it would take as often as long.
+    # It stands, moves for a part of the frame, and stands: to move in all parts takes as many times as long.
     still = Segment(start, start, (), n), Segment(stop, stop, (), n)
     lines = Segment(start, stop, (), n)
     window = np.s_[row : row + height, col : col + width + reach]

@@ -472,7 +472,7 @@ def test_a_window_that_goes_dark_leaves_neither_light_nor_less_than_none():
         return camera.form_image(video).load(0).instant(3) / camera.irradiance_per_radiance
 
     left, dark = instant(lit, (Block(20, 150, gone),)), instant(room, ())
-    # Far wings are even within a panel pixel where they are a mover's, and not where they are the base's.
+    # Far wings lie on splines of panel pixels where they are a mover's, and not where they are the base's.
     assert np.abs(left - dark).max() < 0.04 * MOVING_WING_SHARE
     assert left.min() > -0.04 * MOVING_WING_SHARE
 

@@ -120,6 +120,16 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
 
 
 @compiled(fastmath=True)
+def draw_row(line: Floats | Doubles, shares: Floats | Doubles, drawn: Floats | Doubles) -> None:
+    """Fill a row of fine samples from a row of pixels with one more on either side."""
+    pitch = len(shares)
+    for k in range(pitch):
+        before, own, after = shares[k]
+        for u in range(len(line) - 2):
+            drawn[u * pitch + k] = before * line[u] + own * line[u + 1] + after * line[u + 2]
+
+
+@compiled(fastmath=True)
 def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> None:
     """Fill fine samples from pixels, beyond which it is dark."""
     n, rows, cols = pixels.shape
@@ -133,10 +143,7 @@ def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> N
             here, middle = pixels[t, v], line[1:-1]
             for u in range(cols):
                 middle[u] = before * above[u] + own * here[u] + after * below[u]
-            for k in range(pitch):
-                before, own, after = shares[k]
-                for u in range(cols):
-                    drawn[u * pitch + k] = before * line[u] + own * line[u + 1] + after * line[u + 2]
+            draw_row(line, shares, drawn)
             fine[t, y] = drawn[col : col + fine.shape[2]]
 
 

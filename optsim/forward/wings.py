@@ -170,7 +170,8 @@ def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring
     outer = _coarse_wings(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
     # Splines reach a little farther than what they stand for.
     half, room = len(wings) // 2, (_RING_HALF + _ROOM) * pitch
-    inner = spline_kernel(wings[(at := slice(max(half - room, 0), half + room + 1)), at], pitch)
+    near = slice(max(half - room, 0), half + room + 1)
+    inner = spline_kernel(wings[near, near], pitch)
     beyond = max(len(inner) // 2 - _RING_HALF, 0)
     inner = inner[beyond : len(inner) - beyond, beyond : len(inner) - beyond]
     parts = [(inner, 1)] if outer is None else [(inner, 1), (outer, _CELL)]

@@ -15,7 +15,7 @@ from optsim.forward.field_blur import FieldBlur, FieldPsf, reversed_psf, varying
 from optsim.forward.fringing import fine_image
 from optsim.forward.integrate import cell_means
 from optsim.forward.moving_blur import blur_moving
-from optsim.forward.pixel_splines import splines
+from optsim.forward.pixel_splines import draw_row, splines
 from optsim.forward.psf import Blur, extend, make_blur
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 from optsim.forward.wings import Ring, cut_softly, far_light, make_wings, moving_ends
@@ -88,8 +88,8 @@ def form_image(
         segment = radiance.load(index)
         keys = (key_image(segment.start), key_image(segment.stop))
         if not segment.blocks or not moving_share:
-            early = _with_glare(keys[0], keys[0].mean(), share)
-            late = early if keys[0] is keys[1] else _with_glare(keys[1], keys[1].mean(), share)
+            early = _with_own_glare(keys[0], share)
+            late = early if keys[0] is keys[1] else _with_own_glare(keys[1], share)
             return Segment(early, late, _each_instant(segment, still, share), segment.n_instants)
         moving = moving_ends(segment)
         fluxes = [
@@ -183,9 +183,12 @@ def _each_instant(
     excess = np.zeros((segment.n_instants, *dark.shape), np.float32)
     for t in range(segment.n_instants):
         if any(block.excess[t].any() for block in segment.blocks):
-            image = still(moving.instant(t))
-            excess[t] = _with_glare(image, image.mean(), glare_share)
+            excess[t] = _with_own_glare(still(moving.instant(t)), glare_share)
     return (Block(0, 0, excess),)
+
+
+def _with_own_glare(image: Doubles, share: float) -> Floats:
+    return _with_glare(image, float(image.mean()), share)
 
 
 def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
@@ -224,9 +227,6 @@ def _add_far(
         before, own, after = shares[y % pitch]
         for u in range(cols):
             line[u] = before * around[v, u] + own * around[v + 1, u] + after * around[v + 2, u]
-        for k in range(pitch):
-            before, own, after = shares[k]
-            for u in range(cols - 2):
-                drawn[u * pitch + k] = before * line[u] + own * line[u + 1] + after * line[u + 2]
+        draw_row(line, shares, drawn)
         for x in range(len(drawn)):
             out[y, x] = kept * key[y, x] + factor[y, x] * drawn[x] + evenly

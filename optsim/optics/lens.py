@@ -13,7 +13,7 @@ from optsim.forward.field_blur import FieldPsf, uniform
 from optsim.forward.psf import kernel_half_width, psf_kernel
 from optsim.forward.radiometry import MONO_WAVELENGTH_M
 
-LARGEST_WING_SHARE = 0.1  # of a PSF's energy: beyond, a window would not hold the first ring
+LARGEST_WING_SHARE = 0.1  # of a PSF's energy: windows then end at the second dark ring of an Airy pattern
 # Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
 _LARGEST_HALF = 4096
 # Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.

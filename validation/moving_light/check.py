@@ -31,7 +31,7 @@ TOLERANCE = 5e-4
 REASON = (
     "The largest deviation of a panel pixel in any instant, in the window's light. Middle and rest of the "
     "PSF add up to the whole within 1e-4 of an edge's height (tests/test_moving_psf.py). Beyond them are "
-    "0.4 % of the light, as a straight line in time: a body that covers and uncovers the window is off that "
+    "0.35 % of the light, as a straight line in time: a body that covers and uncovers the window is off that "
     "line beside its way by some per cent of them."
 )
 FILES = (
