@@ -127,8 +127,8 @@ def test_the_dense_frame_is_ours_when_nothing_is_left_out():
     dense = capture._dense(camera, radiance, code, silent)
     np.testing.assert_allclose(ours, dense, rtol=1e-5, atol=1e-6 * dense.max())
     cheaper = changed(camera, {"objective": {"moving_wing_share": 6e-3}})
-    ours, _ = cheaper.expected_electrons(cheaper.form_image(radiance), 0, code, camera.panel_at_rest())
-    assert np.abs(ours - dense).max() > 1e-5 * dense.max()
+    other, _ = cheaper.expected_electrons(cheaper.form_image(radiance), 0, code, camera.panel_at_rest())
+    assert np.abs(other - dense).max() > 20 * np.abs(ours - dense).max()
 
 
 def test_the_plain_mixture_is_ours(monkeypatch):

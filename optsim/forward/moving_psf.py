@@ -4,8 +4,9 @@ Far from its centre a PSF is smooth beside a panel pixel, so light further off i
 is spread to them, and drawn between them, with quadratic B-splines; the kernel between pixels is the one that
 comes nearest, in least squares and over all places of light within a pixel, to the PSF outside of the middle,
 and to one kernel within it. What it does there is taken out of the middle, so both add up to the whole PSF.
-That is how forces between many particles are divided (R. W. Hockney and J. W. Eastwood, *Computer Simulation
-Using Particles*, 1988, chapter 8: the optimal influence function).
+All that varies over the field is in the middle. That is how forces between many particles are divided (R. W.
+Hockney and J. W. Eastwood, *Computer Simulation Using Particles*, 1988, chapter 8: the optimal influence
+function).
 """
 
 from __future__ import annotations
@@ -21,8 +22,7 @@ from optsim.forward.tap_blur import LARGEST_TAPS
 from optsim.forward.wings import near_half
 from optsim.quantities import Doubles
 
-# Light that pixels collect at most, and the least that the middle reaches, panel pixels. With two, a frame is
-# off by half of its noise where something moves before a window a thousand times as bright as the room.
+# Light that pixels collect at most, and the least that the middle reaches, panel pixels.
 _REST_SHARE, _LEAST_NEAR = 1e-2, 3
 # Most that the light of a point may be off anywhere, of all of it.
 _LARGEST_ERROR = 2e-4
@@ -39,7 +39,7 @@ class MovingPsf:
     near : FieldPsf
         On fine samples.
     rest : FieldPsf or None
-        On panel pixels, if any.
+        On panel pixels, if any; the same all over the field.
     """
 
     near: FieldPsf
@@ -56,39 +56,38 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     Parameters
     ----------
     psf : FieldPsf
-        On fine samples; all nodes have the same sum.
+        On fine samples.
     pitch : int
         Fine samples to a panel pixel.
     """
-    whole = psf.whole
-    half, reach = near_half(whole, min(_LEAST_NEAR * pitch, LARGEST_TAPS), _REST_SHARE), -(-psf.half // pitch)
+    # Between nodes samples and pixels would weigh what varies differently: a frame would be off by half of
+    # its noise where something moves before a window a thousand times as bright as the room.
+    least = max(min(_LEAST_NEAR * pitch, LARGEST_TAPS), psf.core_half)
+    half, reach = near_half(psf.kernel, least, _REST_SHARE), -(-psf.half // pitch)
     if pitch == 1 or half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
         return MovingPsf(psf)
     # As far as pixels collect: between the splines of the outermost ones.
     margin = (reach + 3) * pitch - psf.half
-    wanted = np.pad(whole, [(0, 0), (0, 0), (margin, margin), (margin, margin)])
+    wanted = np.pad(psf.kernel, margin)
     inner = slice(psf.half + margin - half, psf.half + margin + half + 1)
+    wanted[inner, inner] = 0
     passed = _passed(pitch, reach, psf.half + margin)
     mean: Doubles = passed.mean(axis=0)
     inside = mean[inner]
     # Squared deviations from the PSF outside, and from their own mean inside, over all places of the light.
     normal = _along_both(np.einsum("pam,pan->mn", passed, passed) / pitch) - _along_both(inside.T @ inside)
     normal += _RIDGE * np.trace(normal) * np.eye(len(normal))
-    right = mean.T @ wanted @ mean - inside.T @ wanted[:, :, inner, inner] @ inside
-    # One column of unknowns a node, and one that changes the sum at the least cost: all sums are alike, so
-    # that a flat stays exactly flat between the nodes, too, where both parts are interpolated each by itself.
-    columns = np.column_stack([right.reshape(-1, len(normal)).T, np.ones(len(normal))])
-    found = np.asarray(np.linalg.solve(normal, columns), np.float64)
-    rests, change = found[:, :-1].T, found[:, -1]
-    sums = rests.sum(axis=1)
-    rest = (rests + np.outer((sums.mean() - sums) / change.sum(), change)).reshape(right.shape)
-    near = wanted[:, :, inner, inner] - inside @ rest @ inside.T
-    near[:, :, half, half] += whole.sum((2, 3)) - near.sum((2, 3)) - pitch**2 * rest.sum((2, 3))
-    wanted[:, :, inner, inner] -= near
+    right = mean.T @ wanted @ mean
+    rest = np.asarray(np.linalg.solve(normal, right.ravel()), np.float64).reshape(right.shape)
+    # What the rest does in the middle is taken out of it, and what it does too much in all.
+    taken = inside @ rest @ inside.T
+    taken[half, half] += pitch**2 * rest.sum() - wanted.sum() - taken.sum()
+    wanted[inner, inner] = taken
     for down, across in np.ndindex(pitch, pitch):
-        if np.abs(passed[down] @ rest @ passed[across].T - wanted).max() > _LARGEST_ERROR * whole[0, 0].sum():
+        off = passed[down] @ rest @ passed[across].T - wanted
+        if np.abs(off).max() > _LARGEST_ERROR * psf.kernel.sum():
             return MovingPsf(psf)
-    return MovingPsf(_of_nodes(near), _of_nodes(rest))
+    return MovingPsf(_of_nodes(psf.middle(half).whole - taken), uniform(rest))
 
 
 def _of_nodes(kernels: Doubles) -> FieldPsf:
