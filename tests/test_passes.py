@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from optsim.quantities import View
 from optsim.render import PassRenderer, choose_backend, render_passes
 from optsim.render.backend import activate
+from optsim.render.first_hit import first_hit
 from optsim.render.flow import rigid_motion
 from optsim.render.footprint import cover
 from optsim.render.stage import Stage
@@ -331,6 +333,24 @@ def test_nothing_in_view_and_behind_the_camera(flat_view) -> None:
     gone = render_passes(flat_scene(card=card), flat_view, 0.0, 0.05)
     assert gone.occluded_forward[gone.moving].all()
     assert not gone.flow_forward_px[gone.moving].any()
+
+
+def test_what_missed_rays_leave_in_memory_does_no_harm(flat_view, monkeypatch) -> None:
+    """Renderers don't write a missed ray's columns: here they hold signalling NaN, which numpy warns of."""
+    scene = flat_scene({"target_m": [0, -1, 0.5]})
+    expected = render_passes(scene, flat_view, 0.0, 0.01)
+
+    def found(*arguments, **options):
+        hit = first_hit(*arguments, **options)
+        weights = hit.weights.numpy()
+        weights.view(np.uint32)[:, np.isinf(hit.distance.numpy())] = 0x7FA00000
+        return replace(hit, weights=type(hit.weights)(weights))
+
+    monkeypatch.setattr("optsim.render.gbuffer.first_hit", found)
+    passes = render_passes(scene, flat_view, 0.0, 0.01)
+    assert (passes.ids == 0).any()
+    np.testing.assert_array_equal(passes.ids, expected.ids)
+    np.testing.assert_array_equal(passes.depth_m, expected.depth_m)
 
 
 def test_rigid_motion_is_found_and_bending_is_not() -> None:

@@ -130,7 +130,9 @@ def _intersect(loaded: Any, start: Doubles, directions: Doubles, reach: Doubles)
     rays = _rays(mi, mi.Point3f(start.T), mi.Vector3f(directions.T), mi.Float(reach))
     found = _columns(first_hit(mi, loaded, rays))
     dr.eval(found)  # at once: each column by itself would trace all rays again
-    return np.vstack([np.asarray(column.numpy(), np.float64) for column in found]).T
+    # Columns of rays that hit nothing hold what was in memory: widening may meet a signalling NaN there.
+    with np.errstate(invalid="ignore"):
+        return np.vstack([np.asarray(column.numpy(), np.float64) for column in found]).T
 
 
 def _rays(mi: Any, start: Any, direction: Any, reach: Any) -> Any:
