@@ -27,6 +27,7 @@ import numpy as np
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import Changes, changed
+from optsim.forward.aberrations import Wavefront
 from optsim.forward.psf import share_beyond
 from optsim.optics.lens import LARGEST_WING_SHARE
 from optsim.optics.objective import MOVING_WING_SHARE
@@ -78,6 +79,10 @@ _MARGIN_PX = 4
 WHITE_OVER_INTERIOR = 40.0
 _WAY_PX = 30  # fine samples that the patch moves
 _PARTS = (4, 5, 3, 2, 1)  # of a frame, of which it moves in one
+_SHARP: Changes = {
+    "objective": {"wavefront": Wavefront()},
+    "relay": {"wavefront": Wavefront(), "defocus_m": 0.0},
+}
 _SHIFTS = ("shift_y_px", "shift_x_px")
 # Fields of the relay that move what is far from the middle the farther.
 _SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
@@ -155,7 +160,7 @@ class Probe:
 
     def _image(self, camera: CodedCamera) -> Doubles:
         """Radiant exposure of the CCD."""
-        panel, lens = camera.modulator, camera.objective.model_dump_json()
+        panel, lens, relay = camera.modulator, _image_of(camera, "objective"), _image_of(camera, "relay")
         gate = (
             panel.model_dump_json(), camera.splitter.model_dump_json(),
             camera.objective.working_f_number, camera.coded_slots,
@@ -170,7 +175,7 @@ class Probe:
         def image() -> Doubles:
             return camera.relay_operator().apply(self._once(("energy", behind), energy))
 
-        return self._once(("image", behind, camera.relay.model_dump_json(), camera.relay_geometry()), image)
+        return self._once(("image", behind, relay, camera.relay_geometry()), image)
 
     def size(self, changes: Changes, of: Changes) -> float:
         """Rms difference that changes make to a frame with the changes ``of``, over that frame's noise.
@@ -219,10 +224,24 @@ def _window_within(small: CodedCamera) -> Changes:
 
 def share_beyond_window(camera: CodedCamera, part: str, half: int) -> float:
     """Share of its light that the PSF of objective or relay has farther off than so many fine samples."""
+    f_number, sample_m = _cone_and_sample(camera, part)
+    return share_beyond(camera.wavelength_m, f_number, half * sample_m)
+
+
+def _cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
+    """f-number and side of a fine sample, m, in the image of objective or relay."""
     f_number, sample_m = camera.objective.working_f_number, camera.modulator.pitch_m / SAMPLES_PER_PITCH
     if part == "relay":
-        f_number, sample_m = camera.relay.image_f_number(f_number), sample_m * camera.relay.magnification
-    return share_beyond(camera.wavelength_m, f_number, half * sample_m)
+        return camera.relay.image_f_number(f_number), sample_m * camera.relay.magnification
+    return f_number, sample_m
+
+
+def _image_of(camera: CodedCamera, part: str) -> tuple[str, int]:
+    """Key of the image of objective or relay: errors over the field that have as many nodes have one."""
+    lens, view = getattr(camera, part), camera.view
+    defocus_m = camera.relay.defocus_m if part == "relay" else 0.0
+    psf = lens.psf(*_cone_and_sample(camera, part), (view.rows, view.cols), defocus_m, camera.wavelength_m)
+    return lens.model_dump_json(exclude={"field_error"}), len(psf.cores)
 
 
 def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
@@ -242,7 +261,7 @@ def _within(value: float, limit: float) -> float:
 
 
 def far_probe(camera: CodedCamera, light: Illumination) -> Probe:
-    """Probe of larger pixels, but fewer, that sees the whole panel."""
+    """Probe of larger pixels, but fewer, that sees the whole panel: what blurs within one is left out."""
     times = max(1, camera.panel_cols // _COLS)
     panel, sensor = camera.modulator, camera.sensor
     larger = camera.model_copy(
@@ -259,7 +278,7 @@ def far_probe(camera: CodedCamera, light: Illumination) -> Probe:
             "sensor": sensor.model_copy(update={"pitch_m": sensor.pitch_m * times}),
         }
     )
-    return _lit(shrunk(larger), light, times)
+    return _lit(changed(shrunk(larger), _SHARP), light, times)
 
 
 def _lit(camera: CodedCamera, light: Illumination, times: int = 1) -> Probe:

@@ -8,6 +8,7 @@ from optsim.effect_sizes import effect_sizes
 from optsim.effects import changed, with_effects
 from optsim.experiment import load_experiment
 from optsim.explain import plan_record
+from optsim.forward.relay import RelayOperator
 from optsim.hardware import demo
 from optsim.loop import planned
 from optsim.optics import Modulator, Objective
@@ -125,6 +126,33 @@ def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():
         assert probe.size(cheapest, {}) == 0
     for lens in ("objective", "relay"):
         assert compared_with(f"{lens}_blur") == compared_with(f"{lens}_field")
+
+
+@pytest.mark.parametrize("lens", ["objective", "relay"])
+def test_a_probe_makes_one_image_for_all_errors_that_have_as_many_nodes(monkeypatch, lens):
+    """Nodes double from grid to grid, so of steps that are closer together some share one."""
+    probe = near_probe(changed(demo(), PLAIN), ROOM)
+    taken = []
+    whole = type(probe.camera).panel_energy
+
+    def panel_energy(camera, *rest):
+        taken.append(getattr(camera, lens).field_error)
+        return whole(camera, *rest)
+
+    monkeypatch.setattr(type(probe.camera), "panel_energy", panel_energy)
+    operators = []
+    monkeypatch.setattr(
+        "optsim.forward.relay.RelayOperator.apply",
+        lambda operator, image, real=RelayOperator.apply: operators.append(1) or real(operator, image),
+    )
+    errors = (0.02, 0.0199, 0.005, 0.1)
+    frames = [probe.frame({lens: {"field_error": error}})[0] for error in errors]
+    assert len(operators) == 3
+    if lens == "objective":
+        assert taken == [0.02, 0.005, 0.1]
+    np.testing.assert_array_equal(frames[0], frames[1])
+    assert (frames[0] != frames[2]).any()
+    assert (frames[0] != frames[3]).any()
 
 
 def test_wings_of_moving_light_count_in_each_part_of_the_frame():

@@ -57,6 +57,21 @@ def test_the_wings_near_the_point_hold_no_folded_light():
     assert outer - inner == pytest.approx(np.diff(-(j0(v) ** 2) - j1(v) ** 2)[0], rel=0.02)
 
 
+@pytest.mark.parametrize("spread", [0.0624, 0.02])
+def test_a_pattern_far_smaller_than_a_cell_throws_on_its_neighbours_what_finer_cells_add_up_to(spread):
+    parts = 9
+    kernel = psf_kernel(spread, 0.1, 1.0, 1.0, 1e-3)
+    fine = psf_kernel(spread, 0.0, 1 / parts, 1.0, spread * 2 / np.pi**2 / 4.5)
+    middle = len(fine) // 2
+    window = fine[middle - 31 : middle + 32, middle - 31 : middle + 32]
+    cells = window.reshape(7, parts, 7, parts).sum(axis=(1, 3))
+    half = len(kernel) // 2
+    ours = kernel[half - 3 : half + 4, half - 3 : half + 4]
+    np.testing.assert_allclose(ours, cells, rtol=0.02)
+    assert kernel.sum() == pytest.approx(1, abs=1e-12)
+    np.testing.assert_allclose(kernel, kernel.T, rtol=1e-9)
+
+
 def test_slow_patterns_are_damped_as_if_there_were_no_cells():
     # Integration over cells adds h^2/12 of variance and the Gaussian gives it up: what is left differs from
     # diffraction x Gaussian in the fourth order of the frequency, and by the aliases of diffraction.

@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.forward.bands import side_by_side
 from optsim.forward.compiled import FEW
-from optsim.forward.field_blur import FieldPsf
+from optsim.forward.field_blur import FieldPsf, uniform
 from optsim.forward.moving_psf import MovingPsf, divided
 from optsim.forward.pixel_splines import draw, spread
 from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip
@@ -131,6 +131,8 @@ def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
 
 
 def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
+    if 0 <= psf.core_half < psf.half:
+        return _one_after_the_other(uniform(psf.common), psf.middle(0), grid)
     cells = max(len(psf.cores) - 1, 1)
 
     def tiles(size: int, first: int, end: int) -> list[tuple[int, int]]:
@@ -144,11 +146,27 @@ def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
         return tiles(grid.rows, target.row, target.row + target.excess.shape[1])
 
     def add(light: Patch, target: Patch, first: int, end: int) -> None:
-        rows, left = slice(first - target.row, end - target.row), target.col
-        for a, b in tiles(grid.cols, left, left + target.excess.shape[2]):
-            collect_tile(light, psf, grid, (first, end), (a, b), target.excess[:, rows, a - left : b - left])
+        top, left = target.row, target.col
+        for a, b in tiles(grid.rows, first, end):
+            for c, d in tiles(grid.cols, left, left + target.excess.shape[2]):
+                part = target.excess[:, a - top : b - top, c - left : d - left]
+                collect_tile(light, psf, grid, (a, b), (c, d), part)
 
     return _Collector(strips, add)
+
+
+def _one_after_the_other(even: FieldPsf, varying: FieldPsf, grid: Grid) -> _Collector:
+    """Collect by what is the same all over the field, and by the smaller middle that isn't.
+
+    Transforms of every node's whole PSF would take as many times as long as there are nodes.
+    """
+    whole, middle = _by_transforms(even, grid), _by_transforms(varying, grid)
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        whole.add(light, target, first, end)
+        middle.add(light, target, first, end)
+
+    return _Collector(whole.strips, add)
 
 
 def _borders(size: int, margin: int, parts: int, together: int = 1) -> Ints:

@@ -34,6 +34,8 @@ fft: Any = _scipy_fft  # comes without types
 _GAUSSIAN_REACH = 5.0  # sigmas: 3e-7 of the energy lies beyond
 # Cells and rings from the centre after which the mean over an Airy pattern's rings is right to 2 %.
 _NEAR_CELLS, _NEAR_SPREADS = 24, 8
+# Below this wavelength times f-number, in cells, all of that is in the central cell.
+_POINT_SPREAD = 0.5 / _NEAR_SPREADS
 
 
 def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
@@ -95,6 +97,8 @@ def psf_kernel(
         return _gaussian_kernel(np.sqrt(variance + (disc_m / cell_m) ** 2 / 16))
     spread = wavelength_m * f_number / cell_m
     half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share) + int(np.ceil(disc_m / cell_m / 2))
+    if spread <= _POINT_SPREAD and not variance and not disc_m:
+        return _point_kernel(spread, half)
     # Where the rings' mean takes over: far from disc and Gaussian, and many rings from the centre.
     near = int(np.ceil(max(_NEAR_CELLS, _NEAR_SPREADS * spread, 2 * disc_m / cell_m + 8 * sigma_m / cell_m)))
     # Four times as wide, so that what the transform folds in from outside stays small beside the wings as far
@@ -110,6 +114,19 @@ def psf_kernel(
     kernel[inner, inner] = np.where(close, middle[own, own], kernel[inner, inner])
     within = square <= near**2
     kernel[within] *= (1 - kernel[~within].sum()) / kernel[within].sum()
+    return kernel
+
+
+def _point_kernel(spread: float, half: int) -> Doubles:
+    """Kernel of an Airy pattern far smaller than a cell: the rings' mean, integrated over cells.
+
+    The integral of r^-3 over a rectangle is the difference of -r / (x y) between its corners.
+    """
+    edges = np.arange(-half, half + 2) - 0.5
+    corners = -np.hypot(edges[:, None], edges) / np.outer(edges, edges)
+    kernel = spread / np.pi**3 * np.diff(np.diff(corners, axis=0), axis=1)
+    kernel[half, half] = 0
+    kernel[half, half] = 1 - kernel.sum()
     return kernel
 
 
