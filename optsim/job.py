@@ -24,7 +24,7 @@ from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
 from optsim.files import read_json, writable_folder, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import MOVING_FRAMES, Gallery
-from optsim.journal import open_journal
+from optsim.journal import Journal, run_key
 from optsim.known_calibration import ideal_calibration
 from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
@@ -173,7 +173,7 @@ def execute(
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
             objects = object_masks(experiment, backend=backend, progress=progress)
-    journal = open_journal(folder / UNFINISHED, experiment, chosen, versions())
+    journal = Journal(folder / UNFINISHED, run_key(experiment, chosen, versions()))
     experiment, names = modelled, [method.name for method in experiment.methods]
     resumed = {"captured": journal.n_shots(names)}
     with watch.stage("capture"):

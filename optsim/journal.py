@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
@@ -57,7 +58,7 @@ class Journal:
     folder : Path or None
         Where; None keeps nothing.
     key : str
-        Hash of everything that decides the numbers of a run; what another key wrote is as good as absent.
+        Of the run (:func:`run_key`); what another key wrote is as good as absent.
     """
 
     folder: Path | None
@@ -106,15 +107,17 @@ class Journal:
         return found
 
     def _scores(self, index: int, methods: Sequence[str]) -> FrameScores | None:
-        page, found = self._page("scores", index), FrameScores([], [])
-        for place, method in enumerate(methods):
-            tally = page.read(*(f"{place}.tally.{name}" for name in _TALLY))
-            spread = page.read(*(f"{place}.spread.{name}" for name in _SPREAD))
-            if tally is None or spread is None:
-                return None
-            found.tallies.append(FrameTally(method, index, *tally[1]))
-            stated = all(array.size for array in spread[1])
-            found.spreads.append(UncertaintyTally(method, index, *spread[1]) if stated else None)
+        kinds, places = (("tally", _TALLY), ("spread", _SPREAD)), range(len(methods))
+        names = [f"{place}.{kind}.{name}" for place in places for kind, each in kinds for name in each]
+        kept = self._page("scores", index).read(*names)
+        if kept is None:
+            return None
+        found, arrays = FrameScores([], []), iter(kept[1])
+        for method in methods:
+            tally, spread = (list(islice(arrays, len(each))) for _, each in kinds)
+            found.tallies.append(FrameTally(method, index, *tally))
+            stated = all(array.size for array in spread)
+            found.spreads.append(UncertaintyTally(method, index, *spread) if stated else None)
         return found
 
     def close(self) -> None:
@@ -132,13 +135,11 @@ class Journal:
 NOTHING_KEPT = Journal(None, "")
 
 
-def open_journal(folder: Path, experiment: Experiment, *further: object) -> Journal:
-    """Journal of a run; what other code, or the same with other files, wrote is as good as absent.
+def run_key(experiment: Experiment, *further: object) -> str:
+    """Hash of what decides the numbers of a run, its code and the content of its files included.
 
     Parameters
     ----------
-    folder : Path
-        Where it is kept.
     experiment : Experiment
         What is run; files that it names, priors for example, count by their content.
     *further : object
@@ -147,7 +148,7 @@ def open_journal(folder: Path, experiment: Experiment, *further: object) -> Jour
     resolved = experiment.model_dump(mode="json")
     named, truth = _named_files(resolved), truth_content(experiment)
     code = hash_files(["optsim/**/*.py", "optsim/**/*.npz"])
-    return Journal(folder, hash_of(resolved, named, truth, code, *further))
+    return hash_of(resolved, named, truth, code, *further)
 
 
 def _named_files(value: object) -> list[str]:

@@ -13,7 +13,7 @@ from optsim import cli, job, journal
 from optsim.camera import CodedCamera
 from optsim.experiment import Experiment, experiment_path, load_experiment
 from optsim.files import read_exr, read_json
-from optsim.journal import FrameScores, Journal, open_journal
+from optsim.journal import FrameScores, Journal, run_key
 from optsim.metrics import FrameTally, UncertaintyTally
 from optsim.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.reconstruct import GaussianMixture
@@ -226,7 +226,7 @@ def test_whatever_decides_a_run_s_numbers_decides_its_journal(
     named = [*QUICK, f"methods.random.decoder.mixture='{prior}'"]
 
     def key(assignments: list[str], *further: object) -> str:
-        return open_journal(tmp_path, load_experiment(str(lab), assignments), *further).key
+        return run_key(load_experiment(str(lab), assignments), *further)
 
     first = {key(QUICK), key(QUICK, "another renderer"), key([*QUICK, "seed=2"]), key(named)}
     assert len(first) == 4

@@ -19,6 +19,7 @@ from optsim.files import write_text
 from optsim.job import execute, run_folder
 from optsim.own_f_number import OwnLight, compare
 from optsim.report.headline import Row, table
+from optsim.report.markdown import markdown_table
 from optsim.report.schema import Phase, Results, Score, Verdict
 from optsim.truth import render_truth
 
@@ -55,7 +56,7 @@ def section(results: Results) -> str:
     lines += ["", f"Run {results['finished_utc']}, optsim {results['versions']['optsim']}.", ""]
     for phase, words in _PHASES:
         cells = _cells(results["scores"], list(results["methods"]), phase)
-        lines += [f"**{words}**", "", *_table(("method", *_HEADS), cells), ""]
+        lines += [f"**{words}**", "", *markdown_table(("method", *_HEADS), _named(cells)), ""]
     lines += ["What was registered before measuring:", ""]
     lines += [_judged(verdict) for verdict in results["hypothesis"]]
     return "\n".join([*lines, ""])
@@ -80,7 +81,7 @@ def own_section(own: OwnLight) -> str:
             "",
             "**Steady**",
             "",
-            *_table(heads, {name: facts[name] + scores[name] for name in facts}),
+            *markdown_table(heads, _named({name: facts[name] + scores[name] for name in facts})),
             "",
             "The claims were registered for one f-number; with these they read:",
             "",
@@ -90,9 +91,8 @@ def own_section(own: OwnLight) -> str:
     )
 
 
-def _table(heads: Sequence[str], cells: Mapping[str, Sequence[str]]) -> list[str]:
-    rows = [heads, ["---"] * len(heads), *([name, *row] for name, row in cells.items())]
-    return ["| " + " | ".join(row) + " |" for row in rows]
+def _named(cells: Mapping[str, Sequence[str]]) -> list[list[str]]:
+    return [[name, *row] for name, row in cells.items()]
 
 
 def _cells(scores: Sequence[Score], methods: Sequence[str], phase: Phase) -> dict[str, list[str]]:

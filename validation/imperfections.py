@@ -17,8 +17,9 @@ from optsim.errors import OptsimError
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_json, write_json, write_text
 from optsim.job import versions
-from optsim.journal import open_journal
+from optsim.journal import run_key
 from optsim.loop import run
+from optsim.report.markdown import markdown_table
 from optsim.scoring import score
 from optsim.truth import render_truth
 
@@ -64,7 +65,7 @@ def _demo(*switches: str) -> Experiment:
 
 def _found(name: str, experiment: Experiment) -> Found:
     path = KEPT / f"{name}.json"
-    key = open_journal(KEPT, experiment, versions()).key
+    key = run_key(experiment, versions())
     try:
         kept = cast("dict[str, Any]", read_json(path))
     except OptsimError:
@@ -75,7 +76,7 @@ def _found(name: str, experiment: Experiment) -> Found:
 
         def of(metric: str, method: str, region: str) -> float:
             return next(
-                float(r["value"] or 0)
+                float(r["value"])
                 for r in steady
                 if r["metric"].startswith(metric) and (r["method"], r["region"]) == (method, region)
             )
@@ -91,16 +92,17 @@ def _found(name: str, experiment: Experiment) -> Found:
 
 def _page(base: Found, rows: list[tuple[str, str, Found]]) -> str:
     heads = ["switched", "state", *(f"{m}, {r}" for m in METHODS for r in REGIONS), "adaptive, stops"]
-    cells = [[f"{base.db[m][r]:.2f}" for m in METHODS for r in REGIONS]]
-    ordered = sorted(rows, key=lambda row: -abs(row[2].db["adaptive"]["all"] - base.db["adaptive"]["all"]))
-    lines = ["| " + " | ".join(heads) + " |", "| " + " | ".join(["---"] * len(heads)) + " |"]
-    stops = [f"{base.stops['adaptive']:.3f}"]
-    lines.append("| " + " | ".join(["nothing", "nominal", *cells[0], *stops]) + " |")
-    for name, state, found in ordered:
-        gains = [f"{found.db[m][r] - base.db[m][r]:+.2f}" for m in METHODS for r in REGIONS]
+    measured = [f"{base.db[m][r]:.2f}" for m in METHODS for r in REGIONS]
+    cells = [["nothing", "nominal", *measured, f"{base.stops['adaptive']:.3f}"]]
+    for name, state, found in sorted(rows, key=lambda row: -abs(_gain(row[2], base, "adaptive", "all"))):
+        gains = [f"{_gain(found, base, m, r):+.2f}" for m in METHODS for r in REGIONS]
         less = f"{found.stops['adaptive'] - base.stops['adaptive']:+.3f}"
-        lines.append("| " + " | ".join([f"`{name}`" if name in ALL else name, state, *gains, less]) + " |")
-    return _HEAD + "\n".join(lines) + "\n"
+        cells.append([f"`{name}`" if name in ALL else name, state, *gains, less])
+    return _HEAD + "\n".join(markdown_table(heads, cells)) + "\n"
+
+
+def _gain(found: Found, base: Found, method: str, region: str) -> float:
+    return found.db[method][region] - base.db[method][region]
 
 
 _HEAD = """# What each imperfection costs
@@ -110,8 +112,9 @@ of all pixels, where the truth moves and where it doesn't; error of the adaptive
 as it is. Others: the change when one effect is switched off, or, where the nominal camera has none of it,
 made pessimistic; each camera is calibrated by its own bench, and light follows the rule. Scores are against
 the light on the panel, so what the objective does to the scene counts only through what it makes of the
-rest (its shading is divided out). Pixels are those that all methods hold valid, which an effect may change,
-and noise is drawn anew where a camera is another: differences below 0.1 dB say nothing.
+rest (its shading is divided out). Pixels are those that all methods hold valid, which an effect may change.
+Noise has the same seeds, but another camera is calibrated anew and its masks are others: differences below
+0.1 dB say nothing (an estimate).
 
 """
 
