@@ -154,8 +154,7 @@ class Probe:
         expected = camera.electrons_of(self._image(camera))
         edges = (min(2 * _MARGIN_PX, (n - 1) // 2) for n in expected.shape)
         inner = tuple(slice(edge, n - edge) for edge, n in zip(edges, expected.shape, strict=True))
-        smear = camera.sensor.smear_e(expected, camera.exposure_s)
-        signal = camera.sensor.signal_e(expected, smear, camera.serial_number)
+        signal = camera.sensor.signal_e(expected, camera.exposure_s, camera.serial_number)
         return signal[inner], (expected < camera.sensor.full_well_e)[inner]
 
     def _image(self, camera: CodedCamera) -> Doubles:

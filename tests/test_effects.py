@@ -36,8 +36,7 @@ def frame(camera, level=255, dark_half=False):
     levels = np.broadcast_to(np.uint8(level), (36, rows, cols)).copy()
     code = ExposureCode(levels, np.zeros((rows, cols), np.bool_))
     electrons, _ = camera.expected_electrons(light, 0, code, None)
-    smear = camera.sensor.smear_e(electrons, camera.exposure_s)
-    return camera.sensor.signal_e(electrons, smear, camera.serial_number)
+    return camera.sensor.signal_e(electrons, camera.exposure_s, camera.serial_number)
 
 
 def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():

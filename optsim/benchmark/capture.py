@@ -136,9 +136,7 @@ def _seconds_a_frame(camera: CodedCamera, radiance: RadianceVideo, code: Exposur
 
 def _signal(camera: CodedCamera, expected_e: Doubles) -> Doubles:
     """Signal without noise, electrons: with smear, the full well's clip and what bends below it."""
-    sensor = camera.sensor
-    smear_e = sensor.smear_e(expected_e, camera.exposure_s)
-    return np.asarray(sensor.signal_e(expected_e, smear_e, camera.serial_number))
+    return camera.sensor.signal_e(expected_e, camera.exposure_s, camera.serial_number)
 
 
 def moving_patches(camera: CodedCamera, share: float, rng: np.random.Generator) -> RadianceVideo:

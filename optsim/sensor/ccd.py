@@ -213,9 +213,10 @@ class Ccd(Part):
         light_e = np.maximum(expected_e, dark_e).sum(axis=0) - len(expected_e) * dark_e
         return self.smear_share * dwell_s / exposure_s * light_e
 
-    def signal_e(self, electrons: Doubles, smear_e: Doubles | float, serial_number: int) -> Doubles:
-        """Signal of collected electrons before read noise, electrons: clip, smear, bend and fixed pattern."""
-        return self._bent_signal(electrons, smear_e) + self.dark_signal_e(serial_number)
+    def signal_e(self, expected_e: Doubles, exposure_s: float, serial_number: int) -> Doubles:
+        """Signal of a frame without noise, electrons: clip, smear, bend and fixed pattern."""
+        smear = self.smear_e(expected_e, exposure_s)
+        return self._bent_signal(expected_e, smear) + self.dark_signal_e(serial_number)
 
     def _bent_signal(self, electrons: Doubles, smear_e: Doubles | float) -> Doubles:
         return self.bent(np.minimum(electrons, self.full_well_e) + smear_e)

@@ -144,8 +144,8 @@ def _frame(camera: CodedCamera, radiance: RadianceVideo, nd: float) -> tuple[np.
     """Signal without noise, electrons, and where it does not clip."""
     lit = camera.with_nd(nd)
     expected, _ = lit.expected_electrons(lit.form_image(radiance), 0, _code(camera), None)
-    smear = lit.sensor.smear_e(expected, lit.exposure_s)
-    return lit.sensor.signal_e(expected, smear, lit.serial_number), expected < lit.sensor.full_well_e
+    signal = lit.sensor.signal_e(expected, lit.exposure_s, lit.serial_number)
+    return signal, expected < lit.sensor.full_well_e
 
 
 def _scene(camera: CodedCamera, bright: BrightLight | None) -> RadianceVideo:
