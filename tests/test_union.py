@@ -37,7 +37,14 @@ def test_equation_1_takes_each_branch_in_its_place():
     np.testing.assert_array_equal(joined.irradiance_w_m2[:, far], still.irradiance_w_m2[:, far])
     steps = np.abs(np.diff(joined.irradiance_w_m2.mean(axis=0), axis=1))
     assert steps.max() < 1.0
-    assert joined.uncertainty_w_m2 is None, "the video doesn't know"
+    # The video doesn't know how sure it is.
+    known = (joined.uncertainty_w_m2 > 0).all(axis=0)
+    assert 0.1 < known.mean() < 0.9
+    np.testing.assert_array_equal((joined.uncertainty_w_m2 > 0).any(axis=0), known)
+    assert known[far].all()
+    assert not known[frames[-1].code.moving].any()
+    spread = np.broadcast_to(still.uncertainty_w_m2, joined.uncertainty_w_m2.shape)
+    np.testing.assert_array_equal(joined.uncertainty_w_m2[:, known], spread[:, known])
 
 
 def test_union_is_as_sure_as_who_makes_the_picture():

@@ -136,7 +136,9 @@ def _saturated(measurement: Measurement) -> float:
 
 def _write(folder: Path, video: Reconstruction, unit: str) -> None:
     light = {f"slot{slot:02d}": each for slot, each in enumerate(video.irradiance_w_m2)}
+    about: dict[str, str | int] = {"unit": unit, "axes": "slot, v, u", "frame": video.index}
     if video.uncertainty_w_m2 is not None:
+        about["sigma"] = "standard deviation of the light; 0 where it isn't known"
         light |= {f"sigma{slot:02d}": each for slot, each in enumerate(video.uncertainty_w_m2)}
     write_exr(
         folder / "reconstruction" / f"{video.index:06d}.exr",
@@ -145,7 +147,7 @@ def _write(folder: Path, video: Reconstruction, unit: str) -> None:
             "valid": video.valid.astype(np.float32),
             "interpolated": video.interpolated.astype(np.float32),
         },
-        attributes={"unit": unit, "axes": "slot, v, u", "frame": video.index},
+        attributes=about,
     )
 
 

@@ -46,7 +46,7 @@ class UncertaintyTally:
     within : ndarray of shape (region, 2), int64
         Samples whose error is at most one deviation, and at most two.
     counts : ndarray of shape (region,), int64
-        Samples with a deviation above zero.
+        Samples whose deviation is known and above zero.
     """
 
     method: str

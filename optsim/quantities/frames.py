@@ -105,7 +105,7 @@ class Reconstruction:
         Pixels whose light the decoder took for changing.
     uncertainty_w_m2 : ndarray of shape (slot, v, u), float32, or None
         Standard deviation of the irradiance as the decoder itself predicts it, before negative light is
-        clipped; without meaning where not valid. None where the decoder doesn't know.
+        clipped; without meaning where not valid. 0 where the decoder doesn't know, None if nowhere.
     """
 
     index: int

@@ -47,7 +47,7 @@ class Union(Part):
     ``moving`` is where all of the video is decoded: within the code's mask, near a change.
 
     Where the two are mixed so are their standard deviations, as if both made the same error: an upper bound.
-    Without a word from the video's decoder there is none of the union's.
+    Without a word from the video's decoder it is 0, not known, where there is any video.
 
     Parameters
     ----------
@@ -93,17 +93,24 @@ class Union(Part):
             # Inside the mask all patches are there, so the opacity is 1.
             share = np.where(still.valid, near * video.opacity, np.sign(video.opacity))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
-            spread = None
-            if still.uncertainty_w_m2 is not None and video.uncertainty_w_m2 is not None:
-                spread = (1 - share) * still.uncertainty_w_m2 + share * video.uncertainty_w_m2
+            spread = _mixed(still.uncertainty_w_m2, video.uncertainty_w_m2, share)
             yield Reconstruction(
                 still.index,
                 joined.astype(np.float32, copy=False),
                 np.where(share > 0, video.valid | still.valid, still.valid),
                 np.where(share > 0, video.interpolated, still.interpolated),
                 video.moving,
-                spread,
+                None if spread is None else np.broadcast_to(spread, joined.shape),
             )
+
+
+def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats | None:
+    """Mix standard deviations by the video's share of the picture; 0 where a part isn't known."""
+    if still is None:
+        return None
+    if video is None:
+        return np.asarray(np.where(share > 0, 0, still), np.float32)
+    return (1 - share) * still + share * video
 
 
 def _nearness(changed: Bools, fade_px: float) -> Floats:
