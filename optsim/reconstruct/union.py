@@ -108,9 +108,8 @@ def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats 
     """Mix standard deviations by the video's share of the picture; 0 where a part isn't known."""
     if still is None:
         return None
-    if video is None:
-        return np.asarray(np.where(share > 0, 0, still), np.float32)
-    return (1 - share) * still + share * video
+    mixed = np.where(share > 0, 0, still) if video is None else (1 - share) * still + share * video
+    return np.asarray(mixed, np.float32)
 
 
 def _nearness(changed: Bools, fade_px: float) -> Floats:
