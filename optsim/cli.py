@@ -383,7 +383,7 @@ def main() -> None:
         status = 2
     if status == _INTERRUPTED:
         typer.echo(
-            "optsim: interrupted. Finished poses are in the cache; the same command goes on from there.",
+            "optsim: interrupted. What is finished is kept; the same command goes on from there.",
             err=True,
         )
     raise SystemExit(status or 0)

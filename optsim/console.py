@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Generator, Sequence
 from typing import Any
 
@@ -15,11 +16,18 @@ from optsim.progress import Progress
 
 people = Console(stderr=True, highlight=False, soft_wrap=True)
 page = Console(highlight=False, soft_wrap=True)
+_EVERY_S = 10.0  # seconds between lines of a log
 
 
 @contextlib.contextmanager
 def progress_bars(quiet: bool = False) -> Generator[Progress, None, None]:
-    """Yield a progress callable that draws one bar a stage with elapsed and remaining time."""
+    """Yield a progress callable that draws one bar a stage with elapsed and remaining time.
+
+    Where nobody watches, a log for example, it writes a line now and then.
+    """
+    if not (quiet or people.is_terminal):
+        yield _lines()
+        return
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(),
@@ -37,6 +45,18 @@ def progress_bars(quiet: bool = False) -> Generator[Progress, None, None]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield progress
+
+
+def _lines() -> Progress:
+    said: dict[str, tuple[float, int]] = {}
+
+    def progress(stage: str, done: int, total: int) -> None:
+        when, before = said.get(stage, (-_EVERY_S, -1))
+        if done != before and (done == total or time.monotonic() - when >= _EVERY_S):
+            said[stage] = time.monotonic(), done
+            people.print(f"{stage}: {done} of {total}")
+
+    return progress
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Table:

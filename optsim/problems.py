@@ -43,9 +43,13 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
 
 
 class _Place(NamedTuple):
-    """Where in a table something is wrong: its key, the parts it may belong to, and what they say of it."""
+    """Where in a table something is wrong: its key, the parts it may belong to, and what they say of it.
+
+    The path is the key without places in lists, for which the key has names where they have any.
+    """
 
     key: str
+    path: str
     owners: list[type[BaseModel]]
     field: FieldInfo | None
 
@@ -123,9 +127,9 @@ def _range(field: FieldInfo | None, context: dict[str, Any]) -> str:
 def _right_key(part: type[BaseModel], place: _Place) -> str:
     """Nearest key, or the whole key of a right name in the wrong table; else what the table may hold."""
     name, own = place.key.rsplit(".", 1)[-1], [key for p in place.owners for key in p.model_fields]
-    here = ".".join(step for step in place.key.split(".") if not step.isdigit())
     # A key that another kind would have here isn't what this one should have.
-    paths = {key: found for key, found in _field_paths(part).items() if here not in found}
+    table = place.path[: place.path.rfind(".") + 1]
+    paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
     # Nearer ones first: a key of this very table before one elsewhere.
     near = difflib.get_close_matches(name, own, n=1, cutoff=0.7) or difflib.get_close_matches(
         name, sorted(paths), n=1, cutoff=0.7
@@ -140,12 +144,17 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
     """Follow an error's location, which names chosen kinds too, through the table and its parts."""
     inside, owners, field = [part], [part], None
     keys: list[str] = []
+    path: list[str] = []
     value = table
     for step in location:
-        if _inside(value, "kind") == step and _inside(value, step) is None:
+        # The kind that was chosen, which the table need not hold where one is chosen unless it says so.
+        chosen = [p for p in inside if "kind" in p.model_fields and p.model_fields["kind"].default == step]
+        if chosen and _inside(value, step) is None:
+            inside = chosen
             continue
         value = _inside(value, step)
-        keys.append(str(step))
+        keys.append(str(step if isinstance(step, str) else _inside(value, "name") or step))
+        path += [step] if isinstance(step, str) else []
         if isinstance(step, str):
             owners = inside
             fields = [p.model_fields[step] for p in owners if step in p.model_fields]
@@ -153,7 +162,7 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
             inside = [p for info in fields for p in _parts(info.annotation)]
         inside = _of_its_kind(inside, value)
     # What is wrong with a table is the table's; what is wrong with a number is its owner's.
-    return _Place(".".join(keys), inside or owners, field)
+    return _Place(".".join(keys), ".".join(path), inside or owners, field)
 
 
 def _inside(value: Any, step: int | str) -> Any:

@@ -17,7 +17,7 @@ from optsim.journal import FrameScores
 from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
 from optsim.metrics.hypothesis import Verdict
-from optsim.metrics.scoring import ScoreRecord
+from optsim.metrics.scoring import PHASES, ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
 
@@ -224,8 +224,10 @@ def score(result: Result) -> list[ScoreRecord]:
 
 
 def score_table_html(result: Result) -> str:
-    """Steady-phase scores as an HTML table: how a result shows itself in a notebook."""
-    records = [r for r in score(result) if r["phase"] == "steady" and r["value"] is not None]
+    """Scores of the most settled phase as an HTML table: how a result shows itself in a notebook."""
+    known = [r for r in score(result) if r["value"] is not None]
+    phase = next((p for p in reversed(PHASES) if any(r["phase"] == p for r in known)), "steady")
+    records = [r for r in known if r["phase"] == phase]
     names = list(result.reconstructions)
     rows: Sequence[tuple[str, str]] = list(dict.fromkeys((r["metric"], r["region"]) for r in records))
     head = "".join(f"<th>{escape(n)}</th>" for n in names)
@@ -234,5 +236,5 @@ def score_table_html(result: Result) -> str:
         values = {r["method"]: r["value"] for r in records if (r["metric"], r["region"]) == (metric, region)}
         cells = "".join(f"<td>{values[n]:.2f}</td>" if n in values else "<td>–</td>" for n in names)
         body += f"<tr><td>{escape(metric)}</td><td>{region}</td>{cells}</tr>"
-    title = escape(f"{result.experiment.name}: steady-phase scores")
+    title = escape(f"{result.experiment.name}: scores of the {phase} phase")
     return f"<table><caption>{title}</caption><tr><th>metric</th><th>region</th>{head}</tr>{body}</table>"

@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim import __version__
 from optsim.cache import Cache, hash_of
-from optsim.errors import ConfigError
+from optsim.errors import ConfigError, StorageError
 from optsim.files import writable_folder
 from optsim.imported_clips import ImportedClip
 from optsim.progress import Progress, silent
@@ -150,7 +150,7 @@ def train_prior(
     ConfigError
         When the file to write is no .npz, is missing where it must be said, or a mixture is given a method.
     StorageError
-        When nothing can be written there.
+        When nothing can be written there, or a file said by name exists already.
     """
     path = prior_path(prior, out, method, imported=bool(clips))
     chosen = footage or (None if clips else _SHIPPED[prior])
@@ -208,5 +208,7 @@ def prior_path(prior: Prior, out: Path | None, method: Method | None, *, importe
     path = out or Path(str(files("optsim.reconstruct") / f"{prior}.npz"))
     if path.suffix != ".npz":
         raise ConfigError(f"--out {path}: expected a name that ends in .npz")
+    if out is not None and path.exists():
+        raise StorageError(f"--out {path} exists already; choose another name, or move it away")
     writable_folder(path.parent, "--out", "choose another one")
     return path

@@ -8,10 +8,10 @@ import re
 _UNITS: dict[str, dict[str, float]] = {
     "_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
     "_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
-    "_hz": {"hz": 1.0, "khz": 1e3, "fps": 1.0},
+    "_hz": {"Hz": 1.0, "kHz": 1e3, "fps": 1.0},
     "_rad": {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3},
     "_e": {"e": 1.0, "ke-": 1e3, "e-": 1.0},
-    "_c": {"c": 1.0, "°c": 1.0},
+    "_c": {"°C": 1.0, "C": 1.0},
 }
 _QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°]*)\s*$")
 
@@ -51,12 +51,17 @@ def parse_quantity(key: str, text: str) -> float:
     if not match:
         raise ValueError(f"expected a number with a unit; {cure}")
     number, unit = match.groups()
-    if unit.lower() not in units:
-        known = any(unit.lower() in other for other in _UNITS.values())
+    factors = _by_lower(units)
+    if unit.lower() not in factors:
+        known = any(unit.lower() in _by_lower(other) for other in _UNITS.values())
         raise ValueError(
             f"the unit {unit!r} is {'of another dimension than this key' if known else 'unknown'}; {cure}"
         )
     try:
-        return float(number) * units[unit.lower()]
+        return float(number) * factors[unit.lower()]
     except ValueError:
         raise ValueError(f"{number!r} is not a number; {cure}") from None
+
+
+def _by_lower(units: dict[str, float]) -> dict[str, float]:
+    return {name.lower(): factor for name, factor in units.items()}

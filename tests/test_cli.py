@@ -181,7 +181,7 @@ def test_interruption_is_a_clean_message(cli, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(job, "execute", interrupted)
     code, _, err = cli("run", "demo")
     assert code == 130
-    assert "cache" in err
+    assert "What is finished is kept" in err
     assert "Traceback" not in err
 
 

@@ -149,3 +149,15 @@ def test_a_result_shows_itself(result: Result) -> None:
     html = result._repr_html_()
     assert "adaptive" in html
     assert "nan" not in html.lower()
+    assert "steady phase" in html
+
+
+def test_a_result_that_never_settles_shows_how_far_it_came(
+    result: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    early = [r for r in score(result) if r["phase"] != "steady"]
+    assert {"warm-up", "merging"} == {r["phase"] for r in early}
+    monkeypatch.setattr("optsim.scoring.score", lambda _: early)
+    html = result._repr_html_()
+    assert "merging phase" in html
+    assert html.count("<tr>") > 3

@@ -162,6 +162,31 @@ def test_saturation_below_black_is_refused(tmp_path: Path) -> None:
         measurement_files(tmp_path / "a.npz", ["sensor.black=500", "sensor.saturation=100"])
 
 
+@pytest.mark.parametrize("scale", [1e-3, 0.2, 5.0, 1e3])
+def test_a_truth_of_another_unit_than_the_image_is_refused(scale: float) -> None:
+    truth, opened = 1000 * moving(), bumps()
+    image = (truth * opened).sum(axis=0) + 64
+    with pytest.raises(ValueCheckError, match=r"truth: under the code .* expected light in the image's unit"):
+        coded_measurement(image, opened, sensor=Sensor(black=64), truth=scale * truth)
+    for near in (0.5, 1.0, 2.0):  # a gain that nobody calibrated
+        coded_measurement(image, opened, sensor=Sensor(black=64), truth=near * truth)
+    with pytest.raises(ValueCheckError, match=r"sensor\.black: got 5000, but no count of the image is"):
+        coded_measurement(image, opened, sensor=Sensor(black=5000))
+    # In the dark there is nothing to compare.
+    noise = np.random.default_rng(1).normal(64, 2, image.shape)
+    coded_measurement(noise, opened, sensor=Sensor(black=64, read_noise=2), truth=0 * truth)
+
+
+def test_a_key_of_the_decoder_that_nobody_named_is_told_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "shot.npz"
+    np.savez(path, image=np.ones((ROWS, COLS)), code=np.ones((SLOTS, ROWS, COLS)))
+    with pytest.raises(
+        ConfigError, match=r"decoder\.stride: unknown key; keys here are: .*sigma_px"
+    ) as refused:
+        measurement_files(path, ["decoder.stride=1"])
+    assert "decoder.interpolation" not in str(refused.value)
+
+
 def test_slots_that_an_exr_lacks_are_named(tmp_path: Path) -> None:
     image, codes = measured(light(), code()), code()
     channels = {f"slot{k}": each.astype(np.float32) for k, each in enumerate(codes)}

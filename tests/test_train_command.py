@@ -51,6 +51,16 @@ def test_wrong_input_is_refused_before_any_work(optsim, words, message, tmp_path
     assert not (tmp_path / "mine.npz").exists()
 
 
+def test_a_file_that_is_there_is_not_replaced(optsim, tmp_path, monkeypatch):
+    monkeypatch.setattr(ImportedClip, "read", lambda *_: pytest.fail("it read footage"))
+    precious = tmp_path / "precious.npz"
+    precious.write_bytes(b"a measurement")
+    code, _, err = optsim("train", "dictionary", "--clips", "good.npy", "--out", str(precious))
+    assert code == 2
+    assert "exists already; choose another name" in err
+    assert precious.read_bytes() == b"a measurement"
+
+
 def test_a_mixture_has_no_method(optsim):
     code, _, err = optsim("train", "mixture", "--method", "ksvd", "--clips", "good.npy", "--out", "mine.npz")
     assert code == 2

@@ -20,6 +20,8 @@ _OPEN_OR_SHUT = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=1.
 _WORDS = 65535
 # Of what is bright, steps that are too coarse if they are coarser than the noise as well.
 _BRIGHT, _STEPS = 90, 1000
+# A truth that is so many times as bright as the image, or as dark, is in another unit.
+_TIMES = 3.0
 
 
 class Sensor(Part):
@@ -123,24 +125,29 @@ def coded_measurement(
     Raises
     ------
     ValueCheckError
-        For shapes that don't agree, weights outside of 0..1, light that isn't finite, or a few pixels so
-        bright that 16 bits leave too little for the others.
+        For shapes that don't agree, weights outside of 0..1, light that isn't finite or of another unit than
+        the image, a black above all of it, or a few pixels so bright that 16 bits leave too little for the
+        others.
     """
     known = sensor or Sensor()
     images, codes = stacked(images, codes)
     if images.shape[1:] != codes.shape[2:]:
         raise ValueCheckError(
             f"images of {images.shape[1:]} and codes of {codes.shape[2:]} pixels: expected codes of the "
-            "images' pixels; images of a sensor with other pixels need a calibration (key 'bench')"
+            "images' pixels, (slot, v, u); images of a sensor with other pixels need a calibration (key "
+            "'bench')"
         )
     levels, rounded = code_levels(codes)
     full, noise = _full(images, known), _read_noise(images, known)
+    _check_light(images, known.black)
+    light = truth_frames(truth, len(images), levels.shape[1])
+    _check_unit(light, images, levels, known.black, full, noise)
     words, scale = _words(images, known.black, full, noise)
     alive: Bools = np.asarray(np.isfinite(images).all(axis=0))
     return Measurement(
         coded_frames(words, levels, moving_masks(moving, len(images), images.shape[1:])),
         _calibration(levels, alive, known, noise, scale, full),
-        truth_frames(truth, len(images), levels.shape[1]),
+        light,
         "counts a slot",
         rounded,
     )
@@ -253,6 +260,42 @@ def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple
             "everywhere, as a score needs it; fill them, or leave truth out"
         )
     return tuple(np.split(stack[: n_frames * slots], n_frames))
+
+
+def _check_light(images: NDArray[Any], black: float) -> None:
+    """Refuse a black level that the brightest pixel doesn't reach."""
+    most = float(np.where(np.isfinite(images), images, -np.inf).max())
+    if np.isfinite(most) and most < black:
+        raise ValueCheckError(
+            f"sensor.black: got {black:g}, but no count of the image is above {most:g}: expected the counts "
+            "that the sensor gives without light; lower it"
+        )
+
+
+def _check_unit(
+    truth: tuple[Floats, ...],
+    images: NDArray[Any],
+    levels: Bytes,
+    black: float,
+    full: float,
+    noise: float,
+) -> None:
+    """Refuse a truth that, under the code, is nowhere near as bright as the images."""
+    for k, light in enumerate(truth):
+        if light.shape[1:] != images.shape[1:]:
+            return  # what holds truth and image says so
+        weights = np.sin(levels[k % len(levels)] / 255 * np.pi / 2) ** 2
+        seen = np.isfinite(images[k]) & (images[k] < full)
+        if not seen.any():
+            continue
+        coded = float(np.einsum("svu,svu->vu", weights, light)[seen].mean())
+        counts = float(images[k][seen].mean()) - black
+        if abs(coded - counts) > max(coded, counts) * (1 - 1 / _TIMES) + 3 * noise:
+            raise ValueCheckError(
+                f"truth: under the code it adds up to {coded:.3g} a pixel, the image has {counts:.3g} above "
+                f"black ({black:g}): expected light in the image's unit, counts a slot; scale it, say "
+                "sensor.black, or leave truth out"
+            )
 
 
 def _full(images: NDArray[Any], sensor: Sensor) -> float:

@@ -115,6 +115,11 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
             role: str(path) for role, names in _NAMES.items() if any(name in there for name in names)
         }
         folder = Path()
+    elif path.is_dir():
+        raise ConfigError(
+            f"{path} is a folder, but of no finished run; expected one, a TOML file, or an .npz or .mat file "
+            "with image and code"
+        )
     else:
         table, folder = read_toml(path), path.parent
     table = override(table, assignments)

@@ -103,7 +103,8 @@ def _reading(path: Path) -> Generator[None, None, None]:
             f"save('{path.name}', '-v7'), or for arrays above 2 GB write one TIFF a frame"
         ) from None
     except (MatReadError, ValueError, OSError, EOFError, TypeError, BadZipFile) as error:
-        raise StorageError(f"{path} cannot be read {kind}: {error}") from None
+        why = "it is none, or it holds Python objects" if "pickle" in str(error) else error
+        raise StorageError(f"{path} cannot be read {kind}: {why}") from None
 
 
 def _load(path: Path, key: str | None) -> Pixels:

@@ -1,0 +1,35 @@
+"""Progress where nobody watches: lines of a log, not too many of them."""
+
+import pytest
+
+from optsim import console
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    lines: list[str] = []
+    monkeypatch.setattr(console.people, "print", lines.append)
+    return lines
+
+
+def test_a_log_gets_a_line_now_and_then_and_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, said: list[str]
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress_bars() as progress:
+        for done in range(1, 41):
+            progress("movers", done, 40)
+            now[0] += 1.0
+        progress("movers", 40, 40)
+        progress("decode", 1, 2)
+    assert said == [
+        *(f"movers: {done} of 40" for done in (1, 11, 21, 31, 40)),
+        "decode: 1 of 2",
+    ]
+
+
+def test_who_wants_no_remarks_gets_none(said: list[str]) -> None:
+    with console.progress_bars(quiet=True) as progress:
+        progress("movers", 1, 1)
+    assert not said
