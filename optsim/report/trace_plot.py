@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 from markupsafe import escape
 
 from optsim.report.plots import nice_ticks
 from optsim.report.trace_record import Reading, Source, Trace, sentences
 
-_WIDTH, _HEIGHT = 1200, 880
+_WIDTH, _HEIGHT = 1200, 896
+_NOTE_CHARS = 170  # of the widest common sans-serif
 _LEFT, _RIGHT = 84, 660  # of the plots over slots
 _SIDE, _END = 790, 1180  # of what stands beside them
 _SOFT, _RULE = "#5d6068", "#dfdbd1"
@@ -33,6 +35,7 @@ _ORIGINS = {
 def trace_plot(trace: Trace) -> str:
     """Draw a trace as one self-contained SVG with a white ground."""
     title, looks, reads = sentences(trace)
+    notes = [line for note in trace.notes for line in wrap(note, _NOTE_CHARS)]
     parts = [
         _text(24, 34, title, size=20, weight=600),
         _text(24, 58, looks, size=14),
@@ -45,8 +48,8 @@ def trace_plot(trace: Trace) -> str:
         *_map(trace),
         *_sources(trace.sources),
         *(
-            _text(24, _HEIGHT - 58 + 16 * i, note, size=11.5, fill=_SOFT)
-            for i, note in enumerate(trace.notes)
+            _text(24, _HEIGHT - 10 - 16 * (len(notes) - 1 - i), note, size=11.5, fill=_SOFT)
+            for i, note in enumerate(notes)
         ),
     ]
     return (
