@@ -90,6 +90,10 @@ def run(
             people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
         return
     command = " ".join(["optsim", *sys.argv[1:]])
+    if (folder / "results.json").exists():
+        people.print(
+            f"{folder} holds a finished run of this experiment: it is made anew, and replaced at the end."
+        )
     try:
         with progress_bars() as progress:
             results = job.execute(

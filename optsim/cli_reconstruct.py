@@ -61,4 +61,8 @@ def reconstruct_files(
         if scores := cast("list[float | None] | None", record["psnr_db"]):
             rows = [(index, each) for index, each in enumerate(scores)]
             page.print(table("PSNR", ("coded image", "dB"), rows))
+        if not record["valid_share"]:
+            people.print(
+                "No pixel is valid: what is written is a guess. A code that opens none measures nothing."
+            )
         people.print(f"Wrote {folder}")

@@ -187,6 +187,14 @@ def test_a_key_of_the_decoder_that_nobody_named_is_told_as_it_is_written(tmp_pat
     assert "decoder.interpolation" not in str(refused.value)
 
 
+def test_a_code_that_opens_no_pixel_is_no_measurement(tmp_path: Path) -> None:
+    path = tmp_path / "shot.npz"
+    np.savez(path, image=np.full((ROWS, COLS), 7.0), code=np.zeros((SLOTS, ROWS, COLS)))
+    done = CliRunner().invoke(app, ["reconstruct", str(path), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0
+    assert "No pixel is valid" in done.stderr
+
+
 def test_slots_that_an_exr_lacks_are_named(tmp_path: Path) -> None:
     image, codes = measured(light(), code()), code()
     channels = {f"slot{k}": each.astype(np.float32) for k, each in enumerate(codes)}
