@@ -13,7 +13,7 @@ from optsim.calibrate import Calibration
 from optsim.config import Part
 from optsim.errors import ValueCheckError
 from optsim.forward.panel import PanelResponse
-from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode, Floats, Words
+from optsim.quantities import Bools, Bytes, CodedFrame, Doubles, ExposureCode, Floats, Words
 
 # An instantaneous panel without leak, whose weight is the sine squared of a quarter turn times its level.
 _OPEN_OR_SHUT = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=1.0)
@@ -239,7 +239,12 @@ def code_levels(codes: NDArray[Any]) -> tuple[Bytes, float]:
         )
     weights = codes.astype(np.float64) / (255 if whole else 1)
     levels = np.rint(255 * np.arcsin(np.sqrt(weights)) / (np.pi / 2)).astype(np.uint8)
-    return levels, float(np.abs(np.sin(levels / 255 * np.pi / 2) ** 2 - weights).max(initial=0))
+    return levels, float(np.abs(_weights(levels) - weights).max(initial=0))
+
+
+def _weights(levels: Bytes) -> Doubles:
+    """Weights of an instantaneous panel's drive levels."""
+    return np.sin(levels / 255 * np.pi / 2) ** 2
 
 
 def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple[Floats, ...]:
@@ -284,11 +289,12 @@ def _check_unit(
     for k, light in enumerate(truth):
         if light.shape[1:] != images.shape[1:]:
             return  # what holds truth and image says so
-        weights = np.sin(levels[k % len(levels)] / 255 * np.pi / 2) ** 2
         seen = np.isfinite(images[k]) & (images[k] < full)
         if not seen.any():
             continue
-        coded = float(np.einsum("svu,svu->vu", weights, light)[seen].mean())
+        # Slot by slot: all together would take more room than all else.
+        slots = zip(levels[k % len(levels)], light, strict=True)
+        coded = sum(float((_weights(level[seen]) * each[seen]).mean()) for level, each in slots)
         counts = float(images[k][seen].mean()) - black
         if abs(coded - counts) > max(coded, counts) * (1 - 1 / _TIMES) + 3 * noise:
             raise ValueCheckError(
