@@ -34,6 +34,9 @@ from optsim.probe import (
 
 # Scenes differ from the probe's: what is predicted is doubled.
 _MARGIN = 2.0
+# Share of the picture below which nothing moves before all of a probe's bright light: what it covers there,
+# wings and all, a frame of the probe doesn't show.
+_LEAST_COVERED = 0.06
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,9 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
         Rms error allowed in a frame, relative to its noise; 0 models everything.
     """
     open_to_choice = {
-        name: _within_reach(camera, cut) for name, cut in SHORT_CUTS.items() if not _by_hand(camera, cut)
+        name: _predictable(camera, cut, light)
+        for name, cut in SHORT_CUTS.items()
+        if not _by_hand(camera, cut)
     }
     planned = camera
     for cut in open_to_choice.values():
@@ -280,8 +285,14 @@ def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
     return isinstance(cut, Coarser) and cut.field == "wing_share"
 
 
-def _within_reach(camera: CodedCamera, cut: Coarser | LeftOut) -> Coarser | LeftOut:
-    """Leave out steps whose wings would reach farther than twice the length of the panel."""
+def _predictable(camera: CodedCamera, cut: Coarser | LeftOut, light: Illumination) -> Coarser | LeftOut:
+    """Leave out steps whose size no probe tells: of moving light's wings beside a small lamp.
+
+    And steps whose wings would reach farther than twice the length of the panel.
+    """
+    if isinstance(cut, Coarser) and cut.field == "moving_wing_share":
+        small = light.bright is not None and light.bright.share < _LEAST_COVERED
+        return replace(cut, values=(0.0,)) if small else cut
     if not _of_wings(cut):
         return cut
     shares = [float(share) for share in cut.values]

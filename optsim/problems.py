@@ -153,7 +153,9 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
             inside = chosen
             continue
         value = _inside(value, step)
-        keys.append(str(step if isinstance(step, str) else _inside(value, "name") or step))
+        # What is wrong with a name is told by its place.
+        name = None if isinstance(step, str) or location[-1] == "name" else _inside(value, "name")
+        keys.append(str(name or step))
         path += [step] if isinstance(step, str) else []
         if isinstance(step, str):
             owners = inside

@@ -170,6 +170,16 @@ def test_wings_of_moving_light_count_in_each_part_of_the_frame():
     assert still.start is still.stop
 
 
+@pytest.mark.parametrize("share", [1e-4, 0.015, 0.03])
+def test_beside_a_small_lamp_moving_light_has_all_of_its_wings(share):
+    """What covers it is not in the probe, so its size is not known; a window's is."""
+    lamp = Illumination(0.1, 90.0, 0.8, BrightLight(200.0, share))
+    plan = plan_camera(demo(), lamp, 0.1)
+    assert choices(plan)["moving_wings"].full
+    assert plan.camera.objective.moving_wing_share == 0
+    assert not choices(plan_camera(demo(), WINDOW, 0.1))["moving_wings"].full
+
+
 @pytest.mark.parametrize("f_number", [4.0, 32.0])
 def test_a_near_probe_has_no_wider_wings_than_room(f_number):
     camera = changed(demo(), {"objective": {"f_number": f_number, "wing_share": 1e-4}})

@@ -139,7 +139,7 @@ def coded_measurement(
         )
     levels, rounded = code_levels(codes)
     full, noise = _full(images, known), _read_noise(images, known)
-    _check_light(images, known.black)
+    _check_light(images, known.black, noise)
     light = truth_frames(truth, len(images), levels.shape[1])
     _check_unit(light, images, levels, known.black, full, noise)
     words, scale = _words(images, known.black, full, noise)
@@ -267,10 +267,10 @@ def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple
     return tuple(np.split(stack[: n_frames * slots], n_frames))
 
 
-def _check_light(images: NDArray[Any], black: float) -> None:
-    """Refuse a black level that the brightest pixel doesn't reach."""
+def _check_light(images: NDArray[Any], black: float, noise: float) -> None:
+    """Refuse a black level that the brightest pixel doesn't come near."""
     most = float(np.where(np.isfinite(images), images, -np.inf).max())
-    if np.isfinite(most) and most < black:
+    if np.isfinite(most) and most < black - 3 * noise:
         raise ValueCheckError(
             f"sensor.black: got {black:g}, but no count of the image is above {most:g}: expected the counts "
             "that the sensor gives without light; lower it"
@@ -300,7 +300,7 @@ def _check_unit(
             raise ValueCheckError(
                 f"truth: under the code it adds up to {coded:.3g} a pixel, the image has {counts:.3g} above "
                 f"black ({black:g}): expected light in the image's unit, counts a slot; scale it, say "
-                "sensor.black, or leave truth out"
+                "sensor.black, or sensor.saturation if the image is clipped, or leave truth out"
             )
 
 

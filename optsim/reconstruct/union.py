@@ -108,8 +108,9 @@ def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats 
     """Mix standard deviations by the video's share of the picture; 0 where a part isn't known."""
     if still is None:
         return None
-    mixed = np.where(share > 0, 0, still) if video is None else (1 - share) * still + share * video
-    return np.asarray(mixed, np.float32)
+    other = np.zeros_like(still) if video is None else video
+    known = ((share <= 0) | (other > 0)) & ((share >= 1) | (still > 0))
+    return np.where(known, (1 - share) * still + share * other, 0).astype(np.float32)
 
 
 def _nearness(changed: Bools, fade_px: float) -> Floats:
