@@ -113,9 +113,9 @@ as it is. Others: the change when one effect is switched off, or, where the nomi
 made pessimistic; each camera is calibrated by its own bench, and light follows the rule. Scores are against
 the light on the panel, so what the objective does to the scene counts only through what it makes of the
 rest (its shading is divided out). Pixels are those that all methods hold valid, which an effect may change.
-Noise has the same seeds, but another camera is calibrated anew and its masks are others: two tables, of models
-that differ by far less, are 0.13 dB rms apart in the first column (0.22 where static), 0.10 for the mosaic where
-static, 0.02 to 0.04 elsewhere. Less than twice that says nothing.
+Noise has the same seeds, but another camera is calibrated anew and its masks are others: two tables, of
+models that differ by far less, are 0.13 dB rms apart in the first column (0.22 where static), 0.10 for the
+mosaic where static, 0.02 to 0.04 elsewhere. Less than twice that says nothing.
 
 """
 
