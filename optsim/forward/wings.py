@@ -9,9 +9,10 @@ begin.
 Such a window is also far larger than the movers that cross it, and would be paid for in every instant. So
 moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
 block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
-for light that comes and goes evenly, and nothing at all in the mean over the segment. Core and wings pass
-softly into each other, so that pixels hold the wings between their splines. These are two rings, the outer
-one on cells of several panel pixels: relative to its distance no coarser than the inner.
+for light that comes and goes evenly, and nothing at all in the mean over the segment. Where the line of a
+flash in the dark would begin or end below zero, it begins or ends there, with the same mean. Core and wings
+pass softly into each other, so that pixels hold the wings between their splines. These are two rings, the
+outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -89,6 +90,27 @@ def _add_lines(ends: Doubles, excess: Floats, lines: Floats, top: int, bottom: i
         for x in range(width):
             ends[0, y, x] += start[x]
             ends[1, y, x] += stop[x]
+
+
+def keep_above_zero(ends: Doubles, segment: Segment) -> None:
+    """Let lines through moving light take no more away than there is; each keeps its mean.
+
+    Parameters
+    ----------
+    ends : ndarray of shape (2, y, x), float64
+        From :func:`moving_ends`; changed in place.
+    segment : Segment
+        Of light, whose base is nowhere below zero.
+    """
+    for block in segment.blocks:
+        _, height, width = block.excess.shape
+        window = np.s_[block.row : block.row + height, block.col : block.col + width]
+        start, stop = ends[(slice(None), *window)]
+        first, last = segment.start[window] + start, segment.stop[window] + stop
+        if min(first.min(), last.min()) < 0:
+            moved = np.where(first + last >= 0, np.minimum(first, 0) - np.minimum(last, 0), 0)
+            start -= moved
+            stop += moved
 
 
 @dataclass(frozen=True, eq=False)
