@@ -272,10 +272,9 @@ def test_wings_along_lines_are_off_by_their_share_of_what_is_no_line():
         np.abs(sum(found.instant(t) - exact.instant(t) for t in range(6))).max() / 6 / window
         for found in cheaper
     ]
-    # Up to 5 % of what is in the wings (lines end at zero at the least), a tenth of that in the mean over the
-    # segment, which lines keep.
+    # Up to 3 % of what is in the wings, a tenth of that in the mean over the segment, which lines keep.
     assert 0.01 < off[0] / 0.003 < 0.04
-    assert 0.01 < off[1] / 0.012 < 0.055
+    assert 0.01 < off[1] / 0.012 < 0.05
     assert max(means[0] / 0.003, means[1] / 0.012) < 0.003
 
 
@@ -315,30 +314,13 @@ def test_a_lamp_a_million_billion_times_as_bright_as_the_rest_leaves_no_negative
     assert found.instant(0).min() >= 0.99 * dark.min()
 
 
-@pytest.mark.parametrize("side", [4, 200])
-@pytest.mark.parametrize("lit", [0, 4, 8])
-def test_a_flash_in_the_dark_takes_no_light_away_before_it_or_after_it(side, lit):
-    """The line through nine instants, of which it lights the first, would end at -0.19 of it."""
-    shape = (210, 220)
-    base = np.full(shape, 1e-5, np.float32)
-    excess = np.zeros((9, side, side), np.float32)
-    excess[lit] = 1e3
-    # Falls to nothing at its end; another block lies over the first.
-    excess[:, 0, 0] = -1e-5 * (np.arange(9) + 0.5) / 9
-    blocks = (Block(3, 2, excess), Block(5, 4, 0.5 * excess))
-    segment = Segment(base, base, blocks, 9)
-    ends = moving_ends(segment)
-    keep_above_zero(ends, segment)
-    found = base + ends
-    mean = np.mean([segment.instant(t) for t in range(9)], axis=0)
-    np.testing.assert_allclose(found.mean(axis=0), mean, rtol=1e-5)
-    assert found.min() >= -1e-9
-    fit = np.einsum("kt,t->k", line_ends(9), excess[:, 1, 1])
-    if lit == 4:
-        np.testing.assert_allclose(ends[:, 4, 3], fit, rtol=1e-5)
-    else:
-        assert fit.min() < -180
-        np.testing.assert_allclose(np.sort(found[:, 4, 3]), [0, 2 * mean[4, 3]], rtol=1e-5, atol=1e-9)
+def test_light_that_would_begin_or_end_below_zero_begins_or_ends_there_with_the_same_mean():
+    start = np.array([[3, -1, 4, -1, -2, 0]], np.float32)
+    stop = np.array([[2, 5, -3, -2, 1, 0]], np.float32)
+    keep_above_zero(start, stop)
+    # The fourth and fifth have less than nothing in the mean, too: they are dark.
+    np.testing.assert_array_equal(start, [[3, 0, 1, 0, 0, 0]])
+    np.testing.assert_array_equal(stop, [[2, 4, 0, 0, 0, 0]])
 
 
 def test_a_flash_in_a_dark_room_leaves_no_negative_light():

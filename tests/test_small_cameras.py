@@ -70,14 +70,10 @@ def test_the_overlap_of_a_small_panel(monkeypatch, shift):
     np.testing.assert_allclose(few.data, many.data, rtol=1e-12)
 
 
-@pytest.mark.parametrize("least", [0.0, -np.inf])
-def test_far_light_on_a_small_field(monkeypatch, least):
-    key, far = RNG.uniform(-1, 5, (12, 15)), RNG.uniform(-1, 1, (4, 5))
+def test_far_light_on_a_small_field(monkeypatch):
+    key, far = RNG.uniform(0, 5, (12, 15)), RNG.uniform(0, 1, (4, 5))
     factor = RNG.uniform(0.5, 1, (12, 15)).astype(np.float32)
     few, many = both(
-        monkeypatch,
-        image_formation,
-        lambda: image_formation._with_far_light(key, far, factor, 0.3, 0.9, least),
+        monkeypatch, image_formation, lambda: image_formation._with_far_light(key, far, factor, 0.3, 0.9)
     )
-    np.testing.assert_allclose(few, many, rtol=1e-6, atol=1e-7)
-    assert (few.min() == 0) if least == 0 else (few.min() < 0)
+    np.testing.assert_allclose(few, many, rtol=1e-6)

@@ -10,9 +10,9 @@ Such a window is also far larger than the movers that cross it, and would be pai
 moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
 block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
 for light that comes and goes evenly, and nothing at all in the mean over the segment. Where the line of a
-flash in the dark would begin or end below zero, it begins or ends there, with the same mean. Core and wings
-pass softly into each other, so that pixels hold the wings between their splines. These are two rings, the
-outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
+flash leaves less than no light in the dark around it, light begins or ends there, with the same mean. Core and
+wings pass softly into each other, so that pixels hold the wings between their splines. These are two rings,
+the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -92,25 +92,20 @@ def _add_lines(ends: Doubles, excess: Floats, lines: Floats, top: int, bottom: i
             ends[1, y, x] += stop[x]
 
 
-def keep_above_zero(ends: Doubles, segment: Segment) -> None:
-    """Let lines through moving light take no more away than there is; each keeps its mean.
+def keep_above_zero(start: Floats, stop: Floats) -> None:
+    """Let light begin and end at zero where straight lines would leave less; its mean stays, if that is light.
 
     Parameters
     ----------
-    ends : ndarray of shape (2, y, x), float64
-        From :func:`moving_ends`; changed in place.
-    segment : Segment
-        Of light, whose base is nowhere below zero.
+    start, stop : ndarray of shape (y, x), float32
+        Light at the ends of a segment, changed in place.
     """
-    for block in segment.blocks:
-        _, height, width = block.excess.shape
-        window = np.s_[block.row : block.row + height, block.col : block.col + width]
-        start, stop = ends[(slice(None), *window)]
-        first, last = segment.start[window] + start, segment.stop[window] + stop
-        if min(first.min(), last.min()) < 0:
-            moved = np.where(first + last >= 0, np.minimum(first, 0) - np.minimum(last, 0), 0)
-            start -= moved
-            stop += moved
+    if min(start.min(), stop.min()) >= 0:
+        return
+    both = np.maximum(start + stop, 0)
+    first, last = start < 0, stop < 0
+    start[last], stop[first] = both[last], both[first]
+    start[first], stop[last] = 0, 0
 
 
 @dataclass(frozen=True, eq=False)

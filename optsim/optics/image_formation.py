@@ -92,10 +92,6 @@ def form_image(
             late = early if keys[0] is keys[1] else _with_own_glare(keys[1], share)
             return Segment(early, late, _each_instant(segment, still, share), segment.n_instants)
         moving = moving_ends(segment)
-        # Else it is the difference of two lights.
-        positive = min(segment.start.min(), segment.stop.min()) >= 0
-        if positive:
-            keep_above_zero(moving, segment)
         fluxes = [
             float(key.mean()) + float(np.einsum("yx,yx->", line, factor)) / key.size
             for key, line in zip(keys, moving, strict=True)
@@ -105,9 +101,12 @@ def form_image(
         else:
             far = far_light(moving, blurs.wings, pitch)
             ends = [
-                _with_far_light(key, wide, near, flux * share, 1 - share, 0.0 if positive else -np.inf)
+                _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
+        # Else it is the difference of two lights.
+        if min(segment.start.min(), segment.stop.min()) >= 0:
+            keep_above_zero(ends[0], ends[1])
         blocks = blur_moving(segment.blocks, blurs.core, pitch, near)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
 
@@ -200,21 +199,15 @@ def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
     return ((1 - share) * image + share * flux).astype(np.float32)
 
 
-def _with_far_light(
-    key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float, least: float
-) -> Floats:
-    """Keep a share of a key's image; add far light, given as splines of panel pixels, and glare.
-
-    Splines between pixels may be a little below zero around a bright point; of light that is the ``least``.
-    """
+def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
+    """Keep a share of a key's image; add far light, given as splines of panel pixels, and glare."""
     shares = splines(len(key) // len(far))
     if key.size < FEW:
-        light = kept * key + factor * fine_image(far, shares) + evenly
-        return np.maximum(light, least).astype(np.float32)
+        return (kept * key + factor * fine_image(far, shares) + evenly).astype(np.float32)
     result = np.empty(key.shape, np.float32)
     # Beyond the panel's edge the nearest pixel counts.
     around = np.pad(far, 1, mode="edge")
-    in_bands(len(key), lambda a, b: _add_far(key, around, shares, factor, evenly, kept, least, a, b, result))
+    in_bands(len(key), lambda a, b: _add_far(key, around, shares, factor, evenly, kept, a, b, result))
     return result
 
 
@@ -226,7 +219,6 @@ def _add_far(
     factor: Floats,
     evenly: float,
     kept: float,
-    least: float,
     top: int,
     bottom: int,
     out: Floats,
@@ -240,4 +232,4 @@ def _add_far(
             line[u] = before * around[v, u] + own * around[v + 1, u] + after * around[v + 2, u]
         draw_row(line, shares, drawn)
         for x in range(len(drawn)):
-            out[y, x] = max(kept * key[y, x] + factor[y, x] * drawn[x] + evenly, least)
+            out[y, x] = kept * key[y, x] + factor[y, x] * drawn[x] + evenly
