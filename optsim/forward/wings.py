@@ -10,9 +10,9 @@ Such a window is also far larger than the movers that cross it, and would be pai
 moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
 block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
 for light that comes and goes evenly, and nothing at all in the mean over the segment. Where the line of a
-flash leaves less than no light in the dark around it, light begins or ends there, with the same mean. Core and
-wings pass softly into each other, so that pixels hold the wings between their splines. These are two rings,
-the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
+flash leaves less than no light in the dark around it, light begins or ends there, with the same mean. Core
+and wings pass softly into each other, so that pixels hold the wings between their splines. These are two
+rings, the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _add_lines(ends: Doubles, excess: Floats, lines: Floats, top: int, bottom: i
 
 
 def keep_above_zero(start: Floats, stop: Floats) -> None:
-    """Let light begin and end at zero where straight lines would leave less; its mean stays, if that is light.
+    """Let light begin and end at zero where straight lines would leave less; its mean stays, if positive.
 
     Parameters
     ----------
