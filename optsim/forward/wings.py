@@ -100,8 +100,6 @@ def keep_above_zero(start: Floats, stop: Floats) -> None:
     start, stop : ndarray of shape (y, x), float32
         Light at the ends of a segment, changed in place.
     """
-    if min(start.min(), stop.min()) >= 0:
-        return
     both = np.maximum(start + stop, 0)
     first, last = start < 0, stop < 0
     start[last], stop[first] = both[last], both[first]

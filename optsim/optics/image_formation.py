@@ -104,8 +104,8 @@ def form_image(
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        # Else it is the difference of two lights.
-        if min(segment.start.min(), segment.stop.min()) >= 0:
+        # A base that is below zero is no light but the difference of two.
+        if min(end.min() for end in ends) < 0 <= min(segment.start.min(), segment.stop.min()):
             keep_above_zero(ends[0], ends[1])
         blocks = blur_moving(segment.blocks, blurs.core, pitch, near)
         return Segment(ends[0], ends[1], blocks, segment.n_instants)
