@@ -15,21 +15,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal, TypeGuard
 
-from optsim.camera import CodedCamera
+from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.config import Part
 from optsim.effects import ALL, Changes, changed
 from optsim.forward.bands import one_thread, side_by_side
 from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.probe import (
     FINEST_FIELD,
-    NOTHING,
     PLAIN,
     Illumination,
-    Probe,
+    Probes,
+    Which,
     compared_with,
-    far_probe,
-    near_probe,
+    far_pixel,
+    make_probes,
     share_beyond_window,
+    shown_on,
 )
 
 # Scenes differ from the probe's: what is predicted is doubled.
@@ -176,14 +177,14 @@ class CameraPlan:
         One a short cut.
     camera : CodedCamera
         As planned.
-    near : Probe
-        The near probe by which it was found.
+    probes : Probes
+        By which it was found.
     """
 
     tolerance: float
     choices: tuple[Choice, ...]
     camera: CodedCamera
-    near: Probe
+    probes: Probes
 
     @property
     def predicted(self) -> float:
@@ -211,16 +212,16 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     planned = camera
     for cut in open_to_choice.values():
         planned = changed(planned, cut.steps[0][1])
-    near, far = (probe(changed(planned, PLAIN), light) for probe in (near_probe, far_probe))
+    probes = make_probes(changed(planned, PLAIN), light)
     # The frames with everything, which all others are compared with.
-    side_by_side([lambda: near.size(NOTHING, NOTHING), lambda: far.size(NOTHING, NOTHING)])
-    ladders = {name: _Ladder(name, cut, near, far, {}) for name, cut in open_to_choice.items()}
+    side_by_side([probes.near.noise_e, probes.far.noise_e])
+    ladders = {name: _Ladder(name, cut, probes, {}) for name, cut in open_to_choice.items()}
     with one_thread():
         chosen = _steps(ladders, tolerance)
     for name, step in chosen.items():
         planned = changed(planned, ladders[name].cut.steps[step][1])
     choices = [ladders[name].choice(step) for name, step in chosen.items()]
-    return CameraPlan(tolerance, tuple(choices), planned, near)
+    return CameraPlan(tolerance, tuple(choices), planned, probes)
 
 
 def _steps(ladders: dict[str, _Ladder], tolerance: float) -> dict[str, int]:
@@ -245,29 +246,29 @@ class _Ladder:
 
     name: str
     cut: Coarser | LeftOut
-    near: Probe
-    far: Probe
+    probes: Probes
     found: dict[int, float]
 
     def size(self, step: int) -> float:
         if step == 0:
             return 0.0
         if step not in self.found:
-            self.found[step] = _MARGIN * self._seen(step)
+            changes, of = self.cut.steps[step][1], compared_with(self.name)
+            self.found[step] = _MARGIN * self._times * self.probes.size(changes, of, self._on(step))
         return self.found[step]
 
-    def _seen(self, step: int) -> float:
-        cut, changes, far = self.cut, self.cut.steps[step][1], 0.0
-        if _of_wings(cut):
-            # They reach over the whole panel; a near probe has no room for those that lose least.
-            far = self.far.size(changes, NOTHING)
-            if float(cut.values[step]) <= getattr(self.near.camera, cut.part).wing_share:
-                return far
-        near = self.near.size(changes, compared_with(self.name))
-        if isinstance(cut, Coarser) and cut.field == "moving_wing_share":
-            # Its patch moves in a part of the frame. Others may move in all of it: at worst that adds up.
-            near *= self.near.parts
-        return max(far, near)
+    def _on(self, step: int) -> tuple[Which, ...]:
+        cut, near = self.cut, self.probes.near
+        if not _of_wings(cut):
+            return shown_on(self.name)
+        # They reach over the whole panel; a near probe has no room for those that lose least.
+        has_room = float(cut.values[step]) > getattr(near.camera, cut.part).wing_share
+        return ("near", "far") if has_room else ("far",)
+
+    @property
+    def _times(self) -> int:
+        # A probe's patch moves in a part of the frame. Others may move in all of it: at worst that adds up.
+        return self.probes.near.parts if self.name == "moving_wings" else 1
 
     def farthest(self, limit: float) -> int:
         """Cheapest step whose size is within a limit, by bisection: cheaper steps err more."""
@@ -286,9 +287,11 @@ def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
 
 
 def _predictable(camera: CodedCamera, cut: Coarser | LeftOut, light: Illumination) -> Coarser | LeftOut:
-    """Leave out steps whose size no probe tells: of moving light's wings beside a small lamp.
+    """Leave out steps whose size no probe tells.
 
-    And steps whose wings would reach farther than twice the length of the panel.
+    Beside a small lamp those of moving light's wings. Beside any bright light those whose wings begin within
+    a pixel of the far probe, where a near one's light is not what it is in truth; and those whose wings
+    would reach farther than twice the length of the panel.
     """
     if isinstance(cut, Coarser) and cut.field == "moving_wing_share":
         small = light.bright is not None and light.bright.share < _LEAST_COVERED
@@ -297,8 +300,11 @@ def _predictable(camera: CodedCamera, cut: Coarser | LeftOut, light: Illuminatio
         return cut
     shares = [float(share) for share in cut.values]
     least = share_beyond_window(camera, cut.part, 2 * max(camera.view.rows, camera.view.cols))
-    fitting = [share for share in shares if share >= least]
-    return replace(cut, values=tuple(fitting) or tuple(shares[-1:]))
+    fitting = [share for share in shares if share >= least] or shares[-1:]
+    if light.bright is None:
+        return replace(cut, values=tuple(fitting))
+    most = share_beyond_window(camera, cut.part, far_pixel(camera) * SAMPLES_PER_PITCH)
+    return replace(cut, values=tuple(share for share in fitting if share <= most) or tuple(fitting[:1]))
 
 
 def _by_hand(camera: CodedCamera, cut: Coarser | LeftOut) -> bool:

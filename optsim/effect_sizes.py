@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
-"""How much each imperfection changes a frame, predicted on a small probe before anything is rendered."""
+"""How much each imperfection changes a frame, predicted on small probes before anything is rendered."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from optsim.effects import ALL, Changes, Effect, switched
 from optsim.forward.bands import one_thread
-from optsim.probe import NOTHING, PLAIN, Probe, compared_with
+from optsim.probe import NOTHING, PLAIN, Probe, Probes, compared_with, shown_on
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
@@ -36,22 +36,23 @@ class EffectSize:
 
 
 @one_thread()
-def effect_sizes(probe: Probe, drift: Changes = NOTHING) -> list[EffectSize]:
-    """Predict the size of every effect that a probe shows.
+def effect_sizes(probes: Probes, drift: Changes = NOTHING) -> list[EffectSize]:
+    """Predict the size of every effect that probes show.
 
     Parameters
     ----------
-    probe : Probe
-        Near probe of the camera as it was calibrated.
+    probes : Probes
+        Of the camera as it was calibrated.
     drift : mapping
         By how much fields of its parts have changed since.
     """
+    near = probes.near
 
     def found(name: str, effect: Effect) -> float:
         if effect.drifts:
-            return probe.size(_over(PLAIN, _drifting(effect, probe, drift)), PLAIN)
-        against = probe.mapping if _moves_pixels(effect, probe) else compared_with(name)
-        return probe.size(_over(against, switched({name: "ideal"})), against)
+            return probes.size(_over(PLAIN, _drifting(effect, near, drift)), PLAIN)
+        against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
+        return probes.size(_over(against, switched({name: "ideal"})), against, shown_on(name))
 
     sizes = {name: found(name, effect) for name, effect in ALL.items() if not effect.in_scene}
     return [
@@ -71,16 +72,16 @@ def _drifting(effect: Effect, probe: Probe, drift: Changes) -> Changes:
     }
 
 
-def size_of_defocus(probe: Probe, blur_px: float) -> float:
+def size_of_defocus(probes: Probes, blur_px: float) -> float:
     """Size of what a disc of confusion changes, of a diameter in panel pixels, were all of the scene so.
 
     A Gaussian of the disc's variance stands for it, as part of the objective's own. The PSF is taken as the
     same all over the field: what interpolating it misplaces depends on the blur, and would count as defocus.
     """
-    lens, diameter_px = probe.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
-    sigma_m = diameter_px / 4 * probe.camera.modulator.pitch_m
+    lens, diameter_px = probes.near.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
+    sigma_m = diameter_px / 4 * probes.near.camera.modulator.pitch_m
     blurred = {"objective": {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}}
-    return probe.size(_over(PLAIN, blurred), PLAIN)
+    return probes.size(_over(PLAIN, blurred), PLAIN)
 
 
 def _moves_pixels(effect: Effect, probe: Probe) -> bool:

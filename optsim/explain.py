@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optsim.effect_sizes import EffectSize
     from optsim.experiment import Experiment
     from optsim.focus import Focus
-    from optsim.probe import Probe
+    from optsim.probe import Probes
 
 Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
@@ -53,8 +53,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     plan = None if misfit else plan_camera(camera, illumination(experiment), experiment.tolerance)
     found: list[EffectSize] = []
     if plan:
-        in_scene = scene_effects(plan.near, truth.focus, polarised=light.azimuth_rad is not None)
-        found = sorted([*effect_sizes(plan.near, drift_of(experiment)), *in_scene], key=_unknown_last)
+        in_scene = scene_effects(plan.probes, truth.focus, polarised=light.azimuth_rad is not None)
+        found = sorted([*effect_sizes(plan.probes, drift_of(experiment)), *in_scene], key=_unknown_last)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -83,7 +83,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
         "densities": {name: densities(camera, each) for name, each in mosaics(experiment).items()},
         "drift": experiment.drift,
-        "noise_e": plan.near.noise_e() if plan else None,
+        "noise_e": plan.probes.noise_e if plan else None,
         "effects": [asdict(each) for each in found],
         "plan": plan_record(plan) if plan else None,
     }
@@ -104,13 +104,13 @@ def drift_of(experiment: Experiment) -> dict[str, dict[str, float]]:
     }
 
 
-def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
+def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
     """Say how large the effects are that act where light is rendered, as far as that is known before.
 
     Parameters
     ----------
-    probe : Probe
-        Near probe of the camera.
+    probes : Probes
+        Of the camera.
     focus : Focus or None
         What the lens does to the scene; None of footage, which has been through a lens already.
     polarised : bool
@@ -121,7 +121,7 @@ def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list
 
     blur_px = 0.0 if focus is None or focus.choice == "everywhere" else max(focus.near_px, focus.far_px)
     corner_px = focus.corner_px if focus else 0.0
-    defocus = size_of_defocus(probe, blur_px)
+    defocus = size_of_defocus(probes, blur_px)
     sizes = {
         "depth_of_field": defocus if math.isfinite(defocus) else None,
         "objective_distortion": None if corner_px else 0.0,
@@ -299,7 +299,7 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
     noise_e, light_e = cast("tuple[float, float]", record["noise_e"])
     return [
         table(
-            "what each imperfection changes in a frame of a small probe, rms, in units of the noise of "
+            "what each imperfection changes in a frame of small probes, rms, in units of the noise of "
             f"{noise_e:.3g} e- (that of light itself is {light_e / noise_e:.3f} of it, and has no switch)",
             ("effect", "size in noise", "what it is"),
             [

@@ -5,14 +5,15 @@ import pytest
 
 from optsim.camera_plan import SHORT_CUTS, Coarser, plan_camera
 from optsim.effect_sizes import effect_sizes
-from optsim.effects import changed, with_effects
+from optsim.effects import changed, switched, with_effects
 from optsim.experiment import load_experiment
 from optsim.explain import plan_record
 from optsim.forward.relay import RelayOperator
-from optsim.hardware import demo
+from optsim.hardware import demo, prototype
 from optsim.loop import planned
 from optsim.optics import Modulator, Objective
-from optsim.probe import PLAIN, Illumination, compared_with, far_probe, near_probe
+from optsim.probe import PLAIN, Illumination, Probe, compared_with, far_probe, make_probes, near_probe
+from optsim.probe.made_scene import made_code, made_scene
 from optsim.scene import BrightLight, brightest_light, load_scene
 from optsim.truth import illumination
 
@@ -31,11 +32,11 @@ def test_what_is_left_out_fits_the_tolerance_and_a_larger_one_leaves_out_more(li
         assert 0 <= plan.predicted <= tolerance
         assert set(choices(plan)) == set(SHORT_CUTS)
     assert plans[-1].predicted > 0.1
-    fields = [plan.camera.relay.field_error for plan in plans]
-    wings = [plan.camera.relay.wing_share for plan in plans]
-    assert fields == sorted(fields)
-    assert wings == sorted(wings)
-    assert (fields[0], wings[0]) != (fields[-1], wings[-1])
+    for part in ("objective", "relay"):
+        for field in ("field_error", "wing_share"):
+            taken = [getattr(getattr(plan.camera, part), field) for plan in plans]
+            assert taken == sorted(taken)
+    assert plans[0].camera.objective.field_error < plans[-1].camera.objective.field_error
 
 
 def test_nothing_is_left_out_without_a_tolerance():
@@ -84,14 +85,74 @@ def test_what_is_far_below_a_pixel_or_a_slot_is_skipped_and_what_is_not_is_model
 
 def test_the_predicted_size_is_what_the_probe_shows_in_units_of_its_noise():
     """One short cut by hand: rms of the difference over the noise, pixels that clip left out."""
-    probe = near_probe(demo(), ROOM)
+    probes = make_probes(demo(), ROOM)
+    probe = probes.near
     dark = {"sensor": {"dark_current_e_s": probe.camera.sensor.dark_current_e_s + 50.0}}
     whole, usable = probe.frame({})
     extra = 50.0 * probe.camera.exposure_s
-    noise = np.sqrt(np.mean(whole[usable] + probe.camera.sensor.read_noise_e**2))
+    assert usable.all()
+    far, usable = probes.far.frame({})
+    noise = np.sqrt(np.mean(far[usable] + probe.camera.sensor.read_noise_e**2))
     # The response bends a little less than 1 electron for 1.
-    assert probe.size(dark, {}) == pytest.approx(extra / noise, rel=0.02)
-    assert probe.size({}, {}) == 0
+    assert probes.size(dark) == pytest.approx(extra / noise, rel=0.02)
+    assert probes.size({}) == 0
+    # In an even room both see as much light.
+    assert noise == pytest.approx(np.sqrt(np.mean(whole + probe.camera.sensor.read_noise_e**2)), rel=0.01)
+
+
+WIDE = ("objective_glare", "relay_glare", "ghost", "smear")
+
+
+@pytest.mark.parametrize(
+    "bright", [None, BrightLight(25.0, 0.07), BrightLight(1000.0, 5e-4), BrightLight(1000.0, 6e-5)]
+)
+def test_probes_tell_what_the_whole_camera_would(bright):
+    """Before windows and lamps too; the oracle is the same scene made for all the pixels of the camera."""
+    camera = changed(demo(), PLAIN)
+    probes = make_probes(camera, Illumination(0.1, 90.0, 0.8, bright))
+    density = probes.near.camera.objective.nd_transmission
+    whole = Probe(camera.with_nd(density), made_scene(camera, 0.1, bright))
+    sizes = {each.effect: each.size for each in effect_sizes(probes)}
+    # Along its rim a lamp of fewer pixels has relatively more of them.
+    near = ("fringing", "contrast", "relay_blur")
+    bounds = dict.fromkeys(WIDE, (0.65, 1.35)) | dict.fromkeys(near, (0.8, 2.1))
+    for name, (least, most) in bounds.items():
+        ideal, against = switched({name: "ideal"}), compared_with(name)
+        size = whole.change_e(ideal, against) / whole.noise_e()[0]
+        assert least < sizes[name] / size < most, name
+
+
+def test_a_panel_is_open_before_bright_light():
+    lit, dark = (near_probe(demo(), light) for light in (WINDOW, ROOM))
+    codes = [made_code(each.camera, each.radiance) for each in (lit, dark)]
+    opened = (codes[0].levels == 255).all(axis=0)
+    assert opened.mean() == pytest.approx(0.07 + 0.93 / 8, abs=0.02)  # an eighth are the mosaic's brightest
+    above = lit.radiance.load(0).start[:36] > 0.1  # of what moves
+    assert above.mean() > 0.05
+    assert opened[:12].repeat(3, 0).repeat(3, 1)[above].all()
+    np.testing.assert_array_equal(codes[0].levels[:, ~opened], codes[1].levels[:, ~opened])
+
+
+@pytest.mark.parametrize(("share", "expected"), [(1e-7, 15.0), (0.07, 1.0)])
+def test_lamps_of_a_near_probe_do_as_much_to_a_frame(share, expected):
+    """A point that brings a 15th of a 15th of the camera's light does a 15th of what that does, rms."""
+    camera, bright = prototype(), BrightLight(1e4, share)
+    near = near_probe(camera, Illumination(0.1, 90.0, 0.8, bright))
+    lit, as_it_is = (
+        video.load(0).start.astype(float) for video in (near.radiance, made_scene(near.camera, 0.1, bright))
+    )
+    brighter = np.where(lit > 0.1, lit, 0).sum() / np.where(as_it_is > 0.1, as_it_is, 0).sum()
+    assert camera.panel_cols == 15 * near.camera.panel_cols
+    assert brighter == pytest.approx(expected, rel=0.2)
+
+
+def test_beside_bright_light_wings_that_no_probe_tells_are_modelled():
+    """Those that begin within a pixel of the far probe, however large the tolerance."""
+    wings = {
+        light: choices(plan_camera(prototype(), light, 1e4))["objective_wings"].choice
+        for light in (ROOM, WINDOW)
+    }
+    assert list(wings.values()) == ["within 3 %", "within 0.1 %"]
 
 
 @pytest.mark.parametrize(("state", "bound"), [("nominal", 0.2), ("pessimistic", 0.35)])
@@ -106,24 +167,27 @@ def test_what_plain_probes_leave_out_changes_sizes_by_far_less_than_the_factor_t
         camera, compared_with("objective_blur") | compared_with("relay_blur") | compared_with("fringing")
     )
     exact, quick = (
-        {each.effect: each.size for each in effect_sizes(near_probe(each_camera, light))}
+        {each.effect: each.size for each in effect_sizes(make_probes(each_camera, light))}
         for each_camera in (fine, changed(camera, PLAIN))
     )
     large = {name for name, size in exact.items() if size > 0.05}
     assert len(large) > 12
     # Sensors bend just below the full well, where a probe before a window has few pixels.
     bounds = dict.fromkeys(large, bound) | {"bend": max(bound, 0.3)}
+    if light is WINDOW and state == "pessimistic":
+        # Around a window that is all open even PSFs of poor lenses have up to 1.7 times as much light.
+        bounds["fields"] = 0.8
     for name in large:
         assert quick[name] == pytest.approx(exact[name], rel=bounds[name]), name
 
 
 def test_steps_are_compared_with_the_full_model_of_what_they_make_coarser():
-    probe = near_probe(changed(demo(), PLAIN), ROOM)
+    probe = make_probes(changed(demo(), PLAIN), ROOM)
     for name in ("fringing_rims", "objective_field", "relay_field"):
         (_, full), *_, (_, cheapest) = SHORT_CUTS[name].steps
         assert probe.size(full, compared_with(name)) == 0
         assert probe.size(cheapest, compared_with(name)) > 0.1
-        assert probe.size(cheapest, {}) == 0
+        assert probe.size(cheapest) == 0
     for lens in ("objective", "relay"):
         assert compared_with(f"{lens}_blur") == compared_with(f"{lens}_field")
 
@@ -159,13 +223,13 @@ def test_wings_of_moving_light_count_in_each_part_of_the_frame():
     """As in every instant, against lines in time; the near probe moves something in one part of four."""
     plan = plan_camera(demo(), WINDOW, 0.1)
     found, share = choices(plan)["moving_wings"], plan.camera.objective.moving_wing_share
-    assert plan.near.parts == 4
+    assert plan.probes.near.parts == 4
     assert share > 0
-    seen = plan.near.size({"objective": {"moving_wing_share": share}}, compared_with("moving_wings"))
+    seen = plan.probes.size({"objective": {"moving_wing_share": share}}, compared_with("moving_wings"))
     assert found.size == pytest.approx(2 * 4 * seen)
-    coarser = plan.near.size({"objective": {"moving_wing_share": 2 * share}}, compared_with("moving_wings"))
+    coarser = plan.probes.size({"objective": {"moving_wing_share": 2 * share}}, compared_with("moving_wings"))
     assert 0 < seen < coarser < 0.1
-    still = plan.near.radiance.load(0)
+    still = plan.probes.near.radiance.load(0)
     assert not still.blocks
     assert still.start is still.stop
 

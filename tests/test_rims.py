@@ -317,9 +317,9 @@ def test_plans_find_rims_as_finely_as_they_need():
     models = {t: plan_camera(camera, light, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
     assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
     plan = plan_camera(camera, light, 0.1)
-    size = next(each.size for each in effect_sizes(plan.near) if each.effect == "fringing")
+    size = next(each.size for each in effect_sizes(plan.probes) if each.effect == "fringing")
     sharp = {"modulator": {"fringing_px": 0.0}}
-    assert size == plan.near.size(sharp, compared_with("fringing")) != plan.near.size(sharp, {})
+    assert size == plan.probes.size(sharp, compared_with("fringing")) != plan.probes.size(sharp)
     sharp = with_effects(camera, {"fringing": "ideal"})
     code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
     assert sharp.shutter(code, None, 1)[0].rims is None

@@ -37,7 +37,7 @@ REASON = "In units of the tolerance asked for: the claim itself."
 FILES = (
     "optsim/camera.py",
     "optsim/camera_plan.py",
-    "optsim/probe.py",
+    "optsim/probe/*.py",
     "optsim/effects.py",
     "optsim/forward/*.py",
     "optsim/optics/*.py",
@@ -51,6 +51,8 @@ _LIGHTS = {
     "even room": None,
     "window": BrightLight(25.0, 0.07),
     "lamp": BrightLight(1000.0, 0.0005),
+    "street lamp": BrightLight(25000.0, 6e-5),
+    "point": BrightLight(1000.0, 6e-5),
 }
 
 
@@ -101,7 +103,7 @@ def perturbed() -> float:
 
 
 def grid() -> list[Case]:
-    """Measure every case; the last one at the prototype's size."""
+    """Measure every case; the last ones at the prototype's size."""
     cases: list[Case] = []
     for (name, camera), light, tolerance in product(_cameras().items(), _LIGHTS, _TOLERANCES):
         cases.append(_case(name, camera, light, tolerance))
@@ -109,7 +111,8 @@ def grid() -> list[Case]:
         cases.append(_case(name, camera, light, 0.1))
     large = prototype()
     fits = large.relay.model_copy(update={"distortion": 0.0})
-    cases.append(_case("prototype", large.model_copy(update={"relay": fits}), "window", 0.1))
+    for light, tolerance in (("window", 0.1), ("lamp", 0.3), ("point", 0.3)):
+        cases.append(_case("prototype", large.model_copy(update={"relay": fits}), light, tolerance))
     return cases
 
 

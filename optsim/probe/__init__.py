@@ -1,0 +1,32 @@
+"""Small cameras that stand for a large one, and what a change of the camera does to their frames."""
+
+from optsim.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, Probes, Which, compared_with, shown_on
+from optsim.probe.made_scene import WHITE_OVER_INTERIOR
+from optsim.probe.small_cameras import (
+    Illumination,
+    far_pixel,
+    far_probe,
+    make_probes,
+    near_probe,
+    share_beyond_window,
+    shrunk,
+)
+
+__all__ = [
+    "FINEST_FIELD",
+    "NOTHING",
+    "PLAIN",
+    "WHITE_OVER_INTERIOR",
+    "Illumination",
+    "Probe",
+    "Probes",
+    "Which",
+    "compared_with",
+    "far_pixel",
+    "far_probe",
+    "make_probes",
+    "near_probe",
+    "share_beyond_window",
+    "shown_on",
+    "shrunk",
+]
