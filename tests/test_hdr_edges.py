@@ -12,8 +12,8 @@ from optsim.calibrate.sample import Brightness, attribution_variance, separate, 
 from optsim.coding import HdrMosaic
 from optsim.quantities import CodedFrame
 from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.hdr_merge import within_pixels
 from optsim.reconstruct.layer import positive_mean
+from optsim.reconstruct.narrow_picks import missed
 
 ROWS, COLS = 24, 32
 KERNEL = np.array([[0, 0.03, 0], [0.03, 0.88, 0.03], [0, 0.03, 0]], np.float32)
@@ -232,13 +232,36 @@ def test_without_noise_nothing_is_added():
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 2.88])
-def test_what_a_narrow_pick_misses_of_light_that_curves(ratio):
-    """A parabola along each axis: mean over the pixel less mean over the pick, integrated by hand."""
-    y, x = np.mgrid[:12, :14].astype(np.float64)
-    light = (0.3 * (y - 5) ** 2 + 0.1 * (x - 4) ** 2 + 2 * x).astype(np.float32)
-    # The mean of a^2 over a width w is w^2 / 12.
-    missed = (0.3 + 0.1) * (1 - ratio**-2) / 12
-    np.testing.assert_allclose(within_pixels(light, ratio)[2:-2, 2:-2], missed, rtol=1e-4, atol=1e-7)
+def test_what_a_narrow_pick_misses_where_light_bends(ratio):
+    """Along a line it curves by 0.8 a pixel squared; by hand: the mean of a x^2 over w is a w^2 / 12."""
+    light = 0.4 * np.abs(np.mgrid[:12, :14][1] - 7).astype(np.float32)
+    found = missed(light, np.zeros_like(light), ratio)
+    np.testing.assert_allclose(found[2:-2, 7], 0.4 * (1 - ratio**-2) / 12, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(np.delete(found, 7, axis=1)[:, 1:-1], 0, atol=1e-7)
+
+
+@pytest.mark.parametrize("ratio", [1, 3, 5])
+def test_what_a_narrow_pick_misses_of_rough_light(ratio):
+    """Power falls with the square of the frequency; 15 samples a pixel, picked and averaged."""
+    rng = np.random.default_rng(3)
+    samples, pixels = 15, 60
+    frequency = np.fft.fftfreq(samples * pixels)
+    square = frequency**2 + frequency[:, None] ** 2
+    square[0, 0] = np.inf
+    field = np.fft.ifft2(np.fft.fft2(rng.standard_normal(square.shape)) / np.sqrt(square)).real
+    cells = field.reshape(pixels, samples, pixels, samples)
+    middle = slice((samples - samples // ratio) // 2, (samples + samples // ratio) // 2)
+    picks = cells[:, middle, :, middle].mean(axis=(1, 3)).astype(np.float32)
+    error = (picks - cells.mean(axis=(1, 3)))[1:-1, 1:-1]
+    stated = missed(picks, np.zeros_like(picks), ratio)[1:-1, 1:-1]
+    # A curvature above the median counts as well: it makes a tenth.
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(np.sqrt(np.mean(stated**2)), rel=0.15, abs=1e-6)
+
+
+def test_noise_is_not_taken_for_roughness():
+    noise = np.random.default_rng(4).standard_normal((80, 80)).astype(np.float32)
+    stated = np.sqrt(1 + missed(noise, np.ones_like(noise), 3.0) ** 2)
+    assert 1 < np.sqrt(np.mean(stated**2)) < 1.1
 
 
 def test_the_ratio_of_a_camera_is_that_of_its_picks():
@@ -259,6 +282,6 @@ def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
     *_, plain = HdrMerge().layers(frames, calibration)
     *_, narrow = HdrMerge().layers(wide, replace(calibration, pick_row=row, pick_col=col))
     np.testing.assert_array_equal(plain.irradiance_w_m2, narrow.irradiance_w_m2)
-    missed = within_pixels(plain.irradiance_w_m2[0], 3.0)
-    np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, missed), rtol=1e-4)
-    assert missed[:, COLS // 2].min() > 0.02
+    off = missed(plain.irradiance_w_m2[0], plain.uncertainty_w_m2[0] ** 2, 3.0)
+    np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, off), rtol=1e-4)
+    assert off[:, COLS // 2].min() > 0.02

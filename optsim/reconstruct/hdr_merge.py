@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -18,6 +18,7 @@ from optsim.forward.neighbourhoods import without_specks
 from optsim.quantities import Bools, CodedFrame, Floats
 from optsim.reconstruct.frame_merge import Merged, merged
 from optsim.reconstruct.layer import Branch, Layer, positive_mean
+from optsim.reconstruct.narrow_picks import missed
 from optsim.reconstruct.neighbour_pooling import pooled
 
 
@@ -29,9 +30,10 @@ class HdrMerge(Branch):
     The variances are predicted from the pooled estimate, not from each sample: weights that follow a sample's
     own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
     (:func:`~optsim.calibrate.sample.attribution_variance`): there long exposures are trusted, short ones not.
-    Any code counts, the paper's mosaic or another. The uncertainty, ``sum(W^2 / var) ** -0.5``, holds no
-    other errors of the calibration, nor motion that nobody noticed; but it holds what is left of glare, and
-    what a narrow pick may miss of light that changes within a pixel.
+    Any code counts, the paper's mosaic or another. The uncertainty holds ``sum(W^2 / var) ** -0.5``, that of
+    the responsivity, what is left of glare, and what a narrow pick may miss of light that changes within a
+    pixel (:func:`~optsim.reconstruct.narrow_picks.missed`); it holds no other errors of the calibration, nor
+    motion that nobody noticed.
 
     Then each pixel is averaged with its neighbours, as far as noise makes that worth while
     (:func:`~optsim.reconstruct.neighbour_pooling.pooled`). Pixels of a mosaic that stands still need it most;
@@ -96,7 +98,9 @@ class HdrMerge(Branch):
                 [ok & (s.exposure > LEAST_EXPOSURE) for s, ok in zip(samples, alive, strict=True)]
             )
             light, variance = self._light(together)
-            error = np.sqrt(variance + within_pixels(light, calibration.ratio) ** 2)
+            systematic = (calibration.gain_uncertainty * light) ** 2
+            systematic += missed(light, variance, calibration.ratio) ** 2
+            error = np.sqrt(variance + systematic)
             yield Layer(
                 frame.index,
                 light[None],
@@ -143,25 +147,6 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
         # Where the newest is only a bound, the newest real sample is the better judge of older ones.
         newest = newest.replaced(alive & older.measured & ~newest.measured, older)
     return result
-
-
-def within_pixels(irradiance: Floats, ratio: float) -> Floats:
-    """How far the middle of each pixel is off its mean, where light changes within pixels.
-
-    A pick is a ratio narrower than its panel pixel. Of light that curves by E'' over a pixel the mean over a
-    width w is E''/2 w^2/12 more than in the middle, along each axis; the curvature is that between pixels.
-
-    Parameters
-    ----------
-    irradiance : ndarray of shape (v, u), float32
-        W m^-2.
-    ratio : float
-        CCD pixels to a panel pixel.
-    """
-    from scipy import ndimage
-
-    laplace = cast("Callable[..., Floats]", ndimage.laplace)
-    return np.abs(laplace(irradiance, mode="nearest")) * np.float32((1 - ratio**-2) / 24)
 
 
 def _literal(samples: Sequence[Sample], least: Floats) -> Merged:
