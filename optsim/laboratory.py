@@ -128,7 +128,7 @@ class _Laboratory:
         self.shown = 0  # slots before the next image: whole rounds of the panel's fields
         self.panel = (camera.panel_rows, camera.panel_cols)
         sensor = camera.sensor
-        well_e = min(sensor.full_well_e, (sensor.max_dn - sensor.zero_dn) * sensor.step_e)
+        well_e = sensor.most_e
         electrons_a_slot = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
         # Any starting value would do: a bench turns the lamp until the histogram is right.
         self._fills_well_w_m2_slot = well_e / electrons_a_slot * camera.irradiance_per_radiance

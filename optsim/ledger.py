@@ -101,11 +101,12 @@ def photon_ledger(
     per_slot = electrons / coded_slots
     dark = sensor.dark_rate_e_s * exposure_s
     ratio = modulator.pitch_m * relay.magnification / sensor.pitch_m
-    clips = ": clips" if electrons > sensor.full_well_e else ""
+    clips = ": clips" if electrons > sensor.most_e else ""
     rows += [
         LedgerRow(f"photons a pixel in {exposure_s * 1e3:.1f} ms", None, photons, "photons"),
         LedgerRow("electrons a frame", efficiency, electrons, "e-"),
         LedgerRow(f"of the full well{clips}", None, electrons / sensor.full_well_e, "1"),
+        LedgerRow(f"of the converter's range{clips}", None, electrons / sensor.range_e, "1"),
         LedgerRow("electrons a slot", 1 / coded_slots, per_slot, "e-"),
         LedgerRow(f"SNR of a frame, centre pixel{clips}", None, _snr(electrons, dark, sensor, 1), "1"),
         LedgerRow(f"SNR of a frame, all nine pixels{clips}", None, _snr(electrons, dark, sensor, 9), "1"),
@@ -118,6 +119,6 @@ def photon_ledger(
 
 def _snr(electrons: float, dark_e: float, sensor: Ccd, pixels: int) -> float:
     """Signal-to-noise ratio by EMVA 1288 (release 4.0 Linear, section 2.6), quantisation included."""
-    clipped = min(electrons, sensor.full_well_e)
+    clipped = min(electrons, sensor.most_e)
     noise = sensor.dark_noise_e**2
     return pixels * clipped / math.sqrt(pixels * (clipped + dark_e + noise))

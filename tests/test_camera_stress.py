@@ -46,8 +46,8 @@ def tables(draw):
         "rows": max(1, int(np.ceil(rows * ratio)) + draw(st.integers(-2, 8))),
         "cols": max(1, int(np.ceil(cols * ratio)) + draw(st.integers(-2, 8))),
         "smear_share": draw(st.sampled_from([0.0, 1e-3, 1.0])),
-        "bits": draw(st.sampled_from([8, 12, 14, 16])),
-        "gain_e": draw(wide(0.1, 100)),
+        "bits": (bits := draw(st.sampled_from([8, 12, 14, 16]))),
+        "gain_e": draw(wide(0.5 if bits == 8 else 0.1, 100)),  # less shows no light
     }
     table["objective"] |= {
         "f_number": f_number,

@@ -3,7 +3,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from optsim.hardware import icx674, imx174, prototype
+from optsim.effects import changed
+from optsim.hardware import demo, icx674, imx174, prototype
 from optsim.sensor import Ccd, ccd
 
 
@@ -197,3 +198,30 @@ def test_frames_do_not_depend_on_threads_nor_on_the_order_in_which_they_are_take
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(take, reversed(range(12))))
     assert np.array_equal(together[::-1], frames)
+
+
+@pytest.mark.parametrize(
+    ("update", "cure"),
+    [
+        ({"black_dn": 20000}, "black_dn: got 20000, expected less than 16383"),
+        ({"gain_e": 1e-3}, "gain_e: got 0.001, .* end at 16.3 electrons; expected 93.9 or more"),
+    ],
+)
+def test_a_converter_that_shows_no_light_is_refused(update, cure):
+    with pytest.raises(ValueError, match=cure):
+        Ccd.model_validate(demo().sensor.model_dump() | update)
+
+
+def test_a_pixel_clips_by_its_well_or_by_the_converter():
+    sensor = demo().sensor
+    assert sensor.range_e == pytest.approx((16383 - 64) * 0.96)
+    narrow = sensor.model_copy(update={"gain_e": 0.3})
+    assert narrow.most_e == pytest.approx((16383 - 64) * 0.3)
+    wide = sensor.model_copy(update={"gain_e": 10.0})
+    assert wide.most_e == wide.full_well_e
+    camera = changed(demo(), {"sensor": {"gain_e": 0.3}})
+    told = {row.stage: row.value for row in camera.ledger(0.18)}
+    assert told["of the converter's range: clips"] == pytest.approx(
+        told["electrons a frame"] / camera.sensor.range_e
+    )
+    assert told["SNR of a frame, centre pixel: clips"] < camera.sensor.most_e**0.5

@@ -75,7 +75,7 @@ class Modulator(Part):
         Share of the pixels that stand still, dark or bright.
     """
 
-    pitch_m: float = Field(gt=0)
+    pitch_m: float = Field(gt=0, le=1e-3)
     rows: int = Field(ge=1)
     cols: int = Field(ge=1)
     field_rate_hz: float = Field(gt=0)

@@ -59,7 +59,7 @@ class Objective(LensGroup):
         time, and with it its veiling glare (see forward/wings.py); 0 images every instant by itself.
     """
 
-    focal_length_m: float = Field(default=12.5e-3, gt=0)
+    focal_length_m: float = Field(default=12.5e-3, gt=0, le=1)
     f_number: float = Field(default=4.0, ge=0.7, le=64)
     magnification: float = Field(default=1.5, gt=0)
     transmission: float = Field(default=0.9, gt=0, le=1)

@@ -108,7 +108,7 @@ class Probe:
         edges = (min(2 * MARGIN_PX, (n - 1) // 2) for n in expected.shape)
         inner = tuple(slice(edge, n - edge) for edge, n in zip(edges, expected.shape, strict=True))
         signal = camera.sensor.signal_e(expected, camera.exposure_s, camera.serial_number)
-        return signal[inner], (expected < camera.sensor.full_well_e)[inner]
+        return signal[inner], (expected < camera.sensor.most_e)[inner]
 
     def _image(self, camera: CodedCamera) -> Doubles:
         """Radiant exposure of the CCD."""

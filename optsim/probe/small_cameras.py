@@ -152,7 +152,7 @@ def _lit(camera: CodedCamera, light: Illumination, times: int = 1) -> Probe:
     # Of the interior: a bright light, where there is one, is the brightest part.
     bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
-    nd = min(1.0, light.saturation_share * camera.sensor.full_well_e / (all_on / times**2))
+    nd = min(1.0, light.saturation_share * camera.sensor.most_e / (all_on / times**2))
     return Probe(camera.with_nd(nd / times**2), radiance)
 
 

@@ -22,7 +22,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError
@@ -37,6 +37,7 @@ _ROUNDING_E, _ROUNDING_SHARE = 1e-6, 1e-14
 _MOST_E = 1e18
 _STREAMS = 8
 _FEWEST_BITS, _MOST_BITS = 8, 16
+_LEAST_RANGE = 10  # of the converter, in standard deviations of read noise; no source
 # Where dark currents are stated.
 _DATA_SHEET_C = 25.0
 _PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
@@ -57,7 +58,7 @@ class Ccd(Part):
         Wavelength, m, and quantum efficiency over that at 550 nm, wavelengths rising; straight between them,
         unknown beyond. Empty: known at 550 nm only.
     full_well_e : float
-        Electrons at which a pixel clips (not the EMVA saturation capacity, which lies a little below).
+        Electrons at which a pixel's well clips (not the EMVA saturation capacity, which lies a little below).
     read_noise_e : float
         Temporal dark noise, rms.
     dark_current_e_s : float
@@ -92,10 +93,10 @@ class Ccd(Part):
 
     rows: int = Field(ge=1)
     cols: int = Field(ge=1)
-    pitch_m: float = Field(gt=0)
+    pitch_m: float = Field(gt=0, le=1e-3)
     quantum_efficiency: float = Field(gt=0, le=1)
     spectral_response: tuple[tuple[float, float], ...] = ()
-    full_well_e: float = Field(gt=0)
+    full_well_e: float = Field(ge=100)
     read_noise_e: float = Field(ge=0)
     dark_current_e_s: float = Field(ge=0)
     prnu: float = Field(ge=0, le=0.1)
@@ -121,6 +122,31 @@ class Ccd(Part):
             if abs(here - 1) > 1e-6:
                 raise ValueError(f"got {here:g} at 550 nm, expected 1 there: it is relative to that")
         return pairs
+
+    @model_validator(mode="after")
+    def _converter_shows_light(self) -> Ccd:
+        if self.zero_dn >= self.max_dn:
+            raise ValueError(
+                f"black_dn: got {self.black_dn:g}, expected less than {2**self.bits - 1}, the most "
+                f"that {self.bits} bits tell; lower it, or take more bits"
+            )
+        least_e = _LEAST_RANGE * max(self.read_noise_e, 1.0)
+        if self.range_e < least_e:
+            raise ValueError(
+                f"gain_e: got {self.gain_e:g}, by which the numbers above black_dn end at {self.range_e:.3g} "
+                f"electrons; expected {least_e:.3g} or more, {_LEAST_RANGE} times the read noise; raise it"
+            )
+        return self
+
+    @property
+    def range_e(self) -> float:
+        """Electrons of the largest digital number."""
+        return (self.max_dn - self.zero_dn) * self.step_e
+
+    @property
+    def most_e(self) -> float:
+        """Electrons at which a pixel clips, by its well or by the converter."""
+        return min(self.full_well_e, self.range_e)
 
     @property
     def dark_rate_e_s(self) -> float:
