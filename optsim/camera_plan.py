@@ -35,9 +35,9 @@ from optsim.probe import (
 
 # Scenes differ from the probe's: what is predicted is doubled.
 _MARGIN = 2.0
-# Share of the picture below which nothing moves before all of a probe's bright light: what it covers there,
-# wings and all, a frame of the probe doesn't show.
-_LEAST_COVERED = 0.06
+# What passes may hide all of a light of less than this share of the picture; so much light, over that of a
+# picture in declared white, then changes a frame by some hundredths of its noise. No probe's frame shows it.
+_MOST_HIDDEN, _LEAST_LIGHT = 0.06, 0.02
 
 
 @dataclass(frozen=True)
@@ -289,13 +289,13 @@ def _of_wings(cut: Coarser | LeftOut) -> TypeGuard[Coarser]:
 def _predictable(camera: CodedCamera, cut: Coarser | LeftOut, light: Illumination) -> Coarser | LeftOut:
     """Leave out steps whose size no probe tells.
 
-    Beside a small lamp those of moving light's wings. Beside any bright light those whose wings begin within
-    a pixel of the far probe, where a near one's light is not what it is in truth; and those whose wings
-    would reach farther than twice the length of the panel.
+    Beside a small lamp, which something may hide, those of moving light's wings and of rims. Beside any
+    bright light those whose wings begin within a pixel of the far probe, where a near one's light is not what
+    it is in truth; and those whose wings would reach farther than twice the length of the panel.
     """
-    if isinstance(cut, Coarser) and cut.field == "moving_wing_share":
-        small = light.bright is not None and light.bright.share < _LEAST_COVERED
-        return replace(cut, values=(0.0,)) if small else cut
+    hidden = any(each.share < _MOST_HIDDEN and each.light > _LEAST_LIGHT for each in light.lights)
+    if hidden and isinstance(cut, Coarser) and cut.field in ("moving_wing_share", "rim_model"):
+        return Coarser(cut.what, cut.part, cut.field, cut.values[:1])
     if not _of_wings(cut):
         return cut
     shares = [float(share) for share in cut.values]

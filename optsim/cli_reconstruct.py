@@ -41,8 +41,12 @@ def reconstruct_files(
 
     folder = out or new_folder(f"reconstruct-{measurement.stem}")
     check_empty(folder)
+    if decoder and any(each.strip().startswith("decoder.kind") for each in assignments or ()):
+        raise ConfigError(f"--decoder {decoder}: --set decoder.kind says the same; drop one of them")
     wanted = [*([f"decoder.kind={decoder}"] if decoder else []), *(assignments or [])]
     if (measurement / RECORD).is_file():
+        if decoder:
+            build(DecoderChoice, override({}, wanted), where="--decoder, --set")  # before the run's bench
         found, own = read_run(measurement, method)
         start = {} if decoder else {"decoder": own.model_dump(mode="json")}
         chosen = build(DecoderChoice, override(start, wanted), where="--set").decoder

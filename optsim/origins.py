@@ -109,7 +109,7 @@ def count_electrons(
     weights, _ = camera.panel_weights(code, panel, n_sub)
     shutter, _ = camera.shutter(code, panel, n_sub, truth.samples_per_pitch)
     borders, rims = shutter.borders, shutter.rims
-    cells = cell_weights(rims, shutter.weights) if rims else None
+    cells = cell_weights(rims, shutter.weights, truth.slots_per_segment) if rims else None
     fully_on = whole_cells(camera.panel_gain, truth.samples_per_pitch) * np.float64(truth.slot_s / n_sub)
     leak = camera.column_leaks[own[1]]
     v, u = np.indices(truth.panel_shape)

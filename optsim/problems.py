@@ -131,8 +131,11 @@ def _right_key(part: type[BaseModel], place: _Place) -> str:
     table = place.path[: place.path.rfind(".") + 1]
     paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
     # Nearer ones first: a key of this very table before one elsewhere.
-    near = difflib.get_close_matches(name, own, n=1, cutoff=0.7) or difflib.get_close_matches(
-        name, sorted(paths), n=1, cutoff=0.7
+    begun = sorted((key for key in own if key.startswith(name)), key=len)[:1]
+    near = (
+        begun
+        or difflib.get_close_matches(name, own, n=1, cutoff=0.7)
+        or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.7)
     )
     if not near or (near[0] == name and len(paths[name]) > _PLACES):
         return f"keys here are: {', '.join(dict.fromkeys(own))}"

@@ -18,7 +18,7 @@ from optsim.scene import (
     BrightLight,
     FootageTruth,
     Scene,
-    brightest_light,
+    bright_lights,
     load_scene,
     open_footage,
 )
@@ -190,13 +190,14 @@ def illumination(experiment: Experiment) -> Illumination:
     if experiment.scene is not None:
         scene = chosen_scene(experiment)
         white_w_m2_sr = scene.white_w_m2_sr
-        bright = brightest_light(scene, view.tan_half_width, view.rows / view.cols)
+        lights = bright_lights(scene, view.tan_half_width, view.rows / view.cols)
     else:
         # Of a recording it is known how bright it can get, not how much of it does.
         footage = cast("Source", experiment.source).footage
         white_w_m2_sr = footage.white_w_m2_sr
-        bright = BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)
-    return Illumination(white_w_m2_sr, experiment.light.percentile, experiment.light.saturation_share, bright)
+        lights = [BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)]
+    light = experiment.light
+    return Illumination(white_w_m2_sr, light.percentile, light.saturation_share, tuple(lights))
 
 
 def chosen_scene(experiment: Experiment) -> Scene:

@@ -119,6 +119,7 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
         ("n_frames=1.5", "n_frames: got 1.5, expected a whole number"),
         ("camera.overlap=3", "camera.overlap: got 3, expected true or false"),
         ("calibration=tru", "did you mean 'true'?"),
+        ("camera.relay.shift_x=1", "shift_x: unknown key; did you mean 'shift_x_px'?"),
         (
             "methods.random.calibration=iedal",
             "methods.random.calibration: got 'iedal', expected one of: bench, true, ideal; did you mean",

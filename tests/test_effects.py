@@ -21,8 +21,8 @@ from optsim.quantities import Block, ExposureCode, Segment
 from optsim.scene import BrightLight
 from optsim.scene.footage import still
 
-WINDOW = Illumination(0.1, 90.0, 0.8, BrightLight(25.0, 0.07))
-ROOM = Illumination(0.1, 90.0, 0.8, None)
+WINDOW = Illumination(0.1, 90.0, 0.8, (BrightLight(25.0, 0.07),))
+ROOM = Illumination(0.1, 90.0, 0.8)
 IDEAL = with_effects(shrunk(prototype(), 64), {"all": "ideal"})
 
 
@@ -312,7 +312,7 @@ def test_the_size_of_noise_is_its_share():
     sizes = {each.effect: each.size for each in effect_sizes(make_probes(prototype(), ROOM))}
     assert sizes["read_noise"] == pytest.approx(camera.sensor.read_noise_e / noise_e, rel=1e-6)
     assert sizes["quantisation"] == pytest.approx(((0.96**2 - 0.24**2) / 12) ** 0.5 / noise_e, rel=1e-6)
-    dim = Illumination(0.1, 90.0, 0.08, None)
+    dim = Illumination(0.1, 90.0, 0.08)
     assert {e.effect: e.size for e in effect_sizes(make_probes(prototype(), dim))}["read_noise"] > 0.3
 
 

@@ -232,6 +232,11 @@ def test_the_command(tmp_path: Path, arrays: Any) -> None:
     assert record["decoder"]["sigma_px"] == 0.5
     assert record["slots"] == SLOTS
     assert len(record["psnr_db"]) == 2
+    both = CliRunner().invoke(
+        app, [*line[:2], "--decoder", "sparse_coding", "--set", "decoder.kind=interpolation"]
+    )
+    assert isinstance(both.exception, ConfigError)
+    assert "decoder.kind says the same; drop one" in str(both.exception)
     # Said before anything is read: no such measurement, but that comes second.
     again = CliRunner().invoke(
         app, ["reconstruct", str(tmp_path / "none.npz"), "--out", str(tmp_path / "out")]

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from optsim.camera_plan import plan_camera
 from optsim.effect_sizes import effect_sizes
 from optsim.effects import changed, with_effects
+from optsim.errors import ValueCheckError
 from optsim.forward import bands
 from optsim.forward import rims as rims_module
 from optsim.forward.fringing import border_shares, fine_image
@@ -237,8 +238,8 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
         video = Video(18, 21, 3, SLOT_S, 2, slots, 8, load)
         return integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
 
-    expected = (cell_weights(rims, weights) * light).sum(axis=0) * SLOT_S / 2
     for slots in (1, 2, 4, 8):
+        expected = (cell_weights(rims, weights, slots) * light).sum(axis=0) * SLOT_S / 2
         np.testing.assert_allclose(exposed(slots), expected, rtol=1e-5, atol=1e-9)
 
 
@@ -246,8 +247,8 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
 def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch, most_leak, scale):
     """A block that begins and ends within pixels, a corner of the panel, and 20 rows: three bands.
 
-    The floor acts on instants or on their sum: 5e-5 of the light of a pixel that is on. Where leaks differ
-    much from column to column it is more, so nothing stands still there.
+    Where it is still the floor acts on the sum of instants: 5e-5 of the light of a pixel that is on. Where
+    leaks differ much from column to column it is more, so nothing stands still there.
     """
     rng = np.random.default_rng(9)
     levels = rng.choice(np.array([0, 90, 255], np.uint8), (5, 20, 7))
@@ -268,6 +269,36 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch,
             monkeypatch.setattr(f"optsim.forward.{module}.FEW", few)
         found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
         np.testing.assert_allclose(found, whole.sum(axis=0) * SLOT_S / 2, rtol=1e-5, atol=5e-5 * SLOT_S)
+
+
+@pytest.mark.parametrize("few", [0, 10**9])
+@pytest.mark.parametrize("model", ["fine", "coarse"])
+def test_a_lamp_that_is_hidden_while_pixels_are_open_leaves_no_negative_light(monkeypatch, few, model):
+    """What is left of 1e6 in one instant of ten, or of none, and then a dark mover."""
+    for module in ("rims", "integrate"):
+        monkeypatch.setattr(f"optsim.forward.{module}.FEW", few)
+    rng = np.random.default_rng(5)
+    levels = rng.choice(np.array([0, 255], np.uint8), (10, 6, 7))
+    rims, weights, _ = rims_of(levels, PanelResponse())
+    rims = replace(rims, model=model)
+    lamp = np.full((18, 21), 1e6, np.float32)
+    for seen in (*range(0, 10, 3), None):
+        mover = np.full((10, 18, 21), -1e6, np.float32)
+        if seen is not None:
+            mover[seen] = 0
+        segment = Segment(lamp, lamp, (Block(0, 0, mover),), 10)
+        video = Video(18, 21, 3, SLOT_S, 1, 10, 10, lambda _, it=segment: it)
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims)) / SLOT_S
+        expected = 0 if seen is None else cell_weights(rims, weights)[seen] * 1e6
+        np.testing.assert_allclose(found, expected, atol=2)  # rounding of ten times 1e6
+        assert seen is None or found.min() > 0
+
+
+def test_segments_of_another_number_of_instants_are_refused():
+    light = np.zeros((18, 21), np.float32)
+    video = Video(18, 21, 3, SLOT_S, 1, 4, 4, lambda _: Segment(light, light, (), 3))
+    with pytest.raises(ValueCheckError, match="segment 0: got 3 instants, expected 4 slots of 1"):
+        list(video.segments(0, 4))
 
 
 def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
@@ -313,7 +344,7 @@ def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
 
 
 def test_plans_find_rims_as_finely_as_they_need():
-    light, camera = Illumination(0.1, 90.0, 0.8, None), demo()
+    light, camera = Illumination(0.1, 90.0, 0.8), demo()
     models = {t: plan_camera(camera, light, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
     assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
     plan = plan_camera(camera, light, 0.1)

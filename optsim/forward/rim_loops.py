@@ -198,6 +198,39 @@ def fill_cells(
         of_key = Seen(opened[key], alone[key], blurred[key])
         for p in range(rows - 2):
             _open_cells(of_key, p, p, looks, keys[key].sum(), 0, cols, room, sums[key])
+    for first, end in moving:
+        tie_sums(keys, sums, cells, looks.light.least, first, end)
+
+
+@compiled(fastmath=True)
+def tie_sums(keys: Floats, sums: Floats, cells: Floats, least: Floats, first: int, end: int) -> None:
+    """Make the sums of some columns of pixels those of their instants, which keep the total of all sums.
+
+    Neither is less than a dark pixel's. Apart from each other they would let light that is hidden in some
+    instants have less than nothing in the others.
+    """
+    shares, pitch = keys.sum(axis=0), sums.shape[2] // len(least)
+    begin, n = np.uint64(first * pitch), np.uint64((end - first) * pitch)
+    dark, kept, beyond = least[first:end].repeat(pitch), np.empty(n, np.float32), np.empty(n, np.float32)
+    for y in range(sums.shape[1]):
+        kept[:] = -shares.sum() * dark
+        beyond[:] = kept
+        for key in range(len(keys)):
+            for x in range(n):
+                kept[x] += sums[key, y, begin + x]
+                sums[key, y, begin + x] = 0
+        for t in range(len(cells)):
+            for x in range(n):
+                beyond[x] += shares[t] * cells[t, y, begin + x]
+        for x in range(n):
+            kept[x] = kept[x] / beyond[x] if beyond[x] > 0 else np.float32(1)
+        for t in range(len(cells)):
+            for x in range(n):
+                cells[t, y, begin + x] = dark[x] + kept[x] * (cells[t, y, begin + x] - dark[x])
+            for key in range(len(keys)):
+                share = keys[key, t]
+                for x in range(n):
+                    sums[key, y, begin + x] += share * cells[t, y, begin + x]
 
 
 # What is called most takes whole arrays and a row: each slice would cost two atomic counts.

@@ -246,17 +246,23 @@ def relaxed(rims: Rims, panel: PanelState, first: int, last: int) -> PanelState:
     return PanelState(gamma, shown.copy(), panel.slots_shown + last - first)
 
 
-def cell_weights(rims: Rims, weights: Floats) -> Floats:
-    """Weights of all fine cells in the instants of an exposure, (t, y, x); of pixel weights (t, v, u)."""
+def cell_weights(rims: Rims, weights: Floats, slots: int | None = None) -> Floats:
+    """Weights of all fine cells in the instants of an exposure, (t, y, x); of pixel weights (t, v, u).
+
+    The total of so many slots at a time is kept, as where they are a segment of a video; by default of all.
+    """
     n, rows, cols = weights.shape
     found = np.zeros((n, rows * rims.pitch, cols * rims.pitch), np.float32)
-    n_open = len(rims.levels) * rims.instants_per_slot
+    everywhere, panel = np.ones((rows, cols), np.bool_), rims.start
+    for first in range(0, len(rims.levels), slots or len(rims.levels)):
+        begin = first * rims.instants_per_slot
+        end = min(first + (slots or len(rims.levels)), len(rims.levels)) * rims.instants_per_slot
 
-    def add(_: Floats, cells: Floats, row: int) -> None:
-        found[:n_open, row : row + cells.shape[1]] = cells
+        def add(_: Floats, cells: Floats, row: int, begin: int = begin, end: int = end) -> None:
+            found[begin:end, row : row + cells.shape[1]] = cells
 
-    no_keys, everywhere = np.zeros((0, n_open), np.float32), np.ones((rows, cols), np.bool_)
-    fine_weights(rims, weights[:n_open], no_keys, everywhere, add, rims.start, 0)
+        together = np.ones((1, end - begin), np.float32)
+        panel = fine_weights(rims, weights[begin:end], together, everywhere, add, panel, first)
     return found
 
 
@@ -304,6 +310,15 @@ def _fill_together(
         _open_together(weights, alone, blurred, looks, np.ones(len(weights)), cells)
     of_keys = [np.tensordot(keys, each, 1) for each in (weights, alone, blurred)]
     _open_together(of_keys[0], of_keys[1], of_keys[2], looks, keys.sum(axis=1), sums)
+    # As in rim_loops.tie_sums.
+    for first, end in moving * len(looks.borders):
+        tied, least = np.s_[:, :, first:end], looks.light.least.repeat(len(looks.borders))[first:end]
+        dark = keys.sum() * least
+        beyond = np.tensordot(keys.sum(axis=0), cells[tied], 1).astype(np.float32) - dark
+        total = sums[tied].sum(axis=0) - dark
+        factor = np.divide(total, beyond, out=np.ones_like(beyond), where=beyond > 0)
+        cells[tied] = least + factor * (cells[tied] - least)
+        sums[tied] = np.tensordot(keys, cells[tied], 1)
 
 
 def _open_together(

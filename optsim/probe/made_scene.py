@@ -46,7 +46,7 @@ def made_scene(camera: CodedCamera, white_w_m2_sr: float, bright: BrightLight | 
         over = bright.over_white * bright.share * view.rows * view.cols / (height * width)
         # Its left part is in the way of what moves.
         row, col = (view.rows - height) // 3, (view.cols - width) // 4
-        base[row : row + height, col : col + width] *= over * WHITE_OVER_INTERIOR
+        base[row : row + height, col : col + width] = over * WHITE_OVER_INTERIOR * float(base.mean())
     parts = next(n for n in _PARTS if n_slots % n == 0)
     n = n_slots // parts
     height, width = view.rows // 3, view.cols // 3
@@ -96,14 +96,17 @@ def _reflectances(rng: np.random.Generator, rows: int, cols: int) -> Floats:
 def made_code(camera: CodedCamera, radiance: RadianceVideo) -> ExposureCode:
     """Make a code that has exposures of most kinds: all that moves is on either side of it."""
     n, rows, cols = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
-    levels: Bytes = (np.random.default_rng(36).random((n, rows, cols)) < 0.5).astype(np.uint8) * np.uint8(255)
+    random: Bytes = (np.random.default_rng(36).random((n, rows, cols)) < 0.5).astype(np.uint8) * np.uint8(255)
     tile = np.array(_DENSITIES).reshape(2, 2)
     opened = np.tile(tile, (-(-rows // 2), -(-cols // 2)))[:rows, :cols] * n
     static = np.arange(cols) < cols // 2
     mosaic = (np.arange(n)[:, None, None] < np.rint(opened)).astype(np.uint8) * np.uint8(255)
-    levels[:, :, static] = mosaic[:, :, static]
-    # All open before bright light: of what schemes show there, normal photography's lets most of it stray.
+    levels = np.where(static, mosaic, random)
+    # Before bright light open, as in normal photography, which lets most of it stray; random while it moves.
     bright = radiance.load(0).start > radiance.white_w_m2_sr
-    cells = bright.reshape(rows, SAMPLES_PER_PITCH, cols, SAMPLES_PER_PITCH)
-    levels[:, cells.any(axis=(1, 3))] = 255
+    lit = bright.reshape(rows, SAMPLES_PER_PITCH, cols, SAMPLES_PER_PITCH).any(axis=(1, 3))
+    levels[:, lit] = 255
+    moves = slice(radiance.slots_per_segment, 2 * radiance.slots_per_segment)
+    part = moves if radiance.n_segments > 1 else slice(None)
+    levels[part, lit] = random[part, lit]
     return ExposureCode(levels, np.broadcast_to(~static, (rows, cols)).copy())

@@ -49,14 +49,19 @@ class Illumination:
         Radiance of the probe's brightest reflectance.
     percentile, saturation_share : float
         The light rule: this percentile of the interior fills this share of the full well under all-on.
-    bright : BrightLight or None
-        Brightest light in the picture.
+    lights : tuple of BrightLight
+        In the picture, that which brings most light first.
     """
 
     white_w_m2_sr: float
     percentile: float
     saturation_share: float
-    bright: BrightLight | None
+    lights: tuple[BrightLight, ...] = ()
+
+    @property
+    def bright(self) -> BrightLight | None:
+        """The one that a probe's scene holds."""
+        return self.lights[0] if self.lights else None
 
 
 def make_probes(camera: CodedCamera, light: Illumination) -> Probes:
@@ -82,7 +87,7 @@ def _as_much(camera: CodedCamera, small: CodedCamera, light: Illumination) -> Il
         return light
     height, k = light.bright.share**0.5 * camera.view.rows, camera.view.rows / small.view.rows
     over_white = light.bright.over_white * (height + k * _POINT) / (height + _POINT)
-    return replace(light, bright=replace(light.bright, over_white=over_white))
+    return replace(light, lights=(replace(light.bright, over_white=over_white),))
 
 
 def _window_within(small: CodedCamera) -> Changes:
@@ -120,7 +125,7 @@ def _within(value: float, limit: float) -> float:
 
 def far_pixel(camera: CodedCamera) -> int:
     """Side of a far probe's pixel, panel pixels."""
-    return max(1, camera.panel_cols // _COLS)
+    return -(-camera.panel_cols // _COLS)
 
 
 def far_probe(camera: CodedCamera, light: Illumination) -> Probe:

@@ -207,7 +207,13 @@ class Video:
                 f"in a video of {self.n_slots}"
             )
         for index in range(first_slot // n, last_slot // n):
-            yield index * n, self.load(index)
+            segment = self.load(index)
+            if segment.n_instants != n * self.instants_per_slot:
+                raise ValueCheckError(
+                    f"segment {index}: got {segment.n_instants} instants, expected {n} slots of "
+                    f"{self.instants_per_slot}"
+                )
+            yield index * n, segment
 
 
 @dataclass(frozen=True, eq=False)

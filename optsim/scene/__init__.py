@@ -1,7 +1,7 @@
 """What is in front of the camera: scenes, movers as pure functions of time, and footage as truth."""
 
 from optsim.scene.bands import Band
-from optsim.scene.bright import BrightLight, brightest_light
+from optsim.scene.bright import BrightLight, bright_lights
 from optsim.scene.footage import footage, still
 from optsim.scene.footage_source import FootageSource
 from optsim.scene.footage_truth import FootageTruth, open_footage
@@ -13,7 +13,7 @@ __all__ = [
     "FootageSource",
     "FootageTruth",
     "Scene",
-    "brightest_light",
+    "bright_lights",
     "footage",
     "list_scenes",
     "load_scene",

@@ -25,9 +25,16 @@ class BrightLight:
     over_white: float
     share: float
 
+    @property
+    def light(self) -> float:
+        """What it brings, over that of a whole picture in declared white."""
+        return self.over_white * self.share
 
-def brightest_light(scene: Scene, tan_half_width: float, rows_over_cols: float) -> BrightLight | None:
-    """Find the lamp that brings most light to the picture at time 0; whatever hides it is not looked at.
+
+def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) -> list[BrightLight]:
+    """Find the lamps in the picture at time 0, that which brings most light first.
+
+    Whatever hides them is not looked at.
 
     Parameters
     ----------
@@ -40,7 +47,7 @@ def brightest_light(scene: Scene, tan_half_width: float, rows_over_cols: float) 
 
     Returns
     -------
-    BrightLight or None
+    list of BrightLight
         None where no lamp is in the picture.
     """
     pose = scene.camera.at(0.0)
@@ -68,4 +75,4 @@ def brightest_light(scene: Scene, tan_half_width: float, rows_over_cols: float) 
         field = 4 * tan_half_width**2 * rows_over_cols
         over_white = mono(lamp.radiance_w_m2_sr) / scene.white_w_m2_sr
         found.append(BrightLight(over_white, float(min(solid / field, 1.0))))
-    return max(found, key=lambda light: light.over_white * light.share, default=None)
+    return sorted(found, key=lambda light: light.light, reverse=True)
