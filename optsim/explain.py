@@ -199,7 +199,12 @@ def show(record: dict[str, Any]) -> list[object]:
     known = cast("dict[str, str]", record["calibrations"])
     items.append("calibration of " + ", ".join(f"{name}: {operator}" for name, operator in known.items()))
     if record["drift"]:
-        items.append(f"after calibration, unknown to decoders, the camera drifts: {record['drift']}")
+        now = [
+            f"{part}.{key} {value:g}" if isinstance(value, float) else f"{part}.{key} {value}"
+            for part, fields in cast("dict[str, dict[str, object]]", record["drift"]).items()
+            for key, value in fields.items()
+        ]
+        items.append(f"after calibration, unknown to decoders, the camera has: {', '.join(now)}")
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():
         rows = cast("list[dict[str, Any]]", ledger["rows"])
         items.append(

@@ -98,9 +98,12 @@ def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
             "camera.splitter.scene_light: got 'polarised', but only the scalar renderer works here, which "
             "has no polarised light; cure: 'optsim doctor', or set it to 'auto' or 'unpolarised'"
         )
+    why = (
+        f"by {', '.join(found)}" if found else "as camera.splitter.scene_light says, though nothing polarises"
+    )
     return SceneLight(
         splitter.azimuth_rad,
-        f"polarised by {', '.join(found) or 'nothing'}: twice the component at "
+        f"polarised {why}: twice the component at "
         f"{math.degrees(splitter.azimuth_rad):g} degrees from the picture's rows",
     )
 
