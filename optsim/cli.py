@@ -79,6 +79,7 @@ def run(
     from optsim import job
     from optsim.console import page, people, progress_bars
     from optsim.experiment import load_experiment
+    from optsim.explain import too_short
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     folder = job.run_folder(loaded, out)
@@ -88,6 +89,8 @@ def run(
             print_json({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
         else:
             people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
+            if short := too_short(loaded.n_frames, loaded.camera.latency_frames):
+                people.print(short)
         return
     command = " ".join(["optsim", *sys.argv[1:]])
     if (folder / "results.json").exists():

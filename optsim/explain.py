@@ -89,6 +89,16 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     }
 
 
+def too_short(n_frames: int, latency_frames: int) -> str:
+    """Say that an experiment ends before the steady phase; nothing where it doesn't."""
+    from optsim.metrics import first_steady
+
+    steady = first_steady(latency_frames)
+    if n_frames > steady:
+        return ""
+    return f"{n_frames} coded frames end before the steady phase: take {steady + 1} or more (n_frames)"
+
+
 def drift_of(experiment: Experiment) -> dict[str, dict[str, float]]:
     """Say by how much numbers of a camera's parts have changed since its calibration: part -> field."""
     parts = {
@@ -191,11 +201,8 @@ def show(record: dict[str, Any]) -> list[object]:
             f"latency of {latency['chosen_frames']} is hypothetical: the smallest physical one is "
             f"{latency['frames']} frames"
         )
-    if latency["n_frames"] <= latency["first_steady"]:
-        items.append(
-            f"{latency['n_frames']} coded frames end before the steady phase: take "
-            f"{latency['first_steady'] + 1} or more (n_frames)"
-        )
+    if short := too_short(latency["n_frames"], latency["chosen_frames"]):
+        items.append(short)
     known = cast("dict[str, str]", record["calibrations"])
     items.append("calibration of " + ", ".join(f"{name}: {operator}" for name, operator in known.items()))
     if record["drift"]:

@@ -219,3 +219,15 @@ def test_an_explanation_for_people_has_units_and_says_what_clips() -> None:
     # White is 1.9 times the full well without the light rule's density, mid-grey a third.
     assert "of the full well: clips" in said.split("photon ledger, white")[1]
     assert "clips" not in said.split("photon ledger, white")[0]
+
+
+def test_a_dry_run_says_that_there_is_no_steady_phase(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for n_frames, said in ((5, True), (10, False)):
+        words = ("run", "demo", "--dry-run", "--set", f"n_frames={n_frames}")
+        code, out, err = optsim(capsys, monkeypatch, *words)
+        told = " ".join(f"{out} {err}".split())
+        assert code == 0
+        assert "demo: fine" in told
+        assert ("5 coded frames end before the steady phase: take 6" in told) == said
