@@ -101,9 +101,9 @@ def measure() -> float:
 
 
 def perturbed() -> float:
-    """With a plan for an even room, before a window."""
-    camera = demo()
-    return _error(camera, "window", plan_camera(camera, _light(camera, "even room"), 0.1).camera) / 0.1
+    """With a plan for an even room, before a window and a lamp that a mover hides."""
+    camera, light = demo(), "window and lamp"
+    return _error(camera, light, plan_camera(camera, _light(camera, "even room"), 0.1).camera) / 0.1
 
 
 def grid() -> list[Case]:
