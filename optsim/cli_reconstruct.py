@@ -37,7 +37,7 @@ def reconstruct_files(
     from optsim.measurement import decode_measurement, read_measurement
     from optsim.measurement.files import DecoderChoice, measurement_files
     from optsim.measurement.job import check_empty
-    from optsim.measurement.runs import RECORD, read_run
+    from optsim.measurement.runs import RECORD, decoder_of_run, read_run
 
     folder = out or new_folder(f"reconstruct-{measurement.stem}")
     check_empty(folder)
@@ -45,11 +45,11 @@ def reconstruct_files(
         raise ConfigError(f"--decoder {decoder}: --set decoder.kind says the same; drop one of them")
     wanted = [*([f"decoder.kind={decoder}"] if decoder else []), *(assignments or [])]
     if (measurement / RECORD).is_file():
-        if decoder:
-            build(DecoderChoice, override({}, wanted), where="--decoder, --set")  # before the run's bench
-        found, own = read_run(measurement, method)
+        own = decoder_of_run(measurement, method)
         start = {} if decoder else {"decoder": own.model_dump(mode="json")}
-        chosen = build(DecoderChoice, override(start, wanted), where="--set").decoder
+        where = "--decoder, --set" if decoder else "--set"
+        chosen = build(DecoderChoice, override(start, wanted), where=where).decoder
+        found = read_run(measurement, method)
     elif method is not None:
         raise ConfigError(f"--method {method}: {measurement} is no folder of a run; drop it")
     else:

@@ -13,7 +13,7 @@ from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_exr, read_json, read_png16
 from optsim.loop import calibrate, planned
 from optsim.measurement import decode_measurement
-from optsim.measurement.runs import read_run
+from optsim.measurement.runs import decoder_of_run, read_run
 from optsim.object_masks import object_masks
 from optsim.reconstruct import GaussianMixture, SparseCoding, Union
 from optsim.report.schema import check_results
@@ -192,7 +192,7 @@ def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
 
 
 def test_a_run_s_frames_decode_again_to_the_same_light(folder: Path, tmp_path: Path) -> None:
-    found, decoder = read_run(folder, "random")
+    found, decoder = read_run(folder, "random"), decoder_of_run(folder, "random")
     decode_measurement(found, decoder, tmp_path / "again")
     for index in (0, 5):
         again, _ = read_exr(tmp_path / "again" / "reconstruction" / f"{index:06d}.exr")

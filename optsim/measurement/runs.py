@@ -10,7 +10,7 @@ from skimage.io import imread
 
 from optsim.config import build
 from optsim.errors import ConfigError, StorageError, unknown_name
-from optsim.experiment import Experiment
+from optsim.experiment import Experiment, Method
 from optsim.files import read_exr, read_json, read_png16
 from optsim.loop import calibrate, planned
 from optsim.measurement.coded import Measurement
@@ -20,8 +20,13 @@ from optsim.reconstruct import Decoder
 RECORD = "experiment.json"
 
 
-def read_run(folder: Path, method: str | None) -> tuple[Measurement, Decoder]:
-    """Read the frames of one of a run's methods, with what its decoder knew of the camera, and that decoder.
+def decoder_of_run(folder: Path, method: str | None) -> Decoder:
+    """Read which decoder one of a run's methods had; parameters and errors as of :func:`read_run`."""
+    return _method_of_run(folder, method)[1].decoder
+
+
+def read_run(folder: Path, method: str | None) -> Measurement:
+    """Read the frames of one of a run's methods, with what its decoder knew of the camera: a bench made anew.
 
     Parameters
     ----------
@@ -35,13 +40,7 @@ def read_run(folder: Path, method: str | None) -> tuple[Measurement, Decoder]:
     ConfigError, StorageError
         For an unknown method, or a folder that is no whole run.
     """
-    experiment = build(Experiment, read_json(folder / RECORD)["experiment"], where=str(folder / RECORD))
-    names = [each.name for each in experiment.methods]
-    if method is None and len(names) > 1:
-        raise ConfigError(f"--method: missing; {folder} holds {', '.join(names)}")
-    chosen = next((each for each in experiment.methods if method in (None, each.name)), None)
-    if chosen is None:
-        raise unknown_name("--method", str(method), names)
+    experiment, chosen = _method_of_run(folder, method)
     paths = sorted((folder / "frames" / chosen.name).glob("*.png"))
     if len(paths) != experiment.n_frames:
         raise StorageError(
@@ -50,7 +49,18 @@ def read_run(folder: Path, method: str | None) -> tuple[Measurement, Decoder]:
         )
     frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
     calibration = calibrate(planned(experiment)[0], experiment.operator_of(chosen))
-    return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0), chosen.decoder
+    return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0)
+
+
+def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method]:
+    experiment = build(Experiment, read_json(folder / RECORD)["experiment"], where=str(folder / RECORD))
+    names = [each.name for each in experiment.methods]
+    if method is None and len(names) > 1:
+        raise ConfigError(f"--method: missing; {folder} holds {', '.join(names)}")
+    chosen = next((each for each in experiment.methods if method in (None, each.name)), None)
+    if chosen is None:
+        raise unknown_name("--method", str(method), names)
+    return experiment, chosen
 
 
 def _frame(folder: Path, name: str, index: int) -> CodedFrame:

@@ -1,4 +1,4 @@
-"""The brightest light in the picture, found from lamps and pose alone: what far wings and glare come from."""
+"""The bright lights in the picture, found from lamps and pose alone: what far wings and glare come from."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) ->
     Returns
     -------
     list of BrightLight
-        None where no lamp is in the picture.
+        Empty where no lamp is in the picture.
     """
     pose = scene.camera.at(0.0)
     origin = np.asarray(pose.position_m)
