@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skimage.io import imread
+from typer.testing import CliRunner
 
 from optsim import job
+from optsim.cli import app
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import read_exr, read_json, read_png16
@@ -189,6 +191,16 @@ def test_a_relay_that_blurs_too_much_is_refused_before_the_render(
 
 def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
     assert "too short" in job.summary({"title": "demo", "methods": {"adaptive": {}}, "scores": []})
+
+
+def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("optsim.measurement.runs.calibrate", lambda *_: pytest.fail("a bench was made"))
+    line = ["reconstruct", str(folder), "--method", "random", "--out", str(tmp_path / "none")]
+    for wrong in (["--decoder", "gausian"], ["--set", "decoder.n_atom=3"]):
+        with pytest.raises(ConfigError, match=r"decoder\.(kind: got 'gausian'|n_atom: unknown key)"):
+            CliRunner().invoke(app, [*line, *wrong], catch_exceptions=False)
 
 
 def test_a_run_s_frames_decode_again_to_the_same_light(folder: Path, tmp_path: Path) -> None:
