@@ -3,16 +3,19 @@
 
 The full model is the camera with every effect on and its numerics as fine as they come. Each short cut makes
 one thing coarser, or leaves it out, where that saves time; what costs nothing is always modelled. The size of
-each is predicted on two small, plain probes, in units of a frame's noise; systematic effects don't average
-out, so sizes add up linearly. Each short cut is given an equal share of the tolerance and taken as far as
-that goes; what is left over goes to them in their order, those first that save most.
+each is predicted on two small, plain probes whose panels show the experiment's codes, in units of a frame's
+noise, for the scheme with the largest; systematic effects don't average out, so sizes add up linearly. Each
+short cut is given an equal share of the tolerance and taken as far as that goes; what is left over goes to
+them in their order, those first that save most.
 
 The claim that what is skipped stays below the tolerance is measured in ``validation/skipping``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, TypeGuard
 
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
@@ -25,6 +28,7 @@ from optsim.probe import (
     PLAIN,
     Illumination,
     Probes,
+    Schemes,
     Which,
     compared_with,
     far_pixel,
@@ -98,17 +102,17 @@ _FIELD = (FINEST_FIELD, 0.01, 0.02, 0.05, 0.1, 1.0)
 _WINGS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 # Those first that save most time at the prototype's scale.
 SHORT_CUTS: dict[str, Coarser | LeftOut] = {
-    "fringing_rims": Coarser(
-        "rims of panel pixels under fringing fields: by fine or coarse quadrature, or weights mixed",
-        "modulator",
-        "rim_model",
-        ("fine", "coarse", "mixed"),
-    ),
     "moving_wings": Coarser(
         "far wings of moving light, and with them its glare, along straight lines in time: share in them",
         "objective",
         "moving_wing_share",
         (0.0, MOVING_WING_SHARE),
+    ),
+    "fringing_rims": Coarser(
+        "rims of panel pixels under fringing fields: by fine or coarse quadrature, or weights mixed",
+        "modulator",
+        "rim_model",
+        ("fine", "coarse", "mixed"),
     ),
     "objective_field": Coarser(
         "PSF of the objective over the field: share of a point's light that may be misplaced",
@@ -192,7 +196,7 @@ class CameraPlan:
         return sum(choice.size for choice in self.choices)
 
 
-def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> CameraPlan:
+def plan_camera(camera: CodedCamera, light: Illumination, schemes: Schemes, tolerance: float) -> CameraPlan:
     """Choose how finely a camera must be modelled.
 
     Parameters
@@ -201,6 +205,8 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
         With all its effects. Numerics set by hand, to other values than their defaults, stay.
     light : Illumination
         What the experiment's scene is like.
+    schemes : mapping
+        Name -> scheme of the experiment: none of their frames may err by more.
     tolerance : float
         Rms error allowed in a frame, relative to its noise; 0 models everything.
     """
@@ -212,10 +218,11 @@ def plan_camera(camera: CodedCamera, light: Illumination, tolerance: float) -> C
     planned = camera
     for cut in open_to_choice.values():
         planned = changed(planned, cut.steps[0][1])
-    probes = make_probes(changed(planned, PLAIN), light)
+    probes = make_probes(changed(planned, PLAIN), light, schemes)
     # The frames with everything, which all others are compared with.
-    side_by_side([probes.near.noise_e, probes.far.noise_e])
-    ladders = {name: _Ladder(name, cut, probes, {}) for name, cut in open_to_choice.items()}
+    both = probes.near, probes.far
+    side_by_side(partial(each.noise_e, name) for name in probes.far.schemes for each in both)
+    ladders = {name: _Ladder(name, cut, probes) for name, cut in open_to_choice.items()}
     with one_thread():
         chosen = _steps(ladders, tolerance)
     for name, step in chosen.items():
@@ -247,15 +254,21 @@ class _Ladder:
     name: str
     cut: Coarser | LeftOut
     probes: Probes
-    found: dict[int, float]
 
     def size(self, step: int) -> float:
+        return max(self._sizes(step))
+
+    def _fits(self, step: int, limit: float) -> bool:
+        return all(size <= limit for size in self._sizes(step))
+
+    def _sizes(self, step: int) -> Iterator[float]:
+        """One a scheme: the first that is too large tells enough."""
         if step == 0:
-            return 0.0
-        if step not in self.found:
-            changes, of = self.cut.steps[step][1], compared_with(self.name)
-            self.found[step] = _MARGIN * self._times * self.probes.size(changes, of, self._on(step))
-        return self.found[step]
+            yield 0.0
+            return
+        changes, of = self.cut.steps[step][1], compared_with(self.name)
+        for size, _ in self.probes.sizes(changes, of, self._on(step)):
+            yield _MARGIN * self._times * size
 
     def _on(self, step: int) -> tuple[Which, ...]:
         cut, near = self.cut, self.probes.near
@@ -275,7 +288,7 @@ class _Ladder:
         within, beyond = 0, len(self.cut.steps)
         while beyond - within > 1:
             step = (within + beyond) // 2
-            within, beyond = (step, beyond) if self.size(step) <= limit else (within, step)
+            within, beyond = (step, beyond) if self._fits(step, limit) else (within, step)
         return within
 
     def choice(self, step: int) -> Choice:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,11 +29,15 @@ class EffectSize:
         Rms change of the frame by the effect as this camera has it, relative to the noise, by the full model
         of what it asks for even where numerics are set by hand; None where only rendering would tell, or
         every pixel of the probe clips.
+    scheme : str or None
+        Name of that of the experiment whose frame it changes so much: others change less. None where it
+        changes none.
     """
 
     effect: str
     what: str
     size: float | None
+    scheme: str | None = None
 
 
 @one_thread()
@@ -48,17 +53,19 @@ def effect_sizes(probes: Probes, drift: Changes = NOTHING) -> list[EffectSize]:
     """
     near = probes.near
 
-    def found(name: str, effect: Effect) -> float:
+    def found(name: str, effect: Effect) -> EffectSize:
         if effect.drifts:
-            return probes.size(_over(PLAIN, _drifting(effect, near, drift)), PLAIN)
+            return largest(name, probes.sizes(_drifting(effect, near, drift), PLAIN))
         against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
-        return probes.size(_over(against, switched({name: "ideal"})), against, shown_on(name))
+        return largest(name, probes.sizes(switched({name: "ideal"}), against, shown_on(name)))
 
-    sizes = {name: found(name, effect) for name, effect in ALL.items() if not effect.in_scene}
-    return [
-        EffectSize(name, ALL[name].what, size if math.isfinite(size) else None)
-        for name, size in sizes.items()
-    ]
+    return [found(name, effect) for name, effect in ALL.items() if not effect.in_scene]
+
+
+def largest(effect: str, sizes: Iterable[tuple[float, str]]) -> EffectSize:
+    """Largest of an effect's sizes in the frames of some schemes, of those that don't clip everywhere."""
+    size, scheme = max((each for each in sizes if math.isfinite(each[0])), default=(None, None))
+    return EffectSize(effect, ALL[effect].what, size, scheme if size else None)
 
 
 def _drifting(effect: Effect, probe: Probe, drift: Changes) -> Changes:
@@ -72,8 +79,8 @@ def _drifting(effect: Effect, probe: Probe, drift: Changes) -> Changes:
     }
 
 
-def size_of_defocus(probes: Probes, blur_px: float) -> float:
-    """Size of what a disc of confusion changes, of a diameter in panel pixels, were all of the scene so.
+def size_of_defocus(probes: Probes, blur_px: float) -> EffectSize:
+    """Say how much a disc of confusion, of a diameter in panel pixels, changes, were all of the scene so.
 
     A Gaussian of the disc's variance stands for it, as part of the objective's own. The PSF is taken as the
     same all over the field: what interpolating it misplaces depends on the blur, and would count as defocus.
@@ -81,13 +88,8 @@ def size_of_defocus(probes: Probes, blur_px: float) -> float:
     lens, diameter_px = probes.near.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
     sigma_m = diameter_px / 4 * probes.near.camera.modulator.pitch_m
     blurred = {"objective": {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}}
-    return probes.size(_over(PLAIN, blurred), PLAIN)
+    return largest("depth_of_field", probes.sizes(blurred, PLAIN))
 
 
 def _moves_pixels(effect: Effect, probe: Probe) -> bool:
     return any(fields.keys() & probe.mapping.get(part, {}).keys() for part, fields in effect.ideal.items())
-
-
-def _over(under: Changes, over: Changes) -> Changes:
-    """Both changes; where they meet, those that are over."""
-    return {part: {**under.get(part, {}), **over.get(part, {})} for part in dict.fromkeys((*under, *over))}

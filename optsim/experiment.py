@@ -167,6 +167,11 @@ class Experiment(Part):
         return method.calibration or self.calibration
 
     @property
+    def schemes(self) -> dict[str, Scheme]:
+        """Schemes of the methods, by the names of those."""
+        return {method.name: method.scheme for method in self.methods}
+
+    @property
     def operators(self) -> tuple[Operator, ...]:
         """Operators that are asked for, each once; the experiment's own, by which light is set, first."""
         return tuple(dict.fromkeys((self.calibration, *map(self.operator_of, self.methods))))

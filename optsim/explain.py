@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from optsim.console import table
@@ -50,7 +50,9 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
     truth, light = describe_truth(experiment), scene_light(experiment)
-    plan = None if misfit else plan_camera(camera, illumination(experiment), experiment.tolerance)
+    plan = None
+    if not misfit:
+        plan = plan_camera(camera, illumination(experiment), experiment.schemes, experiment.tolerance)
     found: list[EffectSize] = []
     if plan:
         in_scene = scene_effects(plan.probes, truth.focus, polarised=light.azimuth_rad is not None)
@@ -131,17 +133,16 @@ def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> li
 
     blur_px = 0.0 if focus is None or focus.choice == "everywhere" else max(focus.near_px, focus.far_px)
     corner_px = focus.corner_px if focus else 0.0
-    defocus = size_of_defocus(probes, blur_px)
-    sizes = {
-        "depth_of_field": defocus if math.isfinite(defocus) else None,
-        "objective_distortion": None if corner_px else 0.0,
-        "polarised_scene": None if polarised else 0.0,
-    }
-    more = {
-        "depth_of_field": f": {blur_px:.2g} panel pixels at most, here everywhere" if blur_px else "",
-        "objective_distortion": f": {corner_px:.2g} panel pixels in the corners" if corner_px else "",
-    }
-    return [EffectSize(name, ALL[name].what + more.get(name, ""), size) for name, size in sizes.items()]
+    what = {name: ALL[name].what for name in ("depth_of_field", "objective_distortion", "polarised_scene")}
+    if blur_px:
+        what["depth_of_field"] += f": {blur_px:.2g} panel pixels at most, here everywhere"
+    if corner_px:
+        what["objective_distortion"] += f": {corner_px:.2g} panel pixels in the corners"
+    rendered = {"objective_distortion": bool(corner_px), "polarised_scene": polarised}
+    return [
+        replace(size_of_defocus(probes, blur_px), what=what["depth_of_field"]),
+        *(EffectSize(name, what[name], None if there else 0.0) for name, there in rendered.items()),
+    ]
 
 
 def _unknown_last(each: EffectSize) -> tuple[bool, float]:
@@ -308,14 +309,21 @@ def _unknown(effect: str) -> str:
 def _what_matters(record: dict[str, Any]) -> list[object]:
     """Table of effects and plan."""
     effects, plan = cast("list[dict[str, Any]]", record["effects"]), cast("dict[str, Any]", record["plan"])
-    noise_e, light_e = cast("tuple[float, float]", record["noise_e"])
+    noise_e = cast("dict[str, tuple[float, float]]", record["noise_e"])
+    noises = "; ".join(f"{name} {all_e:.3g} ({light_e:.3g})" for name, (all_e, light_e) in noise_e.items())
     return [
         table(
-            "what each imperfection changes in a frame of small probes, rms, in units of the noise of "
-            f"{noise_e:.3g} e- (that of light itself is {light_e / noise_e:.3f} of it, and has no switch)",
-            ("effect", "size in noise", "what it is"),
+            "what each imperfection changes in a frame of small probes that show the codes of this "
+            "experiment, rms, in units of the frame's noise, for the method of which it is largest. Noise, "
+            f"e-, and what of it is the light's own and has no switch: {noises}",
+            ("effect", "size in noise", "of", "what it is"),
             [
-                (row["effect"], _unknown(row["effect"]) if row["size"] is None else row["size"], row["what"])
+                (
+                    row["effect"],
+                    _unknown(row["effect"]) if row["size"] is None else row["size"],
+                    row["scheme"] or "",
+                    row["what"],
+                )
                 for row in effects
             ],
         ),

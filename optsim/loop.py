@@ -78,7 +78,7 @@ class LightLevel:
 
 def planned(experiment: Experiment) -> tuple[Experiment, CameraPlan]:
     """Return the experiment with its camera modelled as finely as its tolerance asks for, and the plan."""
-    plan = plan_camera(experiment.camera, illumination(experiment), experiment.tolerance)
+    plan = plan_camera(experiment.camera, illumination(experiment), experiment.schemes, experiment.tolerance)
     return experiment.model_copy(update={"camera": plan.camera}), plan
 
 

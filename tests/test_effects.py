@@ -23,6 +23,7 @@ from optsim.scene.footage import still
 
 WINDOW = Illumination(0.1, 90.0, 0.8, (BrightLight(25.0, 0.07),))
 ROOM = Illumination(0.1, 90.0, 0.8)
+SCHEMES = load_experiment("demo").schemes
 IDEAL = with_effects(shrunk(prototype(), 64), {"all": "ideal"})
 
 
@@ -159,7 +160,7 @@ def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured
     drifting = {name for name, effect in ALL.items() if effect.drifts}
     other = {"row_scan", "sync", "alignment", "lost_fields"} | drifting
     assert set(MEASURES) | other | in_scene == set(ALL)
-    assert not {each.effect for each in effect_sizes(make_probes(IDEAL, ROOM))} & in_scene
+    assert not {each.effect for each in effect_sizes(make_probes(IDEAL, ROOM, SCHEMES))} & in_scene
     scanned = with_effects(IDEAL, {"row_scan": "pessimistic"})
     assert np.ptp(scanned.panel_response.row_delays_s(10)) > 0
     assert scanned.modulator.lateness_s(36, 1) == 0
@@ -235,7 +236,7 @@ def test_states_go_from_better_to_worse(name):
         type(camera).model_validate(camera.model_dump())
         effect = ALL[name]
         drift = effect.pessimistic if effect.drifts and state == "pessimistic" else {}
-        found = effect_sizes(make_probes(camera, ROOM), drift)
+        found = effect_sizes(make_probes(camera, ROOM, SCHEMES), drift)
         sizes[state] = next(each.size for each in found if each.effect == name)
     # Under light that stands still only the difference of the time constants shows, which is smaller.
     if name != "response":
@@ -285,17 +286,17 @@ def test_a_probe_moves_its_pixels_as_far_as_the_camera():
         {"relay": {"rotation_rad": 1e-3, "shift_y_px": -1.5, "distortion": 1e-3, "lateral_colour": 0.1}},
     )
     for each in (camera, moved):
-        mapped = near_probe(each, ROOM)
+        mapped = near_probe(each, ROOM, SCHEMES)
         far = place_of_corner(each) - place_of_corner(changed(each, STRAIGHT))
         near = place_of_corner(changed(mapped.camera, mapped.mapping)) - place_of_corner(
             changed(mapped.camera, STRAIGHT)
         )
         np.testing.assert_allclose(near, far, atol=0.06)
-    lost = near_probe(changed(camera, {"relay": {"shift_x_px": 100.0, "rotation_rad": 0.05}}), ROOM)
+    lost = near_probe(changed(camera, {"relay": {"shift_x_px": 100.0, "rotation_rad": 0.05}}), ROOM, SCHEMES)
     assert lost.mapping["relay"]["shift_x_px"] == 4
     assert lost.mapping["relay"]["rotation_rad"] < 0.06
-    still = {each.effect: each.size for each in effect_sizes(make_probes(camera, ROOM))}
-    turned = {each.effect: each.size for each in effect_sizes(make_probes(moved, ROOM))}
+    still = {each.effect: each.size for each in effect_sizes(make_probes(camera, ROOM, SCHEMES))}
+    turned = {each.effect: each.size for each in effect_sizes(make_probes(moved, ROOM, SCHEMES))}
     assert still["alignment"] == 0
     assert turned["alignment"] > 1
     # Everything but the mapping is predicted on the image in the middle.
@@ -306,14 +307,18 @@ STRAIGHT = {"relay": {"rotation_rad": 0.0, "shift_y_px": 0.0, "shift_x_px": 0.0,
 
 
 def test_the_size_of_noise_is_its_share():
-    camera = near_probe(prototype(), ROOM).camera
-    noise_e, light_e = make_probes(prototype(), ROOM).noise_e
-    assert noise_e**2 - light_e**2 == pytest.approx(9.39**2 + 0.96**2 / 12)
-    sizes = {each.effect: each.size for each in effect_sizes(make_probes(prototype(), ROOM))}
+    camera = near_probe(prototype(), ROOM, SCHEMES).camera
+    noises = make_probes(prototype(), ROOM, SCHEMES).noise_e
+    for noise_e, light_e in noises.values():
+        assert noise_e**2 - light_e**2 == pytest.approx(9.39**2 + 0.96**2 / 12)
+    noise_e = min(noises.values())[0]
+    sizes = {each.effect: each.size for each in effect_sizes(make_probes(prototype(), ROOM, SCHEMES))}
     assert sizes["read_noise"] == pytest.approx(camera.sensor.read_noise_e / noise_e, rel=1e-6)
     assert sizes["quantisation"] == pytest.approx(((0.96**2 - 0.24**2) / 12) ** 0.5 / noise_e, rel=1e-6)
     dim = Illumination(0.1, 90.0, 0.08)
-    assert {e.effect: e.size for e in effect_sizes(make_probes(prototype(), dim))}["read_noise"] > 0.3
+    assert {e.effect: e.size for e in effect_sizes(make_probes(prototype(), dim, SCHEMES))}[
+        "read_noise"
+    ] > 0.3
 
 
 @pytest.mark.parametrize(("bits", "in_all"), [(14, 16), (12, 16), (16, 16)])
@@ -330,7 +335,7 @@ def test_a_finer_converter_has_the_same_range(bits, in_all):
 @pytest.mark.parametrize("blur_px", [0.5, 2.0])
 def test_the_size_of_defocus_is_that_of_a_disc(blur_px):
     """Against the probe's scene, spread over discs by brute force."""
-    probes = make_probes(prototype(), ROOM)
+    probes = make_probes(prototype(), ROOM, SCHEMES)
     probe = probes.near
 
     def spread(index):
@@ -344,11 +349,12 @@ def test_the_size_of_defocus_is_that_of_a_disc(blur_px):
         return Segment(start, stop, blocks, segment.n_instants)
 
     blurred = replace(probe.radiance, load=lru_cache(spread))
-    before, usable = probe.frame({})
-    after, _ = replace(probe, radiance=blurred).frame({})
-    expected = np.sqrt(np.mean((after - before)[usable] ** 2)) / probes.noise_e[0]
-    assert size_of_defocus(probes, blur_px) == pytest.approx(expected, rel=0.2)
-    assert size_of_defocus(probes, 0.0) == 0
+    found = size_of_defocus(probes, blur_px)
+    before, usable = probe.frame({}, found.scheme)
+    after, _ = replace(probe, radiance=blurred).frame({}, found.scheme)
+    expected = np.sqrt(np.mean((after - before)[usable] ** 2)) / probes.noise_e[found.scheme][0]
+    assert found.size == pytest.approx(expected, rel=0.2)
+    assert size_of_defocus(probes, 0.0).size == 0
 
 
 def disc_blurred(image, diameter):
@@ -368,7 +374,10 @@ def test_an_explanation_shows_every_effect():
     assert found["objective_distortion"]["size"] is None
     assert "panel pixels in the corners" in found["objective_distortion"]["what"]
     assert found["polarised_scene"]["size"] == 0
-    seen = {each.effect: each.size for each in scene_effects(make_probes(IDEAL, ROOM), None, polarised=True)}
+    seen = {
+        each.effect: each.size
+        for each in scene_effects(make_probes(IDEAL, ROOM, SCHEMES), None, polarised=True)
+    }
     assert seen == {"depth_of_field": 0, "objective_distortion": 0, "polarised_scene": None}
     wide = ["camera.objective.f_number=1.4", "camera.effects.depth_of_field=pessimistic"]
     sharp = [*wide, "camera.objective.focus_m=everywhere", "camera.effects.objective_distortion=ideal"]

@@ -10,6 +10,7 @@ from optsim.camera_plan import plan_camera
 from optsim.effect_sizes import effect_sizes
 from optsim.effects import changed, with_effects
 from optsim.errors import ValueCheckError
+from optsim.experiment import load_experiment
 from optsim.forward import bands
 from optsim.forward import rims as rims_module
 from optsim.forward.fringing import border_shares, fine_image
@@ -345,17 +346,19 @@ def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
 
 def test_plans_find_rims_as_finely_as_they_need():
     light, camera = Illumination(0.1, 90.0, 0.8), demo()
-    models = {t: plan_camera(camera, light, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
+    schemes = load_experiment("demo").schemes
+    models = {t: plan_camera(camera, light, schemes, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
     assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
-    plan = plan_camera(camera, light, 0.1)
+    plan = plan_camera(camera, light, schemes, 0.1)
     size = next(each.size for each in effect_sizes(plan.probes) if each.effect == "fringing")
     sharp = {"modulator": {"fringing_px": 0.0}}
-    assert size == plan.probes.size(sharp, compared_with("fringing")) != plan.probes.size(sharp)
+    found = [max(plan.probes.sizes(sharp, of))[0] for of in (compared_with("fringing"), {})]
+    assert size == found[0] != found[1]
     sharp = with_effects(camera, {"fringing": "ideal"})
     code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
     assert sharp.shutter(code, None, 1)[0].rims is None
     assert camera.shutter(code, None, 1)[0].rims is not None
     mixed = changed(camera, {"modulator": {"rim_model": "mixed"}})
-    plan = plan_camera(mixed, light, 0.0)
+    plan = plan_camera(mixed, light, schemes, 0.0)
     assert plan.camera.modulator.rim_model == "mixed"
     assert "fringing_rims" not in {choice.short_cut for choice in plan.choices}

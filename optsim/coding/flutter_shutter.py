@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -54,6 +55,7 @@ class FlutterShutter(TiledScheme):
         return levels
 
 
+@lru_cache
 def flutter_code(n: int) -> Bools:
     """Choose the code of n chops, n // 2 of them open, the first and last among them.
 

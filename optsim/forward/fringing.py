@@ -50,13 +50,14 @@ def border_shares(sigma_px: float, pitch: int) -> Doubles:
 
 
 def fine_image(panel: Doubles | Floats, borders: Doubles | Floats) -> Doubles | Floats:
-    """Panel values on the fine grid, (v, u) to (y, x), the neighbours' shares in; as in an exposure."""
+    """Panel values on the fine grid, (v, u, ...) to (y, x, ...), with the neighbours' shares."""
     for axis in (0, 1):
         lines = np.moveaxis(panel, axis, 0)
         # Beyond the panel's edge the nearest pixel counts.
         rulers = np.concatenate([lines[:1], lines[:-1]]), lines, np.concatenate([lines[1:], lines[-1:]])
-        cells = sum(share[:, None] * ruler[:, None] for share, ruler in zip(borders.T, rulers, strict=True))
-        panel = np.moveaxis(np.reshape(cells, (-1, lines.shape[1])), 0, axis)
+        shares = borders.T.reshape(3, -1, *[1] * (lines.ndim - 1))
+        cells = sum(share * ruler[:, None] for share, ruler in zip(shares, rulers, strict=True))
+        panel = np.moveaxis(np.reshape(cells, (-1, *lines.shape[1:])), 0, axis)
     return panel
 
 

@@ -110,11 +110,17 @@ def _add_small_segment(energy: Doubles, segment: Segment, weights: Floats, share
     rising = (np.arange(segment.n_instants) + 0.5) / segment.n_instants
     for line, key in ((1 - rising, segment.start), (rising, segment.stop)):
         energy += fine_image(np.tensordot(line, weights, 1), shares) * key
+    pitch = len(shares)
     for block in segment.blocks:
         _, height, width = block.excess.shape
+        row, col = (max(at // pitch - 1, 0) for at in (block.row, block.col))
+        # Pixels that the block touches and their neighbours; all instants at a time.
+        end, last = (at // pitch + 2 for at in (block.row + height - 1, block.col + width - 1))
+        near = np.moveaxis(weights[:, row:end, col:last], 0, -1).astype(np.float64)
+        down, across = block.row - row * pitch, block.col - col * pitch
+        cells = fine_image(near, shares)[down : down + height, across : across + width]
         window = np.s_[block.row : block.row + height, block.col : block.col + width]
-        for t in np.flatnonzero(block.excess.any(axis=(1, 2))):
-            energy[window] += fine_image(weights[t].astype(np.float64), shares)[window] * block.excess[t]
+        energy[window] += np.einsum("yxt,tyx->yx", cells, block.excess)
 
 
 def _fine_segment(

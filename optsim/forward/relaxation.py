@@ -17,8 +17,8 @@ from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW, compiled
 from optsim.quantities import Bytes, Doubles, Floats, Ints
 
-# Nearer than this to its target a pixel stays there: it changes a weight by less than 1e-14.
-_SETTLED_RAD = 1e-7
+# Nearer than this to its target a pixel is there: it changes a weight by less than 1e-14.
+SETTLED_RAD = 1e-7
 
 
 def si_cin(x: Doubles) -> tuple[Doubles, Doubles]:
@@ -99,10 +99,13 @@ def walk(
         Filled.
     """
     if weights.size < FEW:
-        _walk_together(
-            levels, retardance, shown, targets, taus, turn * instant_s + early_s, instant_s, leaks, spans,
-            weights,
-        )  # fmt: skip
+        delays_s = np.broadcast_to((turn * instant_s + early_s)[:, None], shown.shape)
+        first, alike = _different(levels, retardance, shown, delays_s)
+        each = levels.reshape(len(levels), -1)[:, first], retardance.flat[first], shown.flat[first]
+        lengths_s = instant_s, delays_s.flat[first]
+        light, after = _walk_together(*each, targets, taus, *lengths_s, len(weights) // len(levels))
+        weights[:] = leaks + spans * light[:, alike].reshape(weights.shape)
+        retardance[:], shown[:] = after[alike].reshape(shown.shape), levels[-1]
         return
 
     drives = Drive(targets, np.cos(targets), np.sin(targets))
@@ -117,47 +120,76 @@ def walk(
     in_bands(len(shown), band)
 
 
+def _different(levels: Bytes, retardance: Floats, shown: Bytes, delays_s: Doubles) -> tuple[Ints, Ints]:
+    """Find pixels that differ in what they show or when: one of each kind, and the kind of each pixel.
+
+    Codes that repeat leave few, and arrays of few pixels cost little more than the calls.
+    """
+    course = [
+        np.ascontiguousarray(each.reshape(shown.size, -1)).view(np.uint8)
+        for each in (np.moveaxis(levels, 0, -1), shown, retardance, delays_s)
+    ]
+    rows = np.concatenate(course, axis=1)
+    _, first, alike = np.unique(
+        rows.view(f"V{rows.shape[1]}").ravel(), return_index=True, return_inverse=True
+    )
+    return first, alike
+
+
 def _walk_together(
     levels: Bytes,
     retardance: Floats,
     shown: Bytes,
     targets: Doubles,
     taus: Doubles,
-    delays_s: Doubles,
     instant_s: float,
-    leaks: Doubles,
-    spans: Doubles,
-    weights: Floats,
-) -> None:
-    """Let all pixels relax interval by interval, then average the light of all intervals together."""
-    n_slots, (rows, cols) = len(levels), shown.shape
-    n_sub = len(weights) // n_slots
-    # Lengths of an instant before and after each row's turn, (instant of a slot, 2, v).
+    delays_s: Doubles,
+    n_sub: int,
+) -> tuple[Doubles, Doubles]:
+    """Let pixels relax interval by interval, then average the light of all intervals together.
+
+    Parameters
+    ----------
+    levels, retardance, shown : ndarrays of shape (slot, pixel), (pixel,) and (pixel,)
+        As of :func:`walk`.
+    delays_s : ndarray of shape (pixel,)
+        Time from a slot's start until a pixel turns to the slot's level.
+    n_sub : int
+        Instants a slot.
+
+    Returns
+    -------
+    light : ndarray of shape (instant, pixel), float64
+        Share that gets through, of a retardance of pi.
+    gamma : ndarray of shape (pixel,), float64
+        Retardance afterwards, rad.
+    """
+    n_slots, n_pixels = levels.shape
+    # Lengths of an instant before and after a pixel's turn, (instant of a slot, 2, pixel).
     before_s = (delays_s - np.arange(n_sub)[:, None] * instant_s).clip(0, instant_s)
     lengths_s = np.stack([before_s, instant_s - before_s], axis=1)
-    both = [np.concatenate([shown[None], levels[:-1]]), levels]
-    # What is asked for in each interval, by its place among the targets, (slot, 2, v, u).
-    asked = np.stack([256 * (np.arange(n_slots) + k)[:, None, None] + both[k] for k in (0, 1)], axis=1)
-    target, gamma = targets.ravel()[asked], retardance.astype(np.float64)
-    steps = np.zeros((n_slots, n_sub, 2, rows, cols))
+    # What is asked for in each interval, (slot, 2, pixel).
+    slots = np.indices((n_slots, 1))[0]
+    before = np.concatenate([shown[None], levels[:-1]])
+    target = np.stack([targets[slots, before], targets[slots + 1, levels]], axis=1)
+    gamma = retardance.astype(np.float64)
+    steps = np.zeros((n_slots, n_sub, 2, n_pixels))
     for slot, sub, part in np.ndindex(n_slots, n_sub, 2):
-        length_s = lengths_s[sub, part][:, None]
+        length_s = lengths_s[sub, part]
         if length_s.any():
             step = gamma - target[slot, part]
-            step[np.abs(step) < _SETTLED_RAD] = 0
+            step[np.abs(step) < SETTLED_RAD] = 0
             steps[slot, sub, part] = step
             gamma = target[slot, part] + step * np.exp(-paces(step, length_s, taus))
-    shape = steps.shape
-    swept = np.broadcast_to(lengths_s[..., None], shape) * np.cos(target)[:, None]
+    swept = lengths_s * np.cos(target)[:, None]
     on_the_way = np.flatnonzero(steps)
-    where, step = np.unravel_index(on_the_way, shape), steps.ravel()[on_the_way]
-    over, across = _relaxed_together(step, lengths_s[where[1:4]], taus)
-    at = target[where[0], *where[2:]]
+    where, step = np.unravel_index(on_the_way, steps.shape), steps.ravel()[on_the_way]
+    over, across = _relaxed_together(step, lengths_s[where[1:]], taus)
+    at = target[where[0], where[2], where[3]]
     swept.ravel()[on_the_way] -= np.cos(at) * over + np.sin(at) * across
     # Dark is dark: rounding must not make light negative.
     light = np.maximum(0.5 - 0.5 * swept.sum(axis=2) / instant_s, 0)
-    weights[:] = leaks + spans * light.reshape(weights.shape)
-    retardance[:], shown[:] = gamma, levels[-1]
+    return light.reshape(-1, n_pixels), gamma
 
 
 def _relaxed_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[Doubles, Doubles]:

@@ -33,7 +33,7 @@ from optsim.forward.compiled import FEW
 from optsim.forward.fringing import border_shares, fine_image
 from optsim.forward.panel import PanelResponse, drive_targets, row_turns
 from optsim.forward.radau import middles, moment_weights, radau
-from optsim.forward.relaxation import paces
+from optsim.forward.relaxation import SETTLED_RAD, paces
 from optsim.forward.rim_loops import Light, Looks, Points, Times, Turns, fill_cells
 from optsim.quantities import Bools, Bytes, Doubles, Floats, Ints, PanelState
 
@@ -240,10 +240,16 @@ def relaxed(rims: Rims, panel: PanelState, first: int, last: int) -> PanelState:
             (slot + 1, rims.levels[slot], rims.slot_s - delay_s),
         ):
             target = rims.targets[at, level]
-            step = gamma - target
+            step = _way(gamma, target)
             gamma = (target + step * np.exp(-paces(step, length_s, rims.taus))).astype(np.float32)
         shown = rims.levels[slot]
     return PanelState(gamma, shown.copy(), panel.slots_shown + last - first)
+
+
+def _way(gamma: Floats, target: Floats) -> Floats:
+    """Distance from the target; none where pixels have settled, as in the compiled loops."""
+    way = gamma - target
+    return np.where(np.abs(way) > SETTLED_RAD, way, np.float32(0))
 
 
 def cell_weights(rims: Rims, weights: Floats, slots: int | None = None) -> Floats:
@@ -294,7 +300,7 @@ def _fill_together(
             if not length_s.any():
                 continue
             target = targets[at, level]
-            step = gamma - target
+            step = _way(gamma, target)
             pace = paces(step, length_s, taus)
             now = gamma
             for time, weight in zip(*looks.times, strict=True):
@@ -307,7 +313,7 @@ def _fill_together(
         if sub == n_sub - 1:
             shown[:] = levels[slot]
     if len(moving):
-        _open_together(weights, alone, blurred, looks, np.ones(len(weights)), cells)
+        _open_together(weights, alone, blurred, looks, np.ones(len(weights), np.float32), cells)
     of_keys = [np.tensordot(keys, each, 1) for each in (weights, alone, blurred)]
     _open_together(of_keys[0], of_keys[1], of_keys[2], looks, keys.sum(axis=1), sums)
     # As in rim_loops.tie_sums.
@@ -322,14 +328,16 @@ def _fill_together(
 
 
 def _open_together(
-    opened: Floats, alone: Floats, blurred: Floats, looks: Looks, instants: Floats | Doubles, cells: Floats
+    opened: Floats, alone: Floats, blurred: Floats, looks: Looks, instants: Floats, cells: Floats
 ) -> None:
-    """Fill cells, (n, y, x), from what was seen in so many instants."""
+    """Fill cells, (n, y, x), from what was seen in so many instants, (n,), each."""
     points, pitch = looks.points, len(looks.borders)
     least, span = (each.repeat(pitch) for each in looks.light)
-    for weights, own, around, n, found in zip(opened, alone, blurred, instants, cells, strict=True):
-        mixed = fine_image(weights, looks.borders)[pitch:-pitch]
-        means = np.einsum("vaub,ia,jb->viuj", around, points.means, points.means, optimize=True)
-        beyond = fine_image(own, points.borders)[pitch:-pitch] - means.reshape(found.shape)
-        # No rim is darker than any pixel could be: there are not points enough to see that.
-        np.maximum(mixed + span * beyond / 2, n * least, out=found)
+    mixed, own = (
+        np.moveaxis(fine_image(np.moveaxis(each, 0, -1), borders), -1, 0)[:, pitch:-pitch]
+        for each, borders in ((opened, looks.borders), (alone, points.borders))
+    )
+    means = np.einsum("nvaub,ia,jb->nviuj", blurred, points.means, points.means, optimize=True)
+    beyond = own - means.reshape(cells.shape)
+    # No rim is darker than any pixel could be: there are not points enough to see that.
+    np.maximum(mixed + span * beyond / 2, instants[:, None, None] * least, out=cells)

@@ -1,6 +1,7 @@
 """Small cameras that stand for a large one, and what a change of the camera does to their frames."""
 
 from optsim.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, Probes, Which, compared_with, shown_on
+from optsim.probe.made_code import Schemes
 from optsim.probe.made_scene import WHITE_OVER_INTERIOR
 from optsim.probe.small_cameras import (
     Illumination,
@@ -20,6 +21,7 @@ __all__ = [
     "Illumination",
     "Probe",
     "Probes",
+    "Schemes",
     "Which",
     "compared_with",
     "far_pixel",

@@ -3,14 +3,14 @@
 
 The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
 frame's predicted noise; noise that it brings adds in squares. What a calibration takes out again, such as
-shading, counts in full.
+shading, counts in full. There is a frame for each of some schemes, and the largest size counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.effects import Changes, changed
 from optsim.optics.objective import MOVING_WING_SHARE
-from optsim.probe.made_scene import made_code
+from optsim.probe.made_code import Schemes, made_code
 from optsim.quantities import Bools, Doubles, Floats, RadianceVideo
 
 T = TypeVar("T")
@@ -34,12 +34,15 @@ PLAIN: Changes = {
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
-_RIMS: Changes = {"modulator": {"rim_model": "fine"}}
+# Where rims are a part of an effect, 5 % of theirs is enough; the finest take three times as long.
+_RIMS: Changes = {"modulator": {"rim_model": "coarse"}}
 _OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
 _RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
 _WHOLE: dict[str, Changes] = {
     "fringing": _RIMS,
-    "fringing_rims": _RIMS,
+    "response": _RIMS,
+    "fields": _RIMS,
+    "fringing_rims": {"modulator": {"rim_model": "fine"}},
     "moving_wings": {"objective": {"moving_wing_share": 0.0}},
     "objective_blur": _OBJECTIVE,
     "objective_field": _OBJECTIVE,
@@ -56,6 +59,8 @@ _SHOWN: dict[str, tuple[Which, ...]] = {
     "smear": ("far",),
     "ghost": ("near", "far"),
 }
+# Of the panel, what has no part in how long its pixels are open.
+_OF_ITS_GAIN = {"nonuniformity_rms"}
 
 
 def compared_with(name: str) -> Changes:
@@ -78,12 +83,18 @@ class Probe:
         Behind the neutral density of the light rule.
     radiance : RadianceVideo
         The scene.
+    schemes : mapping
+        Whose codes its panel shows: name -> scheme.
+    lamp_px : float
+        Panel pixels that the brightest light covers, not of this camera but of the one that it stands for.
     mapping : Changes
         What moves the pixels of this probe's image as far as those of the camera that it stands for.
     """
 
     camera: CodedCamera
     radiance: RadianceVideo
+    schemes: Schemes
+    lamp_px: float
     mapping: Changes = field(default_factory=dict[str, dict[str, float]])
 
     @property
@@ -101,29 +112,29 @@ class Probe:
             self._made[key] = make()
         return self._made[key]
 
-    def frame(self, changes: Changes) -> tuple[Doubles, Bools]:
+    def frame(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
         """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
         camera = changed(self.camera, changes)
-        expected = camera.electrons_of(self._image(camera))
+        expected = camera.electrons_of(self._image(camera, scheme))
         edges = (min(2 * MARGIN_PX, (n - 1) // 2) for n in expected.shape)
         inner = tuple(slice(edge, n - edge) for edge, n in zip(edges, expected.shape, strict=True))
         signal = camera.sensor.signal_e(expected, camera.exposure_s, camera.serial_number)
         return signal[inner], (expected < camera.sensor.most_e)[inner]
 
-    def _image(self, camera: CodedCamera) -> Doubles:
+    def _image(self, camera: CodedCamera, scheme: str) -> Doubles:
         """Radiant exposure of the CCD."""
-        panel, lens, relay = camera.modulator, _image_of(camera, "objective"), _image_of(camera, "relay")
-        gate = (
-            panel.model_dump_json(), camera.splitter.model_dump_json(),
-            camera.objective.working_f_number, camera.coded_slots,
-        )  # fmt: skip
-        behind = lens, gate
+        lens, relay = _image_of(camera, "objective"), _image_of(camera, "relay")
+        parts = camera.modulator.model_dump_json(), camera.splitter.model_dump_json()
+        opening, gain = self._once(
+            ("gate", *parts, camera.objective.working_f_number, camera.coded_slots), lambda: _gate(camera)
+        )
+        opened = scheme, opening
+        behind = lens, opened, gain
 
         def energy() -> Floats:
             light = self._once(("light", lens), lambda: camera.form_image(self.radiance))
-            shutter = self._once(
-                ("shutter", gate), lambda: camera.shutter(made_code(camera, self.radiance), None, 1)[0]
-            )
+            code = partial(made_code, self.schemes[scheme], camera, self.radiance, self.lamp_px)
+            shutter = self._once(("shutter", opened), lambda: camera.shutter(code(), None, 1)[0])
             return camera.panel_energy(light, 0, shutter)
 
         def image() -> Doubles:
@@ -131,30 +142,31 @@ class Probe:
 
         return self._once(("image", behind, relay, camera.relay_geometry()), image)
 
-    def change_e(self, changes: Changes, of: Changes) -> float:
+    def change_e(self, changes: Changes, of: Changes, scheme: str) -> float:
         """Rms difference that changes make to a frame with the changes ``of``, electrons.
 
         Infinite where every pixel clips, with the changes or without.
         """
-        whole, usable = self._whole(of)
-        without, unclipped = self.frame(changes)
+        more = {part: {**of.get(part, {}), **changes.get(part, {})} for part in of.keys() | changes.keys()}
+        whole, usable = self._whole(of, scheme)
+        without, unclipped = self.frame(more, scheme)
         both = usable & unclipped
         if not both.any():
             return float("inf")
-        dark, less = (changed(self.camera, each).sensor.dark_noise_e ** 2 for each in (of, changes))
+        dark, less = (changed(self.camera, each).sensor.dark_noise_e ** 2 for each in (of, more))
         return float(np.sqrt(np.mean((whole - without)[both] ** 2) + abs(dark - less)))
 
-    def noise_e(self) -> tuple[float, float]:
+    def noise_e(self, scheme: str) -> tuple[float, float]:
         """Noise of the frame, rms, electrons: all of it, and what of it is the light's own.
 
         Of a frame that has no pixels or clips in all of them, it is that of the dark.
         """
-        whole, usable = self._whole(NOTHING)
+        whole, usable = self._whole(NOTHING, scheme)
         light = float(np.mean(whole[usable])) if usable.any() else 0.0
         return (light + self.camera.sensor.dark_noise_e**2) ** 0.5, light**0.5
 
-    def _whole(self, changes: Changes) -> tuple[Doubles, Bools]:
-        return self._once(("frame", repr(changes)), lambda: self.frame(changes))
+    def _whole(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
+        return self._once(("frame", repr(changes), scheme), lambda: self.frame(changes, scheme))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,23 +176,27 @@ class Probes:
     Parameters
     ----------
     near, far : Probe
-        Of the same pixels and of the same panel.
+        Of the same pixels and of the same panel, with the same schemes.
     """
 
     near: Probe
     far: Probe
 
-    def size(self, changes: Changes, of: Changes = NOTHING, on: tuple[Which, ...] = ("near",)) -> float:
+    def sizes(
+        self, changes: Changes, of: Changes = NOTHING, on: tuple[Which, ...] = ("near",)
+    ) -> Iterator[tuple[float, str]]:
         """Rms difference that changes make to a frame with the changes ``of``, over the frame's noise.
 
-        The larger one, if on both probes. Infinite where every pixel clips, with the changes or without.
+        One for each scheme, with its name, found when it is asked for: the larger one, if on both probes.
+        Infinite where every pixel clips, with the changes or without.
         """
-        return max(getattr(self, which).change_e(changes, of) for which in on) / self.noise_e[0]
+        for scheme, (noise_e, _) in self.noise_e.items():
+            yield max(getattr(self, which).change_e(changes, of, scheme) for which in on) / noise_e, scheme
 
     @cached_property
-    def noise_e(self) -> tuple[float, float]:
-        """Noise of the frame, rms, electrons: all of it, and what of it is the light's own."""
-        return self.far.noise_e()
+    def noise_e(self) -> dict[str, tuple[float, float]]:
+        """Noise of a frame, rms, electrons, by its scheme: all of it, and what of it is the light's own."""
+        return {scheme: self.far.noise_e(scheme) for scheme in self.far.schemes}
 
 
 def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
@@ -189,6 +205,13 @@ def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
     if part == "relay":
         return camera.relay.image_f_number(f_number), sample_m * camera.relay.magnification
     return f_number, sample_m
+
+
+def _gate(camera: CodedCamera) -> tuple[object, bytes]:
+    """Key of what decides how long pixels of the panel are open, and what they let through."""
+    panel = camera.modulator.model_dump_json(exclude=_OF_ITS_GAIN)
+    opening = panel, camera.contrast, camera.column_leaks.tobytes(), camera.coded_slots
+    return opening, camera.panel_gain.tobytes()
 
 
 def _image_of(camera: CodedCamera, part: str) -> tuple[str, int]:

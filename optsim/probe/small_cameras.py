@@ -22,6 +22,7 @@ from optsim.forward.aberrations import Wavefront
 from optsim.forward.psf import share_beyond
 from optsim.optics.lens import LARGEST_WING_SHARE
 from optsim.probe.frames import MARGIN_PX, Probe, Probes, cone_and_sample
+from optsim.probe.made_code import Schemes, telling
 from optsim.probe.made_scene import made_scene
 from optsim.scene import BrightLight
 
@@ -64,16 +65,22 @@ class Illumination:
         return self.lights[0] if self.lights else None
 
 
-def make_probes(camera: CodedCamera, light: Illumination) -> Probes:
-    """Both probes of a camera."""
-    return Probes(near_probe(camera, light), far_probe(camera, light))
+def make_probes(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probes:
+    """Both probes of a camera, with those of some schemes that tell most."""
+    schemes = telling(schemes, shrunk(camera))
+    return Probes(near_probe(camera, light, schemes), far_probe(camera, light, schemes))
 
 
-def near_probe(camera: CodedCamera, light: Illumination) -> Probe:
+def near_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
     """Probe of the same pixels, but fewer, that sees the same field angles; far wings would leave it."""
     small = shrunk(camera)
-    lit = _lit(changed(small, _window_within(small)), _as_much(camera, small, light))
-    return replace(lit, mapping=_as_far(camera, small))
+    lit = _lit(changed(small, _window_within(small)), _as_much(camera, small, light), schemes)
+    return replace(lit, lamp_px=_lamp_px(camera, light), mapping=_as_far(camera, small))
+
+
+def _lamp_px(camera: CodedCamera, light: Illumination) -> float:
+    """Panel pixels that the brightest light covers."""
+    return light.bright.share * camera.panel_rows * camera.panel_cols if light.bright else 0.0
 
 
 def _as_much(camera: CodedCamera, small: CodedCamera, light: Illumination) -> Illumination:
@@ -128,7 +135,7 @@ def far_pixel(camera: CodedCamera) -> int:
     return -(-camera.panel_cols // _COLS)
 
 
-def far_probe(camera: CodedCamera, light: Illumination) -> Probe:
+def far_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
     """Probe of larger pixels, but fewer, that sees the whole panel: what blurs within one is left out."""
     times = far_pixel(camera)
     panel, sensor = camera.modulator, camera.sensor
@@ -147,10 +154,11 @@ def far_probe(camera: CodedCamera, light: Illumination) -> Probe:
             "sensor": sensor.model_copy(update={"pitch_m": sensor.pitch_m * times}),
         }
     )
-    return _lit(changed(shrunk(larger), _SHARP), light, times)
+    lit = _lit(changed(shrunk(larger), _SHARP), light, schemes, times)
+    return replace(lit, lamp_px=_lamp_px(camera, light))
 
 
-def _lit(camera: CodedCamera, light: Illumination, times: int = 1) -> Probe:
+def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, times: int = 1) -> Probe:
     """Probe behind the density of the light rule; pixels ``times`` as large get no more light for it."""
     radiance = made_scene(camera, light.white_w_m2_sr, light.bright)
     share = 1 - light.bright.share if light.bright else 1.0
@@ -158,7 +166,7 @@ def _lit(camera: CodedCamera, light: Illumination, times: int = 1) -> Probe:
     bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
     nd = min(1.0, light.saturation_share * camera.sensor.most_e / (all_on / times**2))
-    return Probe(camera.with_nd(nd / times**2), radiance)
+    return Probe(camera.with_nd(nd / times**2), radiance, schemes, _lamp_px(camera, light))
 
 
 def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
