@@ -72,6 +72,9 @@ def _line(part: type[BaseModel], table: Mapping[str, object], item: dict[str, An
 
 
 def _expected(kind: str, message: str, context: dict[str, Any], place: _Place, got: object) -> str:
+    if kind in ("too_short", "too_long"):
+        least, most = context.get("min_length"), context.get("max_length")
+        return f"expected a list of {f'{least} or more' if kind == 'too_short' else f'{most} at most'}"
     what, *how = kind.split("_")
     if what in ("greater", "less"):
         return f"expected {_range(place.field, context)}{_unit(place.key)}"

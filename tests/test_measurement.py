@@ -98,7 +98,7 @@ def test_full_wells_are_told_from_the_type_or_as_stated() -> None:
         assert found.calibration.observe(found.frames[0]).saturated.sum() == want
 
 
-def test_what_is_not_finite_is_a_dead_pixel() -> None:
+def test_what_is_not_finite_is_a_dead_pixel_and_counted(tmp_path: Path) -> None:
     image = measured(light(), code())
     image[0, 5, 6] = np.nan
     found = coded_measurement(image, code())
@@ -106,6 +106,9 @@ def test_what_is_not_finite_is_a_dead_pixel() -> None:
     assert found.calibration.valid.sum() == ROWS * COLS - 1
     for video in Interpolation().decode(found.frames, found.calibration):
         assert np.isfinite(video.irradiance_w_m2).all()
+    whole = coded_measurement(measured(light(), code()), code())
+    for each, dead in ((found, 1), (whole, 0)):
+        assert decode_measurement(each, Interpolation(), tmp_path / str(dead))["dead_pixels"] == dead
 
 
 def test_grey_weights_are_rounded_and_it_is_said_how_far() -> None:

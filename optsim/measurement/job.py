@@ -92,6 +92,7 @@ def decode_measurement(
         "weights_rounded_by": measurement.rounded,
         "read_noise": _read_noise(measurement),
         "saturated_share": _saturated(measurement),
+        "dead_pixels": int((~measurement.calibration.valid).sum()),
         "valid_share": float(np.mean([video.valid.mean() for video in decoded])),
         "interpolated_share": float(
             np.mean([(video.interpolated & video.valid).mean() for video in decoded])

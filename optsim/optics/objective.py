@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -13,6 +14,7 @@ from optsim.quantities import Doubles
 from optsim.units import parse_quantity
 
 _FOCUS_WORDS = ("target", "everywhere")
+_EITHER_WORD = ", ".join(_FOCUS_WORDS)
 # What plans mostly take for a tenth of the noise. Where all of the prototype's field moves, a window in it, a
 # frame is then off by half of that (`optsim bench capture`), by what is not straight in time.
 MOVING_WING_SHARE = 3.5e-3
@@ -82,14 +84,16 @@ class Objective(LensGroup):
         try:
             return parse_quantity("focus_m", value)
         except ValueError as error:
-            raise ValueError(f"{error}; or one of the words {', '.join(_FOCUS_WORDS)}") from None
+            near = get_close_matches(value, _FOCUS_WORDS, n=1, cutoff=0.7)
+            cure = f"did you mean {near[0]!r}?" if near else f"{error}; or one of the words {_EITHER_WORD}"
+            raise ValueError(cure) from None
 
     @model_validator(mode="after")
     def _image_behind_the_lens(self) -> Objective:
         if not isinstance(self.focus_m, str) and not 2 * self.focal_length_m <= self.focus_m <= 1e6:
             raise ValueError(
                 f"focus_m: got {self.focus_m:g} m, expected at least twice the focal length of "
-                f"{self.focal_length_m:g} m and at most 1e6 m, or one of the words {', '.join(_FOCUS_WORDS)}"
+                f"{self.focal_length_m:g} m and at most 1e6 m, or one of the words {_EITHER_WORD}"
             )
         return self
 

@@ -6,9 +6,10 @@ Run as a program it prints the grid.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,16 @@ sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a p
 
 from optsim.camera import CodedCamera
 from optsim.camera_plan import plan_camera
+from optsim.coding import (
+    FlutterShutter,
+    HdrMosaic,
+    MotionAdaptive,
+    NormalPhotography,
+    RandomBinary,
+    RandomExposure,
+    Scheme,
+)
+from optsim.coding.tiles import TiledCode
 from optsim.effects import ITSELF, changed, with_effects
 from optsim.hardware import demo, imx174, prototype
 from optsim.probe import Illumination
@@ -26,7 +37,7 @@ from optsim.scene import BrightLight
 
 CLAIM = (
     "a frame of the planned camera differs from one of the full model by less than the tolerance, rms over "
-    "pixels that don't saturate and relative to the frame's noise, over cameras, scenes and tolerances"
+    "pixels that don't saturate and relative to the frame's noise, over cameras, lights, codes, tolerances"
 )
 ORACLE = (
     "the full model (tolerance 0) on made scenes that no plan has seen: other textures, two movers, one of "
@@ -39,6 +50,7 @@ FILES = (
     "optsim/camera.py",
     "optsim/camera_plan.py",
     "optsim/probe/*.py",
+    "optsim/coding/*.py",
     "optsim/effects.py",
     "optsim/forward/*.py",
     "optsim/optics/*.py",
@@ -48,8 +60,20 @@ FILES = (
 _FULL: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # frames of the full model, which take longest
 _WHITE = 1.0  # W m^-2 sr^-1: enough for the light rule to ask for a density
 _TOLERANCES = (0.03, 0.1, 0.3)
-# A mover passes before each, a panel pixel's bumps of three slots, or all of them open, behind it.
+_SEGMENT = 18  # slots: the longest that the renderer chooses
+# A mover passes before each, with the adaptive scheme's moving code behind it, or its static one.
 _BUMPS, _OPEN = (0.3, 0.55), (0.7, 0.15)
+# Open where nothing moves, for three slots where something does: the most that two codes differ by.
+_ADAPTIVE = MotionAdaptive(static=NormalPhotography(), moving=RandomExposure())
+_SCHEMES: dict[str, Scheme] = {
+    "adaptive": _ADAPTIVE,
+    "normal": NormalPhotography(),
+    "short": NormalPhotography(open_slots=3),
+    "mosaic": HdrMosaic(),
+    "bumps": RandomExposure(),
+    "binary": RandomBinary(),
+    "flutter": FlutterShutter(),
+}
 _LIGHTS = {
     "even room": (),
     "window": ((BrightLight(25.0, 0.07), _BUMPS),),
@@ -65,6 +89,7 @@ class Case(NamedTuple):
 
     camera: str
     light: str
+    scheme: str
     tolerance: float
     error: float  # rms over the noise
     left_out: str
@@ -103,43 +128,60 @@ def measure() -> float:
 def perturbed() -> float:
     """With a plan for an even room, before a window and a lamp that a mover hides."""
     camera, light = demo(), "window and lamp"
-    return _error(camera, light, plan_camera(camera, _light(camera, "even room"), 0.1).camera) / 0.1
+    plan = plan_camera(camera, _light(camera, "even room"), {"adaptive": _ADAPTIVE}, 0.1)
+    return _error(camera, light, _ADAPTIVE, plan.camera) / 0.1
 
 
 def grid() -> list[Case]:
     """Measure every case; the last ones at the prototype's size."""
     cases: list[Case] = []
     for (name, camera), light, tolerance in product(_cameras().items(), _LIGHTS, _TOLERANCES):
-        cases.append(_case(name, camera, light, tolerance))
+        cases += _cases(name, camera, light, tolerance)
     for (name, camera), light in product(_further_cameras().items(), ("even room", "window")):
-        cases.append(_case(name, camera, light, 0.1))
+        cases += _cases(name, camera, light, 0.1)
+    for (name, scheme), light in product(_SCHEMES.items(), _LIGHTS):
+        cases += _cases("demo", demo(), light, 0.1, {name: scheme})
+    # One plan for all of them.
+    for light in _LIGHTS:
+        cases += _cases("demo, all schemes", demo(), light, 0.1, _SCHEMES)
     large = prototype()
     fits = large.relay.model_copy(update={"distortion": 0.0})
     for light, tolerance in (("window", 0.1), ("lamp", 0.3), ("point", 0.3)):
-        cases.append(_case("prototype", large.model_copy(update={"relay": fits}), light, tolerance))
+        cases += _cases("prototype", large.model_copy(update={"relay": fits}), light, tolerance)
     return cases
 
 
-def _case(name: str, camera: CodedCamera, light: str, tolerance: float) -> Case:
-    plan = plan_camera(camera, _light(camera, light), tolerance)
+def _cases(
+    name: str,
+    camera: CodedCamera,
+    light: str,
+    tolerance: float,
+    schemes: Mapping[str, Scheme] = MappingProxyType({"adaptive": _ADAPTIVE}),
+) -> list[Case]:
+    """One a scheme, all by one plan."""
+    plan = plan_camera(camera, _light(camera, light), schemes, tolerance)
     left_out = ", ".join(f"{c.short_cut} {c.choice}" for c in plan.choices if not c.full)
-    return Case(name, light, tolerance, _error(camera, light, plan.camera), left_out)
+    return [
+        Case(name, light, which, tolerance, _error(camera, light, scheme, plan.camera), left_out)
+        for which, scheme in schemes.items()
+    ]
 
 
 def _light(camera: CodedCamera, light: str) -> Illumination:
     return Illumination(_WHITE, 90.0, 0.8, tuple(bright for bright, _ in _LIGHTS[light]))
 
 
-def _error(camera: CodedCamera, light: str, planned: CodedCamera) -> float:
+def _error(camera: CodedCamera, light: str, scheme: Scheme, planned: CodedCamera) -> float:
     """Rms difference of the planned frame and the full one, over the noise."""
     radiance = _scene(camera, _LIGHTS[light])
     # The light rule: the interior's bright places fill 0.8 of the well, all-on.
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(0.5 * _WHITE)}["electrons a frame"]
-    nd = min(1.0, 0.8 * camera.sensor.full_well_e / all_on)
-    key = camera.model_dump_json() + light
+    nd = min(1.0, 0.8 * camera.sensor.most_e / all_on)
+    key, code = camera.model_dump_json() + light + scheme.model_dump_json(), _code(camera, scheme)
     if key not in _FULL:
-        _FULL[key] = _frame(plan_camera(camera, _light(camera, light), 0.0).camera, radiance, nd)
-    (whole, usable), (ours, unclipped) = _FULL[key], _frame(planned, radiance, nd)
+        full = plan_camera(camera, _light(camera, light), {"": scheme}, 0.0).camera
+        _FULL[key] = _frame(full, radiance, code, nd)
+    (whole, usable), (ours, unclipped) = _FULL[key], _frame(planned, radiance, code, nd)
     inside = np.zeros(whole.shape, np.bool_)
     inside[8:-8, 8:-8] = True
     valid = usable & unclipped & inside
@@ -147,12 +189,14 @@ def _error(camera: CodedCamera, light: str, planned: CodedCamera) -> float:
     return float(np.sqrt(np.mean((whole - ours)[valid] ** 2)) / noise_e)
 
 
-def _frame(camera: CodedCamera, radiance: RadianceVideo, nd: float) -> tuple[np.ndarray, np.ndarray]:
+def _frame(
+    camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, nd: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Signal without noise, electrons, and where it does not clip."""
     lit = camera.with_nd(nd)
-    expected, _ = lit.expected_electrons(lit.form_image(radiance), 0, _code(camera), None)
+    expected, _ = lit.expected_electrons(lit.form_image(radiance), 0, code, None)
     signal = lit.sensor.signal_e(expected, lit.exposure_s, lit.serial_number)
-    return signal, expected < lit.sensor.full_well_e
+    return signal, expected < lit.sensor.most_e
 
 
 def _scene(camera: CodedCamera, lights: Sequence[tuple[BrightLight, tuple[float, float]]]) -> RadianceVideo:
@@ -176,9 +220,19 @@ def _scene(camera: CodedCamera, lights: Sequence[tuple[BrightLight, tuple[float,
             at = round(step * slot)
             excess[slot, :, at : at + width] = patch - under[:, at : at + width]
         blocks.append(Block(top, left, excess))
-    segment = Segment(base, base, tuple(blocks), n)
+    segments = [
+        Segment(
+            base, base, tuple(Block(b.row, b.col, b.excess[at : at + _SEGMENT]) for b in blocks), _SEGMENT
+        )
+        for at in range(0, n, _SEGMENT)
+    ]
     return made_radiance(
-        view, camera.slot_s, lambda _: segment, slots_per_segment=n, n_slots=n, white_w_m2_sr=_WHITE
+        view,
+        camera.slot_s,
+        lambda index: segments[index],
+        slots_per_segment=_SEGMENT,
+        n_slots=n,
+        white_w_m2_sr=_WHITE,
     )
 
 
@@ -189,17 +243,20 @@ def _texture(rng: np.random.Generator, rows: int, cols: int) -> np.ndarray:
     return (10 ** np.clip(-0.7 + 0.3 * rough + 0.3 * smooth, -1.7, 0)).astype(np.float32)
 
 
-def _code(camera: CodedCamera) -> ExposureCode:
-    """Bumps of three slots everywhere but in the left third of the panel, which is all on."""
-    n, rows, cols = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
-    start = np.random.default_rng(3).integers(0, n - 2, (rows, cols))
-    slot = np.arange(n)[:, None, None]
-    levels = ((slot >= start) & (slot < start + 3)).astype(np.uint8) * np.uint8(255)
-    levels[:, :, : cols // 3] = 255
-    return ExposureCode(levels, np.ones((rows, cols), np.bool_))
+def _code(camera: CodedCamera, scheme: Scheme) -> ExposureCode:
+    """First frame of a scheme, of other tiles than a probe's; the adaptive one's left third is static."""
+    rows, cols = camera.panel_rows, camera.panel_cols
+
+    def levels(each: Scheme) -> np.ndarray:
+        if isinstance(each, MotionAdaptive):
+            return np.where(np.arange(cols) < cols // 3, levels(each.static), levels(each.moving))
+        tiles = each.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(3))
+        return TiledCode(tiles, (rows, cols)).levels(0)
+
+    return ExposureCode(levels(scheme), np.ones((rows, cols), np.bool_))
 
 
 if __name__ == "__main__":
     for case in grid():
-        share = case.error / case.tolerance
-        print(f"{case.camera:18} {case.light:10} {case.tolerance:5} {share:7.3f}  {case.left_out}")
+        share, left_out = case.error / case.tolerance, case.left_out
+        print(f"{case.camera:18} {case.light:16} {case.scheme:9} {case.tolerance:5} {share:7.3f}  {left_out}")
