@@ -222,7 +222,9 @@ def plan_camera(camera: CodedCamera, light: Illumination, schemes: Schemes, tole
     # The frames with everything, which all others are compared with.
     both = probes.near, probes.far
     side_by_side(partial(each.noise_e, name) for name in probes.far.schemes for each in both)
-    ladders = {name: _Ladder(name, cut, probes) for name, cut in open_to_choice.items()}
+    ladders = {
+        name: _Ladder(name, cut, probes, light.bright is not None) for name, cut in open_to_choice.items()
+    }
     with one_thread():
         chosen = _steps(ladders, tolerance)
     for name, step in chosen.items():
@@ -254,6 +256,7 @@ class _Ladder:
     name: str
     cut: Coarser | LeftOut
     probes: Probes
+    lit: bool  # by a bright light in the picture
 
     def size(self, step: int) -> float:
         return max(self._sizes(step))
@@ -272,6 +275,10 @@ class _Ladder:
 
     def _on(self, step: int) -> tuple[Which, ...]:
         cut, near = self.cut, self.probes.near
+        if self.name == "moving_wings":
+            # Those that begin farther off than what moves there is long land all over the picture.
+            begin = share_beyond_window(near.camera, "objective", near.camera.view.rows // 3)
+            return ("near", "far") if begin > MOVING_WING_SHARE else ("near",)
         if not _of_wings(cut):
             return shown_on(self.name)
         # They reach over the whole panel; a near probe has no room for those that lose least.
@@ -281,7 +288,10 @@ class _Ladder:
     @property
     def _times(self) -> int:
         # A probe's patch moves in a part of the frame. Others may move in all of it: at worst that adds up.
-        return self.probes.near.parts if self.name == "moving_wings" else 1
+        if self.name == "moving_wings":
+            return self.probes.near.parts
+        # Of the picture up to four times as much is as far off from a light in a corner.
+        return 2 if self.lit and _of_wings(self.cut) else 1
 
     def farthest(self, limit: float) -> int:
         """Cheapest step whose size is within a limit, by bisection: cheaper steps err more."""

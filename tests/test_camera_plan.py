@@ -14,7 +14,9 @@ from optsim.forward.relay import RelayOperator
 from optsim.hardware import demo, prototype
 from optsim.loop import planned
 from optsim.optics import Modulator, Objective
+from optsim.optics.objective import MOVING_WING_SHARE
 from optsim.probe import (
+    NOTHING,
     PLAIN,
     Illumination,
     Probe,
@@ -155,12 +157,12 @@ def test_probes_show_the_codes_of_the_schemes():
     codes = {name: made_code(each, camera, probe.radiance, 0.0).levels for name, each in schemes.items()}
     assert (codes["normal"] == 255).all()
     opened = (codes["adaptive"] == 255).sum(axis=0)
-    for stripe, lengths in enumerate(((1, 3, 11, 36), (3,), (1, 3, 11, 36), (3,))):
-        assert set(np.unique(opened[:, 10 * stripe : 10 * stripe + 10])) == set(lengths)
+    for stripe in range(8):
+        lengths = {3} if stripe % 2 else {1, 3, 11, 36}
+        assert set(np.unique(opened[:, 5 * stripe : 5 * stripe + 5])) == lengths
     (block,) = probe.radiance.load(0).blocks
     assert block.col < 60 < block.col + block.excess.shape[2]
-    quarter = codes["mosaic"][..., :10]
-    np.testing.assert_array_equal(codes["adaptive"][..., :10], quarter)
+    np.testing.assert_array_equal(codes["adaptive"][..., :5], codes["mosaic"][..., :5])
 
 
 def test_before_a_lamp_of_a_few_pixels_a_code_has_its_longest_exposure():
@@ -366,6 +368,24 @@ def test_a_near_probe_has_no_wider_wings_than_room(f_number):
     kernel = near.objective.psf(near.objective.working_f_number, near.modulator.pitch_m / 3, (90, 120)).kernel
     assert len(kernel) // 2 == pytest.approx({4.0: 101, 32.0: 120}[f_number], abs=2)
     assert camera.objective.wing_share < near.objective.wing_share
+
+
+def test_wings_of_slow_lenses_are_told_by_the_probe_that_has_room_for_them():
+    """Those of moving light, and before a bright light, wherever it lies, those of all light count twice."""
+    share = {"objective": {"moving_wing_share": MOVING_WING_SHARE}}
+    for f_number, far in ((4.0, False), (8.0, True)):
+        camera = changed(demo(), {"objective": {"f_number": f_number}})
+        plan = plan_camera(camera, WINDOW, SCHEMES, 3.0)
+        on = ("near", "far") if far else ("near",)
+        seen = max(plan.probes.sizes(share, compared_with("moving_wings"), on))[0]
+        assert choices(plan)["moving_wings"].size == pytest.approx(2 * 2 * seen)
+    blue = demo().model_copy(update={"wavelength_m": 450e-9})
+    for light, times in ((ROOM, 2), (WINDOW, 2 * 2)):
+        plan = plan_camera(blue, light, SCHEMES, 0.5)
+        lens = {"objective": {"wing_share": plan.camera.objective.wing_share}}
+        near = plan.probes.near.camera.objective.wing_share < plan.camera.objective.wing_share
+        seen = max(plan.probes.sizes(lens, NOTHING, ("near", "far") if near else ("far",)))[0]
+        assert choices(plan)["objective_wings"].size == pytest.approx(times * seen) != 0
 
 
 def test_numbers_set_by_hand_stay():

@@ -19,7 +19,7 @@ from optsim.quantities import Bytes, ExposureCode, Floats, RadianceVideo
 Schemes = Mapping[str, Scheme]
 _SEED = 36
 # Of the panel, in which the adaptive scheme shows its two codes in turn: both are before what moves.
-_STRIPES = 4
+_STRIPES = 8
 # A light of fewer panel pixels doesn't see all exposures of a code.
 _FEW_PX = 8
 
