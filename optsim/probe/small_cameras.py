@@ -74,8 +74,9 @@ def make_probes(camera: CodedCamera, light: Illumination, schemes: Schemes) -> P
 def near_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
     """Probe of the same pixels, but fewer, that sees the same field angles; far wings would leave it."""
     small = shrunk(camera)
-    lit = _lit(changed(small, _window_within(small)), _as_much(camera, small, light), schemes)
-    return replace(lit, lamp_px=_lamp_px(camera, light), mapping=_as_far(camera, small))
+    lamp_px, light = _lamp_px(camera, light), _as_much(camera, small, light)
+    lit = _lit(changed(small, _window_within(small)), light, schemes, lamp_px)
+    return replace(lit, mapping=_as_far(camera, small))
 
 
 def _lamp_px(camera: CodedCamera, light: Illumination) -> float:
@@ -154,11 +155,10 @@ def far_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Pro
             "sensor": sensor.model_copy(update={"pitch_m": sensor.pitch_m * times}),
         }
     )
-    lit = _lit(changed(shrunk(larger), _SHARP), light, schemes, times)
-    return replace(lit, lamp_px=_lamp_px(camera, light))
+    return _lit(changed(shrunk(larger), _SHARP), light, schemes, _lamp_px(camera, light), times)
 
 
-def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, times: int = 1) -> Probe:
+def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, lamp_px: float, times: int = 1) -> Probe:
     """Probe behind the density of the light rule; pixels ``times`` as large get no more light for it."""
     radiance = made_scene(camera, light.white_w_m2_sr, light.bright)
     share = 1 - light.bright.share if light.bright else 1.0
@@ -166,7 +166,7 @@ def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, times: int 
     bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
     nd = min(1.0, light.saturation_share * camera.sensor.most_e / (all_on / times**2))
-    return Probe(camera.with_nd(nd / times**2), radiance, schemes, _lamp_px(camera, light))
+    return Probe(camera.with_nd(nd / times**2), radiance, schemes, lamp_px)
 
 
 def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
