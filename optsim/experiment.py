@@ -7,10 +7,10 @@ import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import cast
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from optsim import hardware
 from optsim.calibrate import Calibration
@@ -19,19 +19,11 @@ from optsim.coding import Scheme
 from optsim.config import Part, Table, build, override, read_toml
 from optsim.effects import ITSELF, drifted, switched
 from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
+from optsim.knowledge import Known, Operator, ReadingPx, widest_reading
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
 from optsim.scene import FootageSource, load_scene
-
-
-def _true_is_a_word(value: object) -> object:
-    """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
-    return "true" if value is True else value
-
-
-# What is known of the camera: what the bench found, the simulator's own parameters, or the paper's equations.
-Operator = Annotated[Literal["bench", "true", "ideal"], BeforeValidator(_true_is_a_word)]
 
 
 class SceneChoice(Part):
@@ -66,6 +58,8 @@ class Method(Part):
     ----------
     calibration
         What this scheme and decoder know of the camera, if not what the experiment says.
+    reading_px
+        CCD pixels to a side that they read, if not as many as the experiment says.
     """
 
     name: str = Field(
@@ -74,6 +68,7 @@ class Method(Part):
     scheme: Scheme
     decoder: Decoder
     calibration: Operator | None = None
+    reading_px: ReadingPx | None = None
 
     def check(self, calibration: Calibration) -> None:
         """Refuse what this method cannot do with a camera, before there is a frame.
@@ -105,6 +100,9 @@ class Experiment(Part):
         What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
         (the simulator's own parameters) or ``ideal`` (the paper's equations). The light rule goes by it, and
         so do all methods but those with a ``calibration`` of their own.
+    reading_px
+        CCD pixels to a side of the square that is read for a panel pixel: 1 for the pixel at its centre, as
+        in the paper, 3 for all nine where a panel pixel covers about 3 x 3.
     drift
         What of the camera changes between its calibration and the first frame, as in ``camera``: for
         example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of it.
@@ -125,6 +123,7 @@ class Experiment(Part):
     tolerance: float = Field(default=0.1, ge=0, le=10)
     methods: tuple[Method, ...] = Field(min_length=1)
     calibration: Operator = "bench"
+    reading_px: ReadingPx = 1
     drift: Table = Field(default_factory=dict)
     light: LightRule = LightRule()
     save_reconstructions: tuple[str, ...] = ()
@@ -153,6 +152,18 @@ class Experiment(Part):
         return self
 
     @model_validator(mode="after")
+    def _read_of_their_own(self) -> Experiment:
+        widest = widest_reading(self.camera.ratio)
+        of_methods = [(f"methods, {m.name!r}: reading_px", m.reading_px or 1) for m in self.methods]
+        for key, value in (("reading_px", self.reading_px), *of_methods):
+            if value > widest:
+                raise ValueError(
+                    f"{key}: got {value}, expected at most {widest}: a panel pixel covers "
+                    f"{self.camera.ratio:.3g} CCD pixels each way, more would be its neighbours'"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _names_agree(self) -> Experiment:
         names = [method.name for method in self.methods]
         if len(set(names)) < len(names):
@@ -162,9 +173,14 @@ class Experiment(Part):
                 raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
         return self
 
-    def operator_of(self, method: Method) -> Operator:
+    @property
+    def known(self) -> Known:
+        """What is known of the camera where no method says otherwise."""
+        return Known(self.calibration, self.reading_px)
+
+    def known_to(self, method: Method) -> Known:
         """Say what a method knows of the camera: its own choice, or else the experiment's."""
-        return method.calibration or self.calibration
+        return Known(method.calibration or self.calibration, method.reading_px or self.reading_px)
 
     @property
     def schemes(self) -> dict[str, Scheme]:
@@ -172,14 +188,14 @@ class Experiment(Part):
         return {method.name: method.scheme for method in self.methods}
 
     @property
-    def operators(self) -> tuple[Operator, ...]:
-        """Operators that are asked for, each once; the experiment's own, by which light is set, first."""
-        return tuple(dict.fromkeys((self.calibration, *map(self.operator_of, self.methods))))
+    def all_known(self) -> tuple[Known, ...]:
+        """What is asked for, each once; the experiment's own, by which light is set, first."""
+        return tuple(dict.fromkeys((self.known, *map(self.known_to, self.methods))))
 
-    def check_methods(self, known: Mapping[Operator, Calibration]) -> None:
+    def check_methods(self, known: Mapping[Known, Calibration]) -> None:
         """Refuse what any method cannot do with the calibration that it knows (:meth:`Method.check`)."""
         for method in self.methods:
-            method.check(known[self.operator_of(method)])
+            method.check(known[self.known_to(method)])
 
     def at_work(self) -> CodedCamera:
         """Camera that takes the frames: the one that was calibrated, as it has changed since.

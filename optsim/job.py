@@ -88,11 +88,10 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
         With the cure.
     """
     check_truth(experiment)
-    if "bench" in experiment.operators:
+    if any(known.operator == "bench" for known in experiment.all_known):
         check_panel(experiment.camera)
-    ideal = ideal_calibration(experiment.camera)
     for method in experiment.methods:
-        method.check(ideal)
+        method.check(ideal_calibration(experiment.camera, experiment.known_to(method).reading_px))
     view, timing = experiment.camera.view, experiment.timing
     if experiment.source is not None:
         images = timing.n_slots
@@ -177,12 +176,12 @@ def execute(
     experiment, names = modelled, [method.name for method in experiment.methods]
     resumed = {"captured": journal.n_shots(names)}
     with watch.stage("capture"):
-        camera, light = set_light(experiment, radiance, known[experiment.calibration])
+        camera, light = set_light(experiment, radiance, known[experiment.known])
         truth = camera.form_image(radiance)
         frames = capture(experiment, camera, truth, known, progress, journal)
         _write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
-    saturation_dn = float(np.median(known[experiment.calibration].saturation_dn))
+    saturation_dn = float(np.median(known[experiment.known].saturation_dn))
     gallery = Gallery(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
     # Pictures are of the last frames.
@@ -236,10 +235,10 @@ def execute(
             "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
         },
         "methods": {
-            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, {experiment.operator_of(m)} calibration"
+            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, calibration: {experiment.known_to(m)}"
             for m in experiment.methods
         },
-        "calibrations": {m.name: experiment.operator_of(m) for m in experiment.methods},
+        "calibrations": {m.name: str(experiment.known_to(m)) for m in experiment.methods},
         **scorer.results(),
         "plan": plan_record(plan),
         **scorer.masks(frames, objects),

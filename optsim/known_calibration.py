@@ -8,17 +8,28 @@ import numpy as np
 
 from optsim.calibrate import Calibration, Glare
 from optsim.calibrate.glare import ring_strengths
+from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.forward.crosstalk import REACH, crosstalk_kernels, seen_at_picks, true_dots
 from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.panel import PanelResponse
+from optsim.forward.readings import mean_reading
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 
-def true_calibration(camera: CodedCamera) -> Calibration:
-    """Calibration copied from the parts; what it cannot hold is non-linearity."""
+def true_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
+    """Calibration copied from the parts; what it cannot hold is non-linearity.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        The camera.
+    reading_px : int
+        CCD pixels to a side of the square that is read for a panel pixel, odd.
+    """
     geometry, sensor, modulator = camera.relay_geometry(), camera.sensor, camera.modulator
-    row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH)
+    row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH, reading_px)
+    square = row, col, reading_px
     reach = min(REACH, (min(camera.panel_rows, camera.panel_cols) - 1) // 2)
     view = camera.view
     shading = camera.objective.shading(view.rows, view.cols, modulator.pitch_m / SAMPLES_PER_PITCH)
@@ -27,7 +38,7 @@ def true_calibration(camera: CodedCamera) -> Calibration:
     image = operator.apply(shading * gain * camera.slot_s)
     borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)
     panel = np.ones((camera.panel_rows, camera.panel_cols))
-    flat = np.maximum(seen_at_picks(panel, operator, borders, row, col), 1e-30)
+    flat = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
     middle = (camera.panel_rows // 2, camera.panel_cols // 2)
     lit = 0 * panel
     lit[middle] = 1
@@ -36,27 +47,33 @@ def true_calibration(camera: CodedCamera) -> Calibration:
         camera,
         response=camera.panel_response,
         picks=(row, col, on_ccd & ~camera.stuck_pixels[0]),
-        responsivity_e=np.maximum(camera.photon_electrons(image)[row, col], 1e-30),
-        offset_e=(sensor.dark_signal_e(camera.serial_number).astype(np.float64) + camera.dark_e)[row, col],
+        reading_px=reading_px,
+        responsivity_e=np.maximum(mean_reading(camera.photon_electrons(image), *square), 1e-30),
+        offset_e=mean_reading(
+            sensor.dark_signal_e(camera.serial_number) + np.float64(camera.dark_e), *square
+        ),
         full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
         crosstalk=crosstalk_kernels(
-            true_dots(operator, borders, row, col, reach),
+            true_dots(operator, borders, row, col, reach, reading_px),
             geometry.pick_offsets_px(SAMPLES_PER_PITCH),
             on_ccd,
             reach,
         ),
         glare=Glare(
             # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
-            veil=camera.relay.glare_share * float(image.mean() / image[row, col].mean()),
+            veil=camera.relay.glare_share * float(image.mean() / mean_reading(image, *square).mean()),
             ghost=camera.relay.ghost_share,
             ghost_blur_px=camera.relay.ghost_blur_px,
-            wings=ring_strengths(seen_at_picks(lit, operator, borders, row, col) / flat, *middle),
+            wings=ring_strengths(seen_at_picks(lit, operator, borders, *square) / flat, *middle),
         ),
     )
 
 
-def ideal_calibration(camera: CodedCamera) -> Calibration:
-    """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil."""
+def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
+    """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil.
+
+    Arguments as of :func:`true_calibration`.
+    """
     straight = ("shift_y_px", "shift_x_px", "rotation_rad", "keystone_y", "keystone_x", "distortion")
     aligned = camera.relay.model_copy(update=dict.fromkeys(straight, 0.0))
     nominal = camera.model_copy(update={"relay": aligned})
@@ -67,7 +84,8 @@ def ideal_calibration(camera: CodedCamera) -> Calibration:
         "ideal",
         camera,
         response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
-        picks=nominal.relay_geometry().picks(SAMPLES_PER_PITCH),
+        picks=nominal.relay_geometry().picks(SAMPLES_PER_PITCH, reading_px),
+        reading_px=reading_px,
         responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
         offset_e=np.zeros(shape),
         full_well_e=camera.sensor.full_well_e,
@@ -82,6 +100,7 @@ def _known(
     *,
     response: PanelResponse,
     picks: tuple[Ints, Ints, Bools],
+    reading_px: int,
     responsivity_e: Doubles,
     offset_e: Doubles,
     full_well_e: float,
@@ -90,7 +109,8 @@ def _known(
 ) -> Calibration:
     """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
     sensor = camera.sensor
-    read_noise_dn = sensor.dark_noise_e / sensor.step_e
+    noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
+    of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
     # Four sigma below the clip: of saturated pixels one in 30 000 is missed.
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
@@ -106,12 +126,13 @@ def _known(
         valid=valid,
         responsivity_dn=(responsivity_e / sensor.step_e).astype(np.float32),
         black_dn=black_dn.astype(np.float32),
-        saturation_dn=(clip_dn - 4 * read_noise_dn).astype(np.float32),
-        read_noise_dn=read_noise_dn,
-        dn_per_e=1 / sensor.step_e,
+        saturation_dn=(clip_dn - 4 * noise.read_noise_dn).astype(np.float32),
+        read_noise_dn=of_reading.read_noise_dn,
+        dn_per_e=of_reading.dn_per_e,
         crosstalk=crosstalk,
         gain_uncertainty=0.0,
         leak_uncertainty=0.0,
         map_residual_px=0.0,
         glare=glare,
+        reading_px=reading_px,
     )

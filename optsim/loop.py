@@ -10,19 +10,20 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
 
-from optsim.calibrate import Calibration, calibrate_from
+from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
 from optsim.camera_plan import CameraPlan, plan_camera
 from optsim.errors import ConfigError
-from optsim.experiment import Experiment, Method, Operator
+from optsim.experiment import Experiment, Method
 from optsim.forward.integrate import cell_means
 from optsim.journal import NOTHING_KEPT, Journal
+from optsim.knowledge import Known
 from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.progress import Progress, silent
@@ -37,7 +38,7 @@ from optsim.quantities import (
 from optsim.truth import illumination
 
 Frames = dict[str, tuple[CodedFrame, ...]]
-Calibrations = Mapping[Operator, Calibration]
+Calibrations = Mapping[Known, Calibration]
 
 
 def stream(seed: int, *purpose: str | int) -> Generator:
@@ -112,27 +113,39 @@ def set_light(
     return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
 
 
-def calibrate(experiment: Experiment, operator: Operator | None = None) -> Calibration:
+def calibrate(experiment: Experiment, known: Known | None = None) -> Calibration:
     """Make what will be known of the camera: from the bench, or the true or ideal operator.
 
     Parameters
     ----------
     experiment : Experiment
         Its camera, as planned, and its seed.
-    operator : {"bench", "true", "ideal"}, optional
+    known : Known, optional
         By default the experiment's own.
     """
-    camera, operator = experiment.camera.with_nd(1.0), operator or experiment.calibration
-    if operator == "true":
-        return true_calibration(camera)
-    if operator == "ideal":
-        return ideal_calibration(camera)
-    return calibrate_from(measure_bench(camera, stream(experiment.seed, "laboratory")))
+    return _calibrations(experiment, (known or experiment.known,))[0]
 
 
 def calibrate_all(experiment: Experiment) -> Calibrations:
     """Make each calibration that the light rule or a method asks for, once: the bench takes long."""
-    return {operator: calibrate(experiment, operator) for operator in experiment.operators}
+    return dict(zip(experiment.all_known, _calibrations(experiment, experiment.all_known), strict=True))
+
+
+def _calibrations(experiment: Experiment, wanted: Sequence[Known]) -> list[Calibration]:
+    camera = experiment.camera.with_nd(1.0)
+
+    @cache
+    def bench() -> Bench:
+        return measure_bench(camera, stream(experiment.seed, "laboratory"))
+
+    def make(known: Known) -> Calibration:
+        if known.operator == "true":
+            return true_calibration(camera, known.reading_px)
+        if known.operator == "ideal":
+            return ideal_calibration(camera, known.reading_px)
+        return calibrate_from(bench(), known.reading_px)
+
+    return [make(known) for known in wanted]
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +207,7 @@ def capture(
     truth : IrradianceVideo
         Light on the modulator.
     calibrations : dict
-        All that the schemes know: operator -> calibration, from :func:`calibrate_all`.
+        All that the schemes know, from :func:`calibrate_all`.
     progress : Progress
         Told of each coded frame.
     journal : Journal
@@ -206,7 +219,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.operator_of(m)], journal)
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.known_to(m)], journal)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
@@ -246,7 +259,7 @@ def decode(
     running: dict[str, Iterator[Reconstruction]] = {}
     for m in experiment.methods:
         asked = _without_video(frames[m.name], first)
-        running[m.name] = m.decoder.decode(asked, calibrations[experiment.operator_of(m)])
+        running[m.name] = m.decoder.decode(asked, calibrations[experiment.known_to(m)])
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
         seconds: dict[str, float] = {}
@@ -304,7 +317,7 @@ class Result:
     @property
     def calibration(self) -> Calibration:
         """What the light rule went by, and every method without a calibration of its own."""
-        return self.calibrations[self.experiment.calibration]
+        return self.calibrations[self.experiment.known]
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
@@ -336,7 +349,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     experiment, plan = planned(experiment)
     known = calibrate_all(experiment)
     experiment.check_methods(known)
-    camera, light = set_light(experiment, radiance, known[experiment.calibration])
+    camera, light = set_light(experiment, radiance, known[experiment.known])
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, known, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}

@@ -13,6 +13,7 @@ from optsim import metrics
 from optsim.camera import CodedCamera
 from optsim.experiment import Experiment
 from optsim.forward.integrate import cell_means, slot_means
+from optsim.forward.readings import brightest, mean_reading
 from optsim.journal import FrameScores
 from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
@@ -165,18 +166,21 @@ class Scorer:
         return {"masks": rows, "pooled_masks": pooled}
 
     def photons(self, frames: Frames) -> list[dict[str, Any]]:
-        """Photoelectrons that each method used, at the picked pixels, over all frames."""
+        """Photoelectrons that each method used of a panel pixel, over all frames."""
         pixel = self._ideal_pixel
         rows: list[dict[str, Any]] = []
-        for name, taken in frames.items():
-            raw = np.stack([f.dn[pixel.pick_row, pixel.pick_col][pixel.valid] for f in taken])
-            electrons = (raw - pixel.black_dn[pixel.valid]) / pixel.dn_per_e
+        for method in self.experiment.methods:
+            name, taken, side = method.name, frames[method.name], self.experiment.known_to(method).reading_px
+            square = pixel.pick_row, pixel.pick_col, side
+            raw = np.stack([mean_reading(f.dn, *square)[pixel.valid] for f in taken])
+            most = np.stack([brightest(f.dn, *square)[pixel.valid] for f in taken])
+            electrons = (raw - pixel.black_dn[pixel.valid]) * side**2 / pixel.dn_per_e
             rows.append(
                 {
                     "method": name,
                     "mean_e": float(electrons.mean(dtype=np.float64)),
                     "dark_e": float(np.percentile(electrons, 5)),
-                    "saturated_share": float((raw >= pixel.saturation_dn[pixel.valid]).mean()),
+                    "saturated_share": float((most >= pixel.saturation_dn[pixel.valid]).mean()),
                     "negative_light": sum(f.negative_light for f in taken),
                 }
             )
@@ -199,7 +203,7 @@ def verdicts(experiment: Experiment, scores: Sequence[ScoreRecord]) -> list[Verd
     """Judge the registered claims by an experiment's scores."""
     adaptive = [m.name for m in experiment.methods if m.scheme.kind == "motion_adaptive"]
     # Claims compare schemes, so they leave out who knows the camera by a calibration of its own.
-    apart = [m.name for m in experiment.methods if experiment.operator_of(m) != experiment.calibration]
+    apart = [m.name for m in experiment.methods if experiment.known_to(m) != experiment.known]
     judged = [each for each in scores if each["method"] not in apart]
     return metrics.judge_hypothesis(judged, no_rivals=adaptive)
 

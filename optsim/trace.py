@@ -120,9 +120,9 @@ def trace_experiment(
     modelled = planned(experiment)[0].model_copy(update={"methods": (method,)})
     known = calibrate_all(modelled)
     progress("laboratory", 1, 1)
-    camera, _ = set_light(modelled, radiance, known[modelled.calibration])
+    camera, _ = set_light(modelled, radiance, known[modelled.known])
     truth = camera.form_image(radiance)
-    taken = shots(modelled, method, camera, truth, known[modelled.operator_of(method)])
+    taken = shots(modelled, method, camera, truth, known[modelled.known_to(method)])
     for index in range(aim.frame):
         next(taken)
         progress("capture", index + 1, aim.frame + 1)

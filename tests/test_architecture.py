@@ -37,6 +37,7 @@ ALLOWED: dict[str, set[str]] = {
     "metrics": {"forward"},
     "report": set(),
     "evidence": set(),
+    "knowledge": set(),
     "doctor": {"render", "scene"},
 }
 # The top of the building: may import any room, and only each other.

@@ -65,7 +65,7 @@ def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: E
     known = {"adaptive": "true", "normal": "true", "hdr_mosaic": "true", "random": "ideal"}
     assert results["calibrations"] == known
     for name, operator in known.items():
-        assert results["methods"][name].endswith(f", {operator} calibration")
+        assert results["methods"][name].endswith(f", calibration: {operator}")
     # Light is that of the experiment's.
     by = calibrate(planned(experiment)[0])
     assert results["light_rule"]["saturation_dn"] == pytest.approx(np.median(by.saturation_dn - by.black_dn))

@@ -62,7 +62,7 @@ def test_all_methods_show_the_same_random_tile() -> None:
     experiment = small()
     radiance = flat(experiment, 0.1)
     known = calibrate_all(experiment)
-    camera, _ = set_light(experiment, radiance, known["true"])
+    camera, _ = set_light(experiment, radiance, known[experiment.known])
     frames = capture(experiment, camera, camera.form_image(radiance), known)
     np.testing.assert_array_equal(frames["adaptive"][0].code.levels, frames["random"][0].code.levels)
 

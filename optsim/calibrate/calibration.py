@@ -15,6 +15,7 @@ from optsim.errors import ValueCheckError
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import compiled
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
+from optsim.forward.readings import brightest, mean_reading
 from optsim.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
 
 # For smaller images starting threads takes longer than to gather.
@@ -32,7 +33,7 @@ class Observation:
     variance : ndarray of shape (v, u), float32
         Variance of ``signal`` by shot and read noise, its unit squared.
     saturated : ndarray of shape (v, u), bool
-        Raw DN at or above the measured threshold: ``signal`` is a lower bound.
+        A raw DN at or above the measured threshold: ``signal`` is a lower bound.
     valid : ndarray of shape (v, u), bool
         False where there is no measurement; ``signal`` and ``variance`` are finite but mean nothing there.
     """
@@ -50,7 +51,8 @@ class Calibration:
 
     With ``light = sum over slots of weight x irradiance``, a frame measures :meth:`mix` of it: the
     weights are those of each panel pixel alone, the crosstalk kernel says how much of its neighbours'
-    light the picked CCD pixel sees, glare how much of that from farther away.
+    light is read with its own, glare how much of that from farther away. What is read is the CCD pixel at
+    a panel pixel's centre, or the mean of a square around it, whose electrons are counted as one pixel's.
     Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
 
     Parameters
@@ -72,13 +74,13 @@ class Calibration:
         splitter, panel, relay, CCD pixel), which is all that a flat can identify. Positive everywhere;
         without meaning where not valid.
     black_dn, saturation_dn : ndarray of shape (v, u), float32
-        Black level, and the least raw DN that counts as saturated, of each picked CCD pixel.
+        Black level of what is read, and the least raw DN at which a CCD pixel of it counts as saturated.
     read_noise_dn : float
-        Temporal noise in the dark, quantisation included, DN.
+        Temporal noise of what is read in the dark, quantisation included, DN.
     dn_per_e : float
-        System gain, DN per electron.
+        DN of what is read per electron in it: the system gain, over the CCD pixels that are averaged.
     crosstalk : ndarray of shape (v, u, k, k), float32
-        What each picked pixel sees of the panel pixels around its own: element (k // 2 + dv, k // 2 + du)
+        What is read with each pixel of the panel pixels around it: element (k // 2 + dv, k // 2 + du)
         is its share of the light of pixel (v + dv, u + du). k is odd, each kernel sums to 1.
     gain_uncertainty, leak_uncertainty : float
         Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
@@ -86,6 +88,8 @@ class Calibration:
         Rms distance between the fitted map and the measured dots, panel pixels.
     glare : Glare
         Shares of the light that land beyond the kernel: the PSF's wings, a ghost, a veil.
+    reading_px : int
+        CCD pixels to a side of the square that is read, odd.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -106,6 +110,7 @@ class Calibration:
     leak_uncertainty: float
     map_residual_px: float
     glare: Glare = NO_GLARE
+    reading_px: int = 1
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (
@@ -262,8 +267,9 @@ class Calibration:
 
     def observe(self, frame: CodedFrame) -> Observation:
         """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted."""
-        raw = frame.dn[self.pick_row, self.pick_col].astype(np.float32)
-        saturated = raw >= self.saturation_dn
+        square = self.pick_row, self.pick_col, self.reading_px
+        saturated = brightest(frame.dn, *square) >= self.saturation_dn
+        raw: Floats = mean_reading(frame.dn, *square)
         raw -= self.black_dn
         variance = np.maximum(raw, np.float32(0))
         variance *= np.float32(self.dn_per_e)

@@ -13,17 +13,20 @@ from optsim.calibrate.shading import Picker, drive_exponent, shading
 from optsim.calibrate.step_response import field_drive, response_times
 from optsim.errors import BenchError
 from optsim.forward.panel import PanelResponse
+from optsim.forward.readings import mean_reading, places
 
 _MARGIN = 1  # CCD pixels at the border that are not used: their light may be cut
 
 
-def calibrate_from(bench: Bench) -> Calibration:
+def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     """Estimate everything a scheme or decoder needs, from images and stated settings alone.
 
     Parameters
     ----------
     bench : Bench
         Measured on a real bench, or by the virtual laboratory.
+    reading_px : int
+        CCD pixels to a side of the square that is read for a panel pixel, odd.
 
     Returns
     -------
@@ -39,7 +42,8 @@ def calibrate_from(bench: Bench) -> Calibration:
     pixel_map = map_pixels(bench, black_dn)
     row, col = pixel_map.picks()
     height, width = black_dn.shape
-    inside = (row >= _MARGIN) & (row < height - _MARGIN) & (col >= _MARGIN) & (col < width - _MARGIN)
+    edge = _MARGIN + reading_px // 2
+    inside = (row >= edge) & (row < height - edge) & (col >= edge) & (col < width - edge)
     if not inside.any():
         raise BenchError("bench dots: no panel pixel falls on the CCD; check their panel coordinates")
     row, col = np.clip(row, 0, height - 1), np.clip(col, 0, width - 1)
@@ -47,16 +51,22 @@ def calibrate_from(bench: Bench) -> Calibration:
         slice(int(row[inside].min()), int(row[inside].max()) + 1),
         slice(int(col[inside].min()), int(col[inside].max()) + 1),
     )
-    noise = photon_transfer(bench, black_dn, lit)
-    black_at = black_dn[row, col]
+    pixel_noise = photon_transfer(bench, black_dn, lit)
+    noise = pixel_noise.of_mean(reading_px**2)
+    square = row, col, reading_px
+    black_at = mean_reading(black_dn, *square)
+    clipped = zip(places(bench.saturated.dn, *square), places(black_dn, *square), strict=True)
     picker = Picker(
         row,
         col,
         black_dn=black_at,
         black_variance=noise.read_noise_dn**2 / len(bench.darks),
-        saturation_dn=saturation_threshold(bench.saturated.dn[:, row, col], black_at, inside, noise),
+        saturation_dn=np.minimum.reduce(
+            [saturation_threshold(dn, black, inside, pixel_noise) for dn, black in clipped]
+        ),
         coded_slots=bench.coded_slots,
         noise=noise,
+        side=reading_px,
     )
     flat = shading(bench, picker, inside)
     valid = flat.valid
@@ -91,4 +101,5 @@ def calibrate_from(bench: Bench) -> Calibration:
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,
         glare=glare,
+        reading_px=reading_px,
     )

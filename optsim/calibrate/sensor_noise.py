@@ -38,6 +38,10 @@ class SensorNoise:
     read_noise_dn: float
     dn_per_e: float
 
+    def of_mean(self, n_pixels: int) -> SensorNoise:
+        """Noise of the mean of some pixels, which is to the sum of their electrons as one's is to its own."""
+        return SensorNoise(self.read_noise_dn / np.sqrt(n_pixels), self.dn_per_e / n_pixels)
+
 
 def temporal_variance(frames: Words) -> float:
     """Variance in time, averaged over pixels, from differences of successive frames (n, ...), DN^2."""

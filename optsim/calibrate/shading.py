@@ -17,6 +17,7 @@ from optsim.calibrate.bench import Bench, Flat, Patches
 from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.errors import BenchError
 from optsim.forward.panel import PanelResponse, slot_weights
+from optsim.forward.readings import brightest, mean_reading
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 # No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
@@ -28,22 +29,24 @@ _EXPONENTS = (0.02, 50.0)
 
 @dataclass(frozen=True, eq=False)
 class Picker:
-    """Reads light rates at the picked CCD pixels.
+    """Reads light rates: of the picked CCD pixels, or of squares around them.
 
     Parameters
     ----------
     row, col : ndarray of shape (v, u), int64
         Picked CCD pixels.
     black_dn : ndarray of shape (v, u), float32
-        Black level there.
+        Black level of what is read.
     black_variance : float
         Variance of that black level, DN^2.
     saturation_dn : ndarray of shape (v, u), float32
-        Least raw DN that counts as saturated there.
+        Least raw DN at which a CCD pixel of it counts as saturated.
     coded_slots : int
         Slots with the shutter open.
     noise : SensorNoise
-        Gain and read noise.
+        Gain and read noise of what is read.
+    side : int
+        CCD pixels to a side of the squares, odd.
     """
 
     row: Ints
@@ -53,12 +56,13 @@ class Picker:
     saturation_dn: Floats
     coded_slots: int
     noise: SensorNoise
+    side: int = 1
 
     def rate(self, shots: Sequence[Flat | Patches]) -> tuple[Doubles, Doubles]:
         """DN per (W m^-2 slot) over all frames of some shots, and its variance: two arrays (v, u)."""
         signal, light, n_frames = np.zeros(self.row.shape), 0.0, 0
         for shot in shots:
-            signal += shot.dn[:, self.row, self.col].sum(axis=0, dtype=np.float64)
+            signal += mean_reading(shot.dn, self.row, self.col, self.side).sum(axis=0, dtype=np.float64)
             light += len(shot.dn) * shot.irradiance_w_m2 * self.coded_slots
             n_frames += len(shot.dn)
         signal -= n_frames * self.black_dn.astype(np.float64)
@@ -68,9 +72,8 @@ class Picker:
 
     def clipped(self, shots: Sequence[Flat]) -> Bools:
         """Whether a pixel saturates in some frame: array (v, u)."""
-        return np.any(
-            [(s.dn[:, self.row, self.col] >= self.saturation_dn).any(axis=0) for s in shots], axis=0
-        )
+        square = self.row, self.col, self.side
+        return np.any([(brightest(s.dn, *square) >= self.saturation_dn).any(axis=0) for s in shots], axis=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.forward.fringing import fine_image
+from optsim.forward.readings import mean_reading
 from optsim.forward.relay import RelayOperator
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
@@ -116,22 +117,23 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
 
 
 def seen_at_picks(
-    panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints
+    panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, side: int = 1
 ) -> Doubles:
-    """Light of a pattern on the panel at the picks, without veil: array (v, u).
+    """Light of a pattern on the panel as each of its pixels reads it, without veil: array (v, u).
 
     Parameters
     ----------
     panel : ndarray of shape (v, u), float64
         The pattern, from 0 to 1.
-    operator, borders, pick_row, pick_col
+    operator, borders, pick_row, pick_col, side
         As of :func:`true_dots`.
     """
-    return operator.project(operator.blur.apply(fine_image(panel, borders)))[pick_row, pick_col]
+    image = operator.project(operator.blur.apply(fine_image(panel, borders)))
+    return mean_reading(image, pick_row, pick_col, side)
 
 
 def true_dots(
-    operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, reach: int
+    operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, reach: int, side: int = 1
 ) -> list[Dots]:
     """Answer of fringing and true operator, without veil, to lattices of dots: enough for a fit.
 
@@ -145,9 +147,12 @@ def true_dots(
         Picked CCD pixels.
     reach : int
         Farthest neighbour that a dot must have on the panel.
+    side : int
+        CCD pixels to a side of the square around each pick that is read.
     """
     rows, cols = pick_row.shape
-    flat = np.maximum(seen_at_picks(np.ones((rows, cols)), operator, borders, pick_row, pick_col), 1e-30)
+    picks = pick_row, pick_col, side
+    flat = np.maximum(seen_at_picks(np.ones((rows, cols)), operator, borders, *picks), 1e-30)
     found: list[Dots] = []
     n_dots = 0
     # One lattice is plenty on a large panel; on a small one it has fewer dots than the fit has terms.
@@ -156,7 +161,7 @@ def true_dots(
         if v.size and u.size:
             lit = np.zeros((rows, cols))
             lit[np.ix_(v, u)] = 1
-            found.append(Dots(v, u, seen_at_picks(lit, operator, borders, pick_row, pick_col) / flat))
+            found.append(Dots(v, u, seen_at_picks(lit, operator, borders, *picks) / flat))
             n_dots += v.size * u.size
         if n_dots >= _ENOUGH * len(_EVERY_POWER):
             break

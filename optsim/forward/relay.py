@@ -87,25 +87,29 @@ class RelayGeometry:
             c * dx - s * dy + self.ccd_cols / 2 + self.shift_x_px,
         )
 
-    def picks(self, pitch: int) -> tuple[Ints, Ints, Bools]:
-        """CCD pixel at the centre of each panel pixel, and whether the CCD has it; each (v, u).
+    def picks(self, pitch: int, side: int = 1) -> tuple[Ints, Ints, Bools]:
+        """CCD pixel at the centre of each panel pixel, and whether the CCD has what is read; each (v, u).
 
         Parameters
         ----------
         pitch : int
             Fine cells to a panel pixel.
+        side : int
+            CCD pixels to a side of the square around it that is read.
 
         Returns
         -------
         row, col : ndarray, int64
             Moved onto the CCD where they are not on it.
         on_ccd : ndarray, bool
-            Whether they are.
+            Whether their whole squares are.
         """
         y, x = self._pixel_centres(pitch)
         # A centre on a border, or rounded to just beside it, belongs to the pixel after it.
         row, col = np.floor(y + 1e-9).astype(np.int64), np.floor(x + 1e-9).astype(np.int64)
-        on_ccd = (row >= 0) & (row < self.ccd_rows) & (col >= 0) & (col < self.ccd_cols)
+        half = side // 2
+        on_ccd = (row >= half) & (row < self.ccd_rows - half)
+        on_ccd &= (col >= half) & (col < self.ccd_cols - half)
         return row.clip(0, self.ccd_rows - 1), col.clip(0, self.ccd_cols - 1), on_ccd
 
     def pick_offsets_px(self, pitch: int) -> Doubles:

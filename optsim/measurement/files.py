@@ -21,6 +21,7 @@ from optsim.calibrate import Bench, calibrate_from
 from optsim.config import Part, build, override, read_toml
 from optsim.errors import ConfigError, OptsimError, ValueCheckError
 from optsim.files import read_exr
+from optsim.knowledge import ReadingPx
 from optsim.measurement.coded import (
     Measurement,
     Sensor,
@@ -81,6 +82,8 @@ class MeasurementFiles(DecoderChoice):
         Slots of a coded image, where the code's files hold those of all coded images one after the other.
     bench : str or None
         Folder of a calibration bench, of a camera whose image of the code is not pixel by pixel.
+    reading_px : int
+        With a bench: sensor pixels to a side of the square that is read for a pixel of the code, odd.
     sensor : Sensor
         What is known of the sensor; not with a bench, which says it.
     """
@@ -91,6 +94,7 @@ class MeasurementFiles(DecoderChoice):
     moving: str | None = None
     slots: int | None = Field(default=None, ge=1)
     bench: str | None = None
+    reading_px: ReadingPx = 1
     sensor: Sensor = Sensor()
 
 
@@ -149,14 +153,20 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
     truth = None if files.truth is None else _read(files.truth, "truth")
     moving = None if files.moving is None else _read(files.moving, "moving")
     if files.bench is None:
+        if files.reading_px > 1:
+            raise ConfigError(
+                f"reading_px: got {files.reading_px} without a bench, which says where a code's pixels are; "
+                "name its folder as bench, or remove reading_px"
+            )
         return coded_measurement(images, codes, sensor=files.sensor, moving=moving, truth=truth)
     if files.sensor != Sensor():
         raise ConfigError("sensor: got one and a bench, which says all of it; remove one of them")
-    return _on_a_bench(Path(files.bench), images, codes, moving, truth)
+    return _on_a_bench(Path(files.bench), files.reading_px, images, codes, moving, truth)
 
 
 def _on_a_bench(
     folder: Path,
+    reading_px: int,
     images: NDArray[Any],
     codes: NDArray[Any],
     moving: NDArray[Any] | None,
@@ -183,7 +193,7 @@ def _on_a_bench(
             f"code: got values from {least:g} to {most:g}, expected drive levels from 0 to 255, or weights "
             "from 0 to 1 of them"
         )
-    calibration = calibrate_from(bench)
+    calibration = calibrate_from(bench, reading_px)
     as_shown = codes if most > 1 else codes * 255
     levels = np.rint(as_shown).astype(np.uint8)
     return Measurement(

@@ -48,7 +48,7 @@ def read_run(folder: Path, method: str | None) -> Measurement:
             "cure: optsim run with --out, which goes on where it stopped"
         )
     frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
-    calibration = calibrate(planned(experiment)[0], experiment.operator_of(chosen))
+    calibration = calibrate(planned(experiment)[0], experiment.known_to(chosen))
     return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0)
 
 

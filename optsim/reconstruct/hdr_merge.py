@@ -99,7 +99,7 @@ class HdrMerge(Branch):
             )
             light, variance = self._light(together)
             systematic = (calibration.gain_uncertainty * light) ** 2
-            systematic += missed(light, variance, calibration.ratio) ** 2
+            systematic += missed(light, variance, calibration.ratio / calibration.reading_px) ** 2
             error = np.sqrt(variance + systematic)
             yield Layer(
                 frame.index,

@@ -35,7 +35,7 @@ def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
     variance : ndarray of shape (v, u), float32
         Of its noise, W^2 m^-4.
     ratio : float
-        CCD pixels to a panel pixel.
+        Of a panel pixel's width to that of what is read.
 
     Returns
     -------

@@ -21,7 +21,6 @@ Cell = Scalar | list[Scalar]
 Region = Literal["all", "moving", "static"]
 Phase = Literal["warm-up", "merging", "steady"]
 Section = Literal["compare", "crops", "moving", "capture", "errors"]
-Operator = Literal["bench", "true", "ideal"]
 
 
 @with_config(_STRICT)
@@ -285,7 +284,7 @@ class Results(TypedDict):
     latency: Latency
     scene: SceneFacts
     methods: dict[str, str]
-    calibrations: NotRequired[dict[str, Operator]]
+    calibrations: NotRequired[dict[str, str]]
     scores: list[Score]
     coverage: list[Coverage]
     frame_series: list[Series]
