@@ -59,8 +59,6 @@ _SHOWN: dict[str, tuple[Which, ...]] = {
     "smear": ("far",),
     "ghost": ("near", "far"),
 }
-# Of the panel, what has no part in how long its pixels are open.
-_OF_ITS_GAIN = {"nonuniformity_rms"}
 
 
 def compared_with(name: str) -> Changes:
@@ -209,8 +207,7 @@ def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
 
 def _gate(camera: CodedCamera) -> tuple[object, bytes]:
     """Key of what decides how long pixels of the panel are open, and what they let through."""
-    panel = camera.modulator.model_dump_json(exclude=_OF_ITS_GAIN)
-    opening = panel, camera.contrast, camera.column_leaks.tobytes(), camera.coded_slots
+    opening = camera.modulator.model_dump_json(), camera.column_leaks.tobytes(), camera.coded_slots
     return opening, camera.panel_gain.tobytes()
 
 

@@ -20,6 +20,7 @@ sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a p
 from optsim.camera import CodedCamera
 from optsim.camera_plan import plan_camera
 from optsim.coding import (
+    CodedRollingShutter,
     FlutterShutter,
     HdrMosaic,
     MotionAdaptive,
@@ -73,6 +74,20 @@ _SCHEMES: dict[str, Scheme] = {
     "bumps": RandomExposure(),
     "binary": RandomBinary(),
     "flutter": FlutterShutter(),
+}
+# Few methods, of which others than those of the darkest and brightest frames suffer most from fringing.
+_SETS: dict[str, dict[str, Scheme]] = {
+    "bumps beside even codes": {name: _SCHEMES[name] for name in ("short", "flutter", "bumps")},
+    "bumps beside rows": {
+        "rows": CodedRollingShutter(group_rows=36, open_slots=1),
+        "bump": RandomExposure(bump_slots=1),
+        "mosaic": HdrMosaic(),
+    },
+    "thirds of a frame": {
+        "normal": NormalPhotography(),
+        "third": NormalPhotography(open_slots=12),
+        "rows": CodedRollingShutter(),
+    },
 }
 _LIGHTS = {
     "even room": (),
@@ -144,6 +159,8 @@ def grid() -> list[Case]:
     # One plan for all of them.
     for light in _LIGHTS:
         cases += _cases("demo, all schemes", demo(), light, 0.1, _SCHEMES)
+    for (name, schemes), light in product(_SETS.items(), ("even room", "window", "lamp")):
+        cases += _cases(f"demo, {name}", demo(), light, 0.1, schemes)
     large = prototype()
     fits = large.relay.model_copy(update={"distortion": 0.0})
     for light, tolerance in (("window", 0.1), ("lamp", 0.3), ("point", 0.3)):
