@@ -293,7 +293,7 @@ class Result:
     light : LightLevel
         What the light rule decided.
     calibrations : dict
-        What was known of the camera: operator -> calibration.
+        What was known of the camera: :class:`~optsim.knowledge.Known` -> calibration.
     truth : IrradianceVideo
         Light on the modulator; lazy.
     radiance : RadianceVideo

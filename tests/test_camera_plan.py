@@ -260,6 +260,21 @@ def test_codes_that_differ_in_time_alone_tell_fringing_in_whatever_order(light):
     assert plan_camera(demo(), light, alone, 0.1).camera.modulator.rim_model == "mixed"
 
 
+def test_codes_of_uneven_exposures_tell_blur():
+    """Blur mixes what neighbours gather, of which a mosaic has most; its fringing counts for that."""
+    schemes = {
+        "third": NormalPhotography(open_slots=12),
+        "sparse": RandomBinary(open_share=0.03),
+        "mosaic": HdrMosaic(),
+    }
+    sizes = [
+        {each.effect: each.size for each in effect_sizes(make_probes(demo(), ROOM, each_of))}
+        for each_of in (schemes, {"mosaic": HdrMosaic()})
+    ]
+    assert sizes[0]["relay_blur"] == pytest.approx(sizes[1]["relay_blur"], rel=0.2)
+    assert sizes[0]["relay_blur"] > 5
+
+
 @pytest.mark.parametrize(
     ("state", "part"),
     [("nominal", {}), ("nominal", {"splitter": {"placement": "converging"}}), ("pessimistic", {})],

@@ -61,7 +61,7 @@ def telling(schemes: Schemes, camera: CodedCamera) -> dict[str, Scheme]:
     for name, scheme in schemes.items():
         different.setdefault(scheme.model_dump_json(), name)
     traits: list[dict[str, tuple[float, str]]] = []
-    for record, name in sorted(different.items()):
+    for record, name in different.items():
         try:
             found = _traits(schemes[name], camera)
         except ConfigError as error:
