@@ -169,7 +169,7 @@ def experiment(*assignments: str) -> Experiment:
         f"camera.panel_rows={ROWS}", f"camera.panel_cols={COLS}",
         f"camera.sensor.rows={3 * ROWS + 8}", f"camera.sensor.cols={3 * COLS + 8}",
         "methods.adaptive.decoder.moving.kind=interpolation", "methods.random.decoder.kind=interpolation",
-        "save_reconstructions=[]", "calibration=true", "n_frames=4",
+        "save_reconstructions=[]", "calibration=true", "n_frames=2",
     )  # fmt: skip
     return load_experiment("demo", [*size, *assignments])
 
