@@ -21,7 +21,7 @@ Operator = Annotated[Literal["bench", "true", "ideal"], BeforeValidator(_true_is
 
 def _with_a_middle(value: int) -> int:
     if value % 2 == 0:
-        raise ValueError(f"got {value}, expected an odd number: a square around the pixel at the centre")
+        raise ValueError("expected an odd number: a square around the pixel at the centre")
     return value
 
 
