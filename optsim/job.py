@@ -90,8 +90,9 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     check_truth(experiment)
     if any(known.operator == "bench" for known in experiment.all_known):
         check_panel(experiment.camera)
-    for method in experiment.methods:
-        method.check(ideal_calibration(experiment.camera, experiment.known_to(method).reading_px))
+    experiment.check_methods(
+        {known: ideal_calibration(experiment.camera, known.reading_px) for known in experiment.all_known}
+    )
     view, timing = experiment.camera.view, experiment.timing
     if experiment.source is not None:
         images = timing.n_slots

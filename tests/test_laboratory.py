@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_camera import small, uniform_light
 
 from optsim.calibrate import Bench, Calibration, calibrate_from
 from optsim.camera import CodedCamera
@@ -19,21 +20,6 @@ from optsim.forward.fringing import border_shares, fine_image
 from optsim.hardware.cameras import demo, prototype
 from optsim.known_calibration import true_calibration
 from optsim.laboratory import measure_bench
-from optsim.quantities import ExposureCode, RadianceVideo, Segment
-
-
-def small(**changes: object) -> CodedCamera:
-    """64 x 48 panel pixels at ratio 2.9, shifted and rotated."""
-    full = prototype()
-    relay = full.relay.model_copy(
-        update={
-            "magnification": 2.9 * 4.54 / 20, "shift_y_px": 2.3, "shift_x_px": -1.8, "rotation_rad": 0.004,
-        }
-    )  # fmt: skip
-    sensor = full.sensor.model_copy(update={"rows": 156, "cols": 204})
-    modulator = full.modulator.model_copy(update={"stuck_share": 0.0})
-    update = {"relay": relay, "sensor": sensor, "modulator": modulator, "panel_rows": 48, "panel_cols": 64}
-    return full.model_copy(update={**update, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -191,16 +177,7 @@ def test_a_coded_frame_of_uniform_light_is_predicted(
     modulator = camera.modulator.model_copy(update={"rim_model": rim_model})
     camera = camera.model_copy(update={"modulator": modulator})
     rng = np.random.default_rng(5)
-    levels = (rng.random((36, 48, 64)) < 0.5).astype(np.uint8) * np.uint8(255)
-    code = ExposureCode(levels, np.zeros((48, 64), np.bool_))
-    # Half the slots are open; a third of the wells of about 16400 DN.
-    irradiance = 0.3 * 16400 / (18 * float(np.median(found.responsivity_dn)))
-    view = camera.view
-    image = np.full((view.rows, view.cols), irradiance / camera.irradiance_per_radiance, np.float32)
-    radiance = RadianceVideo(
-        view.rows, view.cols, view.samples_per_pitch, camera.slot_s, 1, 36, 36,
-        lambda _: Segment(image, image, (), 36),
-    )  # fmt: skip
+    code, irradiance, radiance = uniform_light(camera, found.responsivity_dn, rng)
     frame, _ = camera.expose(camera.form_image(radiance), 0, code, camera.panel_at_rest(), rng)
     seen = found.observe(frame)
     weights, _ = found.effective_weights(code, found.panel_at_rest())

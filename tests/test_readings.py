@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_camera import small, uniform_light
 from small_experiment import COLS, ROWS, moving_bar
 
 from optsim import loop, metrics
@@ -16,27 +17,20 @@ from optsim.camera import CodedCamera
 from optsim.errors import ConfigError
 from optsim.experiment import Experiment, load_experiment
 from optsim.forward.readings import brightest, mean_reading
-from optsim.hardware import demo, prototype
+from optsim.hardware import demo
 from optsim.knowledge import Known, widest_reading
 from optsim.known_calibration import ideal_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.measurement.files import measurement_files, read_measurement
-from optsim.quantities import CodedFrame, ExposureCode, RadianceVideo, Segment
+from optsim.quantities import CodedFrame, ExposureCode
 from optsim.reconstruct import HdrMerge, hdr_merge
 from optsim.scoring import Scorer, score, verdicts
 
 
 @pytest.fixture(scope="module")
 def camera() -> CodedCamera:
-    """64 x 48 panel pixels at ratio 2.9, shifted and turned, so that squares lie anyhow on pixels."""
-    full = prototype()
-    relay = full.relay.model_copy(
-        update={"magnification": 2.9 * 4.54 / 20, "shift_y_px": 2.3, "shift_x_px": -1.8, "rotation_rad": 4e-3}
-    )
-    sensor = full.sensor.model_copy(update={"rows": 156, "cols": 204})
-    modulator = full.modulator.model_copy(update={"stuck_share": 0.0})
-    parts = {"relay": relay, "sensor": sensor, "modulator": modulator}
-    return full.model_copy(update={**parts, "panel_rows": 48, "panel_cols": 64})
+    """At ratio 2.9, shifted and turned, so that squares lie anyhow on pixels."""
+    return small()
 
 
 @pytest.fixture(scope="module")
@@ -114,25 +108,14 @@ def test_a_bench_finds_the_true_reading(
     assert nine.response.leak == pytest.approx(one.response.leak, rel=0.02)
 
 
-def uniform(camera: CodedCamera, irradiance: float) -> RadianceVideo:
-    view = camera.view
-    image = np.full((view.rows, view.cols), irradiance / camera.irradiance_per_radiance, np.float32)
-    return RadianceVideo(
-        view.rows, view.cols, view.samples_per_pitch, camera.slot_s, 1, 36, 36,
-        lambda _: Segment(image, image, (), 36),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("side", [1, 3])
 def test_noise_is_as_predicted_and_light_is_found(
     camera: CodedCamera, one: Calibration, nine: Calibration, side: int
 ) -> None:
     known = one if side == 1 else nine
     rng = np.random.default_rng(8)
-    levels = (rng.random((36, 48, 64)) < 0.5).astype(np.uint8) * np.uint8(255)
-    code = ExposureCode(levels, np.zeros((48, 64), np.bool_))
-    irradiance = 0.3 * 16400 / (18 * float(np.median(known.responsivity_dn)))
-    truth = camera.form_image(uniform(camera, irradiance))
+    code, irradiance, light = uniform_light(camera, known.responsivity_dn, rng)
+    truth = camera.form_image(light)
     pair = [camera.expose(truth, 0, code, camera.panel_at_rest(), rng)[0] for _ in range(2)]
     first, second = (known.observe(frame) for frame in pair)
     squared = (first.signal - second.signal) ** 2 / (first.variance + second.variance)
