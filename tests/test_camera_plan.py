@@ -13,6 +13,7 @@ from optsim.coding import (
     NormalPhotography,
     RandomBinary,
     RandomExposure,
+    ShutterGrid,
 )
 from optsim.effect_sizes import effect_sizes
 from optsim.effects import ALL, changed, switched, with_effects
@@ -258,6 +259,13 @@ def test_codes_that_differ_in_time_alone_tell_fringing_in_whatever_order(light):
     assert plan.camera.modulator.rim_model != "mixed"
     alone = {name: BUMPS[name] for name in ("short", "flutter")}
     assert plan_camera(demo(), light, alone, 0.1).camera.modulator.rim_model == "mixed"
+
+
+def test_of_schemes_that_are_as_dark_the_same_is_told_in_whatever_order():
+    schemes = {"grid": ShutterGrid(), "bumps": RandomExposure()}
+    told = [list(telling(each, shrunk(demo()))) for each in (schemes, dict(reversed(schemes.items())))]
+    assert told[0] == told[1]
+    assert len(told[0]) == 1
 
 
 def test_codes_of_uneven_exposures_tell_blur():

@@ -98,6 +98,9 @@ def test_a_bench_finds_the_true_reading(
     assert one.gain_uncertainty / nine.gain_uncertainty == pytest.approx(3, rel=0.02)
     assert nine.dn_per_e == pytest.approx(true.dn_per_e, rel=0.01)
     assert nine.read_noise_dn == pytest.approx(true.read_noise_dn, rel=0.01)
+    # A mean of 16 darks and 3072 readings, to five of its standard errors.
+    error_dn = nine.read_noise_dn / np.sqrt(16 * nine.black_dn.size)
+    assert np.mean(nine.black_dn - true.black_dn) == pytest.approx(0, abs=5 * error_dn)
     # All that a kernel gathers, with the noise of a fit: own light most of all.
     inner = (slice(4, -4), slice(4, -4))
     off = nine.crosstalk[inner] - true.crosstalk[inner]
