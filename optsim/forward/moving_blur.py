@@ -20,7 +20,7 @@ from optsim.forward.compiled import FEW
 from optsim.forward.field_blur import FieldPsf, uniform
 from optsim.forward.moving_psf import MovingPsf, divided
 from optsim.forward.pixel_splines import draw, spread
-from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip
+from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
 from optsim.forward.tile_blur import collect_tile
 from optsim.quantities import Block, Floats, Ints
 
@@ -114,9 +114,8 @@ class _Collector(NamedTuple):
 
 
 def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
-    whole = psf.whole.astype(np.float32)
-    nodes = whole if len(whole) > 1 else np.tile(whole, (2, 2, 1, 1))
-    cells = len(nodes) - 1
+    nodes = factors_of_kernels(psf.whole)
+    cells = max(len(nodes) - 1, 1)
     borders = _borders(grid.cols, grid.margin, cells * max(1, -(-grid.cols // (cells * _COLS))))
 
     def strips(target: Patch) -> list[tuple[int, int]]:

@@ -119,32 +119,51 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
     _draw(pixels.excess, shares, row - pixels.row * pitch, col - pixels.col * pitch, fine)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def draw_row(line: Floats | Doubles, shares: Floats | Doubles, drawn: Floats | Doubles) -> None:
     """Fill a row of fine samples from a row of pixels with one more on either side."""
-    pitch = len(shares)
+    pitch = np.uint64(shares.shape[0])
     for k in range(pitch):
-        before, own, after = shares[k]
-        for u in range(len(line) - 2):
-            drawn[u * pitch + k] = before * line[u] + own * line[u + 1] + after * line[u + 2]
+        before, own, after = shares[k, 0], shares[k, 1], shares[k, 2]
+        for u in range(np.uint64(line.shape[0] - 2)):
+            drawn[u * pitch + k] = (
+                before * line[u] + own * line[u + np.uint64(1)] + after * line[u + np.uint64(2)]
+            )
 
 
 @compiled(fastmath=True)
 def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> None:
     """Fill fine samples from pixels, beyond which it is dark."""
-    n, rows, cols = pixels.shape
-    pitch, dark = len(shares), np.zeros(cols, np.float32)
+    n, cols, pitch = pixels.shape[0], pixels.shape[2], len(shares)
     line, drawn = np.zeros(cols + 2, np.float32), np.empty(cols * pitch, np.float32)
     for t in range(n):
         for y in range(fine.shape[1]):
-            v = (row + y) // pitch
-            before, own, after = shares[(row + y) % pitch]
-            above, below = pixels[t, v - 1] if v > 0 else dark, pixels[t, v + 1] if v < rows - 1 else dark
-            here, middle = pixels[t, v], line[1:-1]
-            for u in range(cols):
-                middle[u] = before * above[u] + own * here[u] + after * below[u]
+            _rows_between(pixels, t, (row + y) // pitch, shares, (row + y) % pitch, line)
             draw_row(line, shares, drawn)
-            fine[t, y] = drawn[col : col + fine.shape[2]]
+            _copy(drawn, col, fine, t, y)
+
+
+@compiled(fastmath=True, makes_arrays=False)
+def _rows_between(pixels: Floats, t: int, v: int, shares: Floats, k: int, line: Floats) -> None:
+    """Fill a row of pixels at a place in row v, after the first."""
+    rows, cols, own = pixels.shape[1], np.uint64(pixels.shape[2]), np.uint64(v)
+    above, below = np.uint64(max(v - 1, 0)), np.uint64(min(v + 1, rows - 1))
+    from_above = shares[k, 0] if v > 0 else np.float32(0)
+    from_below = shares[k, 2] if v < rows - 1 else np.float32(0)
+    share, instant = shares[k, 1], np.uint64(t)
+    for u in range(cols):
+        line[u + np.uint64(1)] = (
+            from_above * pixels[instant, above, u]
+            + share * pixels[instant, own, u]
+            + from_below * pixels[instant, below, u]
+        )
+
+
+@compiled(makes_arrays=False)
+def _copy(drawn: Floats, first: int, fine: Floats, t: int, y: int) -> None:
+    instant, row = np.uint64(t), np.uint64(y)
+    for x in range(np.uint64(fine.shape[2])):
+        fine[instant, row, x] = drawn[np.uint64(first) + x]
 
 
 @compiled(fastmath=True)
