@@ -205,7 +205,7 @@ def test_a_flat_that_moves_has_flat_wings_to_the_edge_of_any_panel():
     """A panel of 101 x 135 pixels, no whole number of coarse cells: the light goes on beyond its edge."""
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
     _, wings = cut_softly(uniform(kernel), 17)
-    far = far_light(np.ones((2, 303, 405)), make_wings(wings, 3, (303, 405)), 3)
+    far = far_light(np.ones((2, 303, 405), np.float32), make_wings(wings, 3, (303, 405)), 3)
     # Compiled loops spread light to pixels in single precision.
     np.testing.assert_allclose(far, wings.sum(), rtol=1e-6)
 

@@ -236,7 +236,7 @@ def tie_sums(keys: Floats, sums: Floats, cells: Floats, least: Floats, first: in
 
 
 # What is called most takes whole arrays and a row: each slice would cost two atomic counts.
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _open_cells(
     seen: Seen,
     p: int,
@@ -277,7 +277,7 @@ def _open_cells(
                 cells[p * pitch + i, (begin + u) * pitch + k] = room[2, u]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Floats) -> None:
     """Find where pixels are going to, and how far they are from there.
 
@@ -290,7 +290,7 @@ def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Fl
             step[r, u] = way if abs(way) > _SETTLED_RAD else np.float32(0)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after: Floats, r: int) -> None:
     """Retardance of a row of pixels after a time; at once where a constant is nothing, but not in no time."""
     still, cols = 0.0 if time_s > 0 else 1.0, step.shape[1]
@@ -301,7 +301,7 @@ def _relax_row(target: Floats, step: Floats, taus: Doubles, time_s: float, after
     after[r, 0], after[r, cols + 1] = after[r, 1], after[r, cols]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _mix_rows(shares: Floats, i: int, rows: Floats, p: int, first: int, n: int, to: Floats, at: int) -> None:
     """Mix parts of three rows."""
     begin, before, own, after = np.uint64(first), shares[i, 0], shares[i, 1], shares[i, 2]
@@ -311,7 +311,7 @@ def _mix_rows(shares: Floats, i: int, rows: Floats, p: int, first: int, n: int, 
         )
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _mean_rows(means: Floats, i: int, rows: Floats, p: int, first: int, n: int, to: Floats, at: int) -> None:
     """Weighted sum of parts of rows, of which there are three or more."""
     _mix_rows(means, i, rows, p, first, n, to, at)
@@ -322,20 +322,20 @@ def _mean_rows(means: Floats, i: int, rows: Floats, p: int, first: int, n: int, 
             to[at, u] += share * rows[p + a, begin + u]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _add(total: Floats, r: int, share: np.floating, part: Floats, at: int) -> None:
     for u in range(total.shape[1]):
         total[r, u] += share * part[at, u]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _add_cosines(total: Floats, at: int, line: Floats, shares: Floats, b: int, weight: np.floating) -> None:
     before, own, after = shares[b, 0], shares[b, 1], shares[b, 2]
     for u in range(total.shape[1]):
         total[at, u] += weight * _cosine(before * line[0, u] + own * line[0, u + 1] + after * line[0, u + 2])
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, makes_arrays=False)
 def _add_own_cosines(total: Floats, now: Floats, r: int, weight: np.floating) -> None:
     for u in range(total.shape[1]):
         total[r, u] += weight * _cosine(now[r, u])

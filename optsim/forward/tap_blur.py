@@ -118,6 +118,10 @@ def collect_strip(
     # Of each instant: the columns that collect anything, and where they begin in the lines.
     reached, begin = np.empty((n, 2), np.int64), np.zeros(n + 1, np.int64)
     light_of = _light_of_columns(light, first - half, end + half)
+    # Rows of the lines that may be lit; beyond the field the light of its border goes on.
+    begins, ends = light.row == 0, light.row + light.excess.shape[1] == grid.rows
+    top = 0 if begins else max(light.row - first + half, 0)
+    bottom = tall if ends else min(light.row + light.excess.shape[1] - first + half, tall)
     for tile in range(borders.size - 1):
         start, stop = borders[tile], borders[tile + 1]
         for t in range(n):
@@ -139,7 +143,8 @@ def collect_strip(
         hats[0] = 1 - hats[1]
         for y in range(first, end):
             _kernels_between(all_nodes, _place(y, grid.rows, grid.margin, n_nodes), node, all_own)
-            _add_products(of_light, y - first, own, totals, length)
+            taps_down = max(top - (y - first), 0), min(bottom - (y - first), side)
+            _add_products(of_light, y - first, taps_down, own, totals, length)
             _put_together(totals, len(own), length, sums)
             _weigh(sums, begin, hats, start, reached, target, y)
 
@@ -226,8 +231,10 @@ def _factors_of_light(lines: Floats, factors: Floats) -> None:
 
 
 @compiled(fastmath=True, makes_arrays=False)
-def _add_products(factors: Floats, first: int, kernels: Floats, totals: Floats, length: int) -> None:
-    """Sum the products of a row, with one kernel or two.
+def _add_products(
+    factors: Floats, first: int, taps_down: tuple[int, int], kernels: Floats, totals: Floats, length: int
+) -> None:
+    """Sum the products of a row, with one kernel or two; of taps from the first to before the last of two.
 
     Several taps of both kernels at a time: light is read, and sums are written, that much more seldom.
     """
@@ -235,7 +242,7 @@ def _add_products(factors: Floats, first: int, kernels: Floats, totals: Floats, 
     for p in range(np.uint64(9)):
         for x in range(n):
             totals[0, p, x] = totals[1, p, x] = 0
-        for a in range(np.uint64(kernels.shape[2])):
+        for a in range(np.uint64(taps_down[0]), np.uint64(max(taps_down))):
             y = np.uint64(first) + a
             for b in range(np.uint64(0), np.uint64(kernels.shape[3]), np.uint64(_TAPS)):
                 b1, b2, b3 = b + np.uint64(1), b + np.uint64(2), b + np.uint64(3)

@@ -62,9 +62,9 @@ def line_ends(n: int) -> Doubles:
     return np.stack([1 / n - slope, 1 / n + slope])
 
 
-def moving_ends(segment: Segment) -> Doubles:
-    """Find the ends of straight lines through all moving light of a segment: array (2, y, x), float64."""
-    ends = np.zeros((2, *segment.start.shape))
+def moving_ends(segment: Segment) -> Floats:
+    """Find the ends of straight lines through all moving light of a segment: array (2, y, x), float32."""
+    ends = np.zeros((2, *segment.start.shape), np.float32)
     lines = line_ends(segment.n_instants).astype(np.float32)
     for block in segment.blocks:
         _, height, width = block.excess.shape
@@ -78,7 +78,7 @@ def moving_ends(segment: Segment) -> Doubles:
 
 # Not BLAS: after a product its threads wait for the next one at full speed, in the way of all others.
 @compiled(fastmath=True)
-def _add_lines(ends: Doubles, excess: Floats, lines: Floats, top: int, bottom: int) -> None:
+def _add_lines(ends: Floats, excess: Floats, lines: Floats, top: int, bottom: int) -> None:
     width = excess.shape[2]
     start, stop = np.empty(width, np.float32), np.empty(width, np.float32)
     for y in range(top, bottom):
@@ -205,12 +205,12 @@ def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None
     return coarse_kernel(wings, pitch) if wings.any() else None
 
 
-def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
+def far_light(ends: Floats, wings: tuple[Ring, ...], pitch: int) -> Doubles:
     """Light in the wings of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
 
     Parameters
     ----------
-    ends : ndarray of shape (2, y, x), float64
+    ends : ndarray of shape (2, y, x), float32
         From :func:`moving_ends`.
     wings : tuple of Ring
         From :func:`make_wings`, at least one.
@@ -221,12 +221,12 @@ def far_light(ends: Doubles, wings: tuple[Ring, ...], pitch: int) -> Doubles:
     return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
 
 
-def _spline_means(image: Doubles, pitch: int) -> Doubles:
+def _spline_means(image: Floats, pitch: int) -> Doubles:
     """Mean of an image under the spline of each panel pixel, (v, u); beyond its border it goes on."""
     if image.size < FEW:
-        return fine_image_adjoint(image, splines(pitch)) / pitch**2
+        return fine_image_adjoint(image.astype(np.float64), splines(pitch)) / pitch**2
     around = Grid(image.shape[0] // pitch + 2, image.shape[1] // pitch + 2, 1)
-    found = spread(Patch(image[None].astype(np.float32), 0, 0), pitch, around).excess[0, 2:-2, 2:-2]
+    found = spread(Patch(image[None], 0, 0), pitch, around).excess[0, 2:-2, 2:-2]
     return found.astype(np.float64) / pitch**2
 
 
