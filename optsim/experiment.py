@@ -307,7 +307,9 @@ def load_experiment(
         try:
             experiment.at_work().geometry().check()
         except GeometryError as error:
-            raise GeometryError(f"after drift {experiment.drift}: {error}") from None
+            parts = cast("dict[str, dict[str, object]]", experiment.drift)
+            now = ", ".join(f"{part}.{key} = {v}" for part, to in parts.items() for key, v in to.items())
+            raise GeometryError(f"after drift of {now}: {error}") from None
     return experiment
 
 

@@ -202,6 +202,11 @@ def show(record: dict[str, Any]) -> list[object]:
             f"latency of {latency['chosen_frames']} is hypothetical: the smallest physical one is "
             f"{latency['frames']} frames"
         )
+    if not latency["keeps_up"]:
+        items.append(
+            f"frames every {latency['period_s'] * 1e3:.3g} ms are hypothetical: this CCD takes "
+            f"{latency['readout_s'] * 1e3:.3g} ms to read one; raise camera.slots_per_frame"
+        )
     if short := too_short(latency["n_frames"], latency["chosen_frames"]):
         items.append(short)
     known = cast("dict[str, str]", record["calibrations"])

@@ -87,8 +87,9 @@ class GeometryReport:
                 problems.append(
                     f"camera.panel_{axis} = {used} at {self.ratio:.4g} CCD pixels a panel pixel needs "
                     f"{used * self.ratio:.1f} {axis} and falls {-margin:.1f} off a side of "
-                    f"camera.sensor.{axis} = {ccd}; at most {largest} fit, or lower "
-                    "camera.relay.magnification, shift, rotation, keystone or distortion"
+                    f"camera.sensor.{axis} = {ccd}; at most {largest} fit when centred and "
+                    "upright: take fewer, or lower camera.relay.magnification, shift, rotation, keystone or "
+                    "distortion"
                 )
         return problems
 
@@ -136,6 +137,8 @@ class LatencyReport:
         Time between the end of the exposure and the end of the period.
     period_s : float
         Period of coded frames.
+    keeps_up : bool
+        Whether a frame is read before the next exposure ends: readout is no longer than a period.
     sources : str
         Where the times come from.
     """
@@ -147,6 +150,7 @@ class LatencyReport:
     display_s: float
     slack_s: float
     period_s: float
+    keeps_up: bool
     sources: str = (
         "readout: published table for this camera model; transfer: unsourced, 350 MB/s; "
         "computation: unsourced assumption; display: one 60 Hz DVI frame"
@@ -160,4 +164,7 @@ def latency_report(
     transfer_s = 2 * ccd_pixels / LINK_BYTES_S
     total = readout_s + transfer_s + computation_s + DVI_FRAME_S
     frames = 1 + max(0, math.ceil((total - slack_s) / period_s - 1e-9))
-    return LatencyReport(frames, readout_s, transfer_s, computation_s, DVI_FRAME_S, slack_s, period_s)
+    keeps_up = readout_s <= period_s * (1 + 1e-9)
+    return LatencyReport(
+        frames, readout_s, transfer_s, computation_s, DVI_FRAME_S, slack_s, period_s, keeps_up
+    )

@@ -314,6 +314,13 @@ def test_the_smallest_latency_adds_up_readout_transfer_computation_and_display()
     assert sequential.smallest_latency_frames(computation_s=0.16).frames == 2
 
 
+@pytest.mark.parametrize(("slots", "enough"), [(7, False), (8, True)])
+def test_a_readout_that_outlasts_a_period_is_told(slots, enough):
+    # 39.1 ms are 7.04 slots.
+    report = prototype().model_copy(update={"slots_per_frame": slots}).smallest_latency_frames()
+    assert report.keeps_up == enough
+
+
 def test_what_does_not_belong_to_this_camera_is_refused_with_the_keys():
     camera = small()
     with pytest.raises(ValueCheckError, match=r"camera\.panel_rows"):

@@ -101,6 +101,12 @@ def test_explain_says_when_the_steady_phase_is_never_reached(cli, n_frames: int,
     assert ("take 6 or more (n_frames)" not in " ".join(out.split())) == enough
 
 
+@pytest.mark.parametrize("slots", [6, 9])
+def test_explain_says_when_the_ccd_cannot_keep_up(cli, slots: int) -> None:
+    _, out, _ = cli("explain", "demo", "--set", f"camera.slots_per_frame={slots}")
+    assert ("39.1 ms to read one" in " ".join(out.split())) == (slots == 6)
+
+
 def test_explain_shows_what_does_not_fit(cli) -> None:
     code, out, _ = cli("explain", "paper_prototype", "--set", "camera.relay.magnification=0.681")
     assert code == 2

@@ -78,7 +78,7 @@ def test_what_drifts_after_calibration_is_in_the_frames_and_decoders_do_not_know
     ("drift", "message"),
     [
         ("relay.shfit_x_px=1", r"drift: .*\n.*relay\.shfit_x_px: unknown key; did you mean 'shift_x_px'"),
-        ("relay.shift_x_px=400", r"after drift .*shift_x_px.* at most"),
+        ("relay.shift_x_px=400", r"after drift of relay\.shift_x_px = 400: .* at most 162 fit when centred"),
         ("objective.focal_length_m=20e-3", r"drift\.objective: got one.*let the relay"),
         ("sensor.rows=400", r"drift: got .*size of the CCD"),
         ("modulator.field_rate_hz=90", r"drift: got .*the timing"),
