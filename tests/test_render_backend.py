@@ -1,5 +1,6 @@
 """Choosing a backend: nothing is imported early, nothing aborts, and errors carry the cure."""
 
+import os
 import subprocess
 import sys
 
@@ -48,6 +49,25 @@ def test_a_bad_library_is_caught_in_the_subprocess(tmp_path):
     attempt = backend.probe("llvm_ad_mono", str(library))
     assert not attempt.works
     assert attempt.message
+
+
+@pytest.mark.parametrize("chosen", ["", "/opt/good/libLLVM.so.20"])
+def test_a_library_that_failed_its_probe_is_not_used_after_all(chosen):
+    """The one in the environment failed; Dr.Jit's own search (""), or another library, did not."""
+    code = f"""
+import os, sys
+from types import SimpleNamespace
+from optsim.render import backend
+sys.modules["mitsuba"] = SimpleNamespace(variant=lambda: "llvm_ad_mono")
+backend.choose_backend = lambda _: backend.BackendReport("llvm_ad_mono", {chosen!r}, False, "", ())
+backend.activate()
+print(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
+"""
+    environment = os.environ | {"DRJIT_LIBLLVM_PATH": "/opt/broken/libLLVM.so.23"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == chosen
 
 
 @pytest.mark.parametrize(

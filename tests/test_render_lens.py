@@ -78,9 +78,10 @@ def test_a_pinhole_neither_focuses_nor_takes_random_numbers():
     scene = room()
     plain = Stage(scene, VIEW).radiance(PIXELS, 4, (1,))
     focused = Stage(scene, replace(VIEW, focus_m=1.0, defocus_per_m=1.0)).radiance(PIXELS, 4, (1,))
-    np.testing.assert_array_equal(plain, focused)
+    np.testing.assert_allclose(focused, plain, rtol=1e-6)
     tiny = Stage(scene, replace(VIEW, aperture_m=1e-6)).radiance(PIXELS, 4, (1,))
-    assert not np.array_equal(plain, tiny), "a lens takes two more of a path's random numbers"
+    changed = np.mean(np.abs(tiny - plain) > 1e-3 * plain)
+    assert changed > 0.1, "a lens takes two more of a path's random numbers"
 
 
 def test_constant_radiance_stays_what_it_is():

@@ -159,7 +159,7 @@ def test_lamps_and_random_numbers_do_not_depend_on_movers():
     stages[1].pose(0.37)
     images = [stage.radiance(PIXELS, 16, (1, 2)) for stage in stages]
     assert images[0].mean() > 0.01
-    np.testing.assert_array_equal(images[2], images[0])
+    np.testing.assert_allclose(images[2], images[0], rtol=1e-4)
     # Embree may break ties along shared edges another way with one more shape.
     assert np.mean(np.abs(images[1] - images[0]) > 1e-5 * images[0].mean()) < 0.002
     ids = [[str(shape.id()) for shape in s._loaded.shapes() if shape.is_emitter()] for s in stages]

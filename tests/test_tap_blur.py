@@ -33,8 +33,9 @@ def test_kernels_of_every_size_collect_what_is_around(half):
     assert not found[2].any()
 
 
-def test_kernels_of_nodes_are_interpolated_at_every_row_and_column():
-    kernels = RNG.random((3, 3, 7, 7)) / 49
+@pytest.mark.parametrize("half", [3, LARGEST_TAPS])
+def test_kernels_of_nodes_are_interpolated_at_every_row_and_column(half):
+    kernels = RNG.random((3, 3, 2 * half + 1, 2 * half + 1)) / (2 * half + 1) ** 2
     excess = RNG.normal(0, 1, (2, *FIELD)).astype(np.float32)
     found = collected(kernels, excess, [0, 20, 42, 60, FIELD[1]])
     hats_y, hats_x = (
@@ -45,3 +46,20 @@ def test_kernels_of_nodes_are_interpolated_at_every_row_and_column():
         of_node = [ndimage.correlate(image.astype(float), kernels[i, j], mode="nearest") for image in excess]
         exact += hats_y[i][:, None] * hats_x[j] * np.stack(of_node)
     np.testing.assert_allclose(found[:, 5:47], exact[:, 5:47], atol=2e-6)
+
+
+def test_light_that_touches_no_border_is_collected_to_its_last_row():
+    """Among it the rows that only the light's own first or last row reaches."""
+    half, rows, cols = 4, slice(20, 31), slice(30, 45)
+    kernel = RNG.random((2 * half + 1, 2 * half + 1))
+    field = np.zeros(FIELD)
+    field[rows, cols] = RNG.random((11, 15))
+    light = Patch(field[None, rows, cols].astype(np.float32), rows.start, cols.start)
+    target = Patch(np.zeros((1, *FIELD), np.float32), 0, 0)
+    nodes, borders = factors_of_kernels(kernel[None, None]), np.array([0, 40, FIELD[1]])
+    for first in range(0, FIELD[0], 25):
+        collect_strip(light, Grid(*FIELD), nodes, borders, target, first, min(first + 25, FIELD[0]))
+    exact = ndimage.correlate(field, kernel, mode="nearest")
+    assert exact[rows.start - half].any()
+    assert exact[rows.stop + half - 1].any()
+    np.testing.assert_allclose(target.excess[0], exact, atol=3e-5)

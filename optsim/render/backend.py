@@ -132,8 +132,11 @@ def choose_backend(backend: str | None = None) -> BackendReport:
 def activate(backend: str | None = None) -> BackendReport:
     """Choose a backend and make it Mitsuba's variant in this process."""
     report = choose_backend(backend)
-    if report.library and "drjit" not in sys.modules:
-        os.environ["DRJIT_LIBLLVM_PATH"] = report.library
+    if "drjit" not in sys.modules:
+        # Also away with one that failed its probe where Dr.Jit's own search did not.
+        os.environ.pop("DRJIT_LIBLLVM_PATH", None)
+        if report.library:
+            os.environ["DRJIT_LIBLLVM_PATH"] = report.library
     import mitsuba as mi
 
     if mi.variant() != report.variant:

@@ -61,4 +61,17 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
     known = [name for name in names if hit is not True or material.has_attribute(name, True)]
     albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
     normal, flat = surface.sh_frame.n, surface.n
-    return FirstHit(first.t, first.shape_index, first.prim_index, first.prim_uv, normal, flat, albedo)
+    shape = first.shape_index if hit is True else _shape_index(mi, loaded, first, hit)
+    return FirstHit(first.t, shape, first.prim_index, first.prim_uv, normal, flat, albedo)
+
+
+def _shape_index(mi: Any, loaded: Any, first: Any, hit: Any) -> Any:
+    """Place in ``loaded.shapes()``, by the shapes themselves: OptiX leaves Embree's ``shape_index`` 0."""
+    import drjit as dr
+
+    shapes: Any = dr.reinterpret_array(mi.UInt32, loaded.shapes_dr())
+    pointers = np.asarray(shapes.numpy())
+    index = np.zeros(pointers.max() + 1, np.uint32)
+    index[pointers] = np.arange(pointers.size)
+    met: Any = dr.reinterpret_array(mi.UInt32, first.shape)
+    return dr.gather(mi.UInt32, mi.UInt32(index), met, hit)

@@ -141,7 +141,9 @@ class Stage:
     def paths(self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0) -> Doubles:
         """Mean radiance over random paths, bitwise the same whatever else is asked for in the same call.
 
-        The scalar fallback knows only whole pictures, with Mitsuba's own sampler.
+        Another call or process repeats it bitwise with LLVM; with CUDA to a few 1e-8, and rarely a path ends
+        elsewhere (seen on an H100; compare Mitsuba issue 1938). The scalar fallback knows only whole
+        pictures, with Mitsuba's own sampler.
 
         Parameters
         ----------
