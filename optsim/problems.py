@@ -138,11 +138,13 @@ def _right_key(part: type[BaseModel], place: _Place) -> str:
     near = (
         begun
         or difflib.get_close_matches(name, own, n=1, cutoff=0.7)
-        or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.7)
+        # Elsewhere only a name that is all but the same.
+        or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.85)
     )
-    if not near or (near[0] == name and len(paths[name]) > _PLACES):
+    # Of a name elsewhere the whole key.
+    meant = near if near and near[0] in own else paths[near[0]] if near else []
+    if not 0 < len(meant) <= _PLACES:
         return f"keys here are: {', '.join(dict.fromkeys(own))}"
-    meant = paths[name] if near[0] == name else near
     return f"did you mean {' or '.join(repr(m) for m in meant)}?"
 
 

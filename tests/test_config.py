@@ -121,6 +121,11 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
         ("camera.overlap=3", "camera.overlap: got 3, expected true or false"),
         ("calibration=tru", "did you mean 'true'?"),
         ("camera.relay.shift_x=1", "shift_x: unknown key; did you mean 'shift_x_px'?"),
+        ("camera.relay.ratio=3", "ratio: unknown key; keys here are: "),
+        (
+            "camera.drive_exponant=1",
+            "drive_exponant: unknown key; did you mean 'camera.modulator.drive_exponent'?",
+        ),
         (
             "methods.random.calibration=iedal",
             "methods.random.calibration: got 'iedal', expected one of: bench, true, ideal; did you mean",
