@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, cast, get_args
+from typing import Any, NamedTuple, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -17,6 +17,7 @@ _PLACES = 3
 # What pydantic calls a field's type, and what somebody who writes TOML calls it.
 _WORDS = {
     "bool": "true or false",
+    "dict": "a table",
     "float": "a number",
     "int": "a whole number",
     "string": "a text",
@@ -165,7 +166,9 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
         name = None if isinstance(step, str) or location[-1] == "name" else _inside(value, "name")
         keys.append(str(name or step))
         path += [step] if isinstance(step, str) else []
-        if isinstance(step, str):
+        if field and get_origin(field.annotation) is dict:
+            field = None  # a name that somebody gave a part, not a key of one
+        elif isinstance(step, str):
             owners = inside
             fields = [p.model_fields[step] for p in owners if step in p.model_fields]
             field = fields[0] if fields else None

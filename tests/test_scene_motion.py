@@ -231,7 +231,8 @@ def test_a_keyframed_body_is_rigid_pure_and_splits_by_material():
         ({"times_s": [0, 1], "yaw_rad": [0, 3], "repeat": True}, "whole number"),
         ({"repeat": True}, "at least two"),
         ({"interpolation": "cubic"}, "interpolation"),
-        ({"spin": 3}, "did you mean"),
+        ({"spin": 3}, r"movers\.m\.spin: unknown key; did you mean 'spin_hz'\?"),
+        ({"turn": 3}, r"movers\.m\.turn: unknown key; keys here are: kind, .*times_s"),
     ],
 )
 def test_bad_keyframes_are_explained(keys, message):
