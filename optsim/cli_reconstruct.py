@@ -67,6 +67,7 @@ def reconstruct_files(
             page.print(table("PSNR", ("coded image", "dB"), rows))
         if not record["valid_share"]:
             people.print(
-                "No pixel is valid: what is written is a guess. A code that opens none measures nothing."
+                "No pixel is valid: each is dead or saturated, or its code never opens it. "
+                "What is written is a guess."
             )
         people.print(f"Wrote {folder}")

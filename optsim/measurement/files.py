@@ -115,8 +115,11 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
     """
     if path.suffix.lower() in _ARRAYS:
         there = array_names(path)
+        # Image and code must be there: where they are read it is said what is there instead.
         table: dict[str, Any] = {
-            role: str(path) for role, names in _NAMES.items() if any(name in there for name in names)
+            role: str(path)
+            for role, names in _NAMES.items()
+            if role in ("image", "code") or any(name in there for name in names)
         }
         folder = Path()
     elif path.is_dir():
