@@ -73,8 +73,10 @@ NOT_MODELLED: tuple[str, ...] = (
     "ghosts of the objective; glare is uniform",
     "light that thin panes polarise; the crossed component that the splitter lets in; stress birefringence",
     "dispersion of glass and liquid crystal; reflectivities and transmissions by band, but for the coating's",
-    "twist of the liquid crystal; ripple of the panel's light (the effect fields is of its drive, which "
-    "white hardly shows)",
+    "twist of the liquid crystal",
+    "ripple of the panel's light: with whole periods in a slot, as at the field rate, it changes no mean of "
+    "a slot in which the panel stands still; slower, 1 % of it is up to 1 % of a slot (the effect fields is "
+    "of the drive, which white hardly shows)",
     "what the splitter in collimated space takes from rows beside the middle: 1.2 % of white 5 mm off",
     "the error of the panel's grey curve beyond its exponent",
     "light that the relay's PSF throws beyond the panel's image",
