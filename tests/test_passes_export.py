@@ -60,8 +60,9 @@ def test_a_slot_holds_its_mean_radiance_and_the_passes_of_its_middle(experiment,
         if name == "Y":
             np.testing.assert_allclose(channels[name], expected, rtol=1e-6)
         else:
-            # Rays along an edge may take either side.
-            assert np.mean(channels[name] != expected) < 0.003, name
+            # Rays along an edge may take either side; a graphics card rounds each time anew.
+            same = np.isclose(channels[name], expected, rtol=1e-4, atol=1e-5)
+            assert np.mean(~same) < 0.003, name
     assert {*channels} == {*channels_of(passes, channels["Y"], channels["Y.sigma"])}
     assert said["times_s"] == pytest.approx([7.5 * slot_s, 8.5 * slot_s, 9.5 * slot_s], abs=1e-12)
     assert (said["slot_start_s"], said["slot_stop_s"]) == pytest.approx((8 * slot_s, 9 * slot_s))

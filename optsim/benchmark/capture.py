@@ -82,12 +82,12 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
     for done, tolerance in enumerate((_TOLERANCE, *_FURTHER_TOLERANCES)):
         planned = planned_for(RandomBinary(), tolerance)
         seconds[tolerance] = _seconds_a_frame(planned, radiance, code, _ROUNDS if tolerance else 1)
+        if tolerance == _TOLERANCE:
+            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         expected, _ = planned.expected_electrons(
             planned.form_image(radiance), 0, code, planned.panel_at_rest()
         )
         frames[tolerance] = _signal(planned, expected)
-        if tolerance == _TOLERANCE:
-            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         progress("optsim", done + 1, 1 + len(_FURTHER_TOLERANCES))
     adaptive = MotionAdaptive()
     shown = _adaptive_code(camera, adaptive, share)
