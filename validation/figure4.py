@@ -2,19 +2,24 @@
 
 ``make figure4`` runs the preset ``figure4`` on each scene (about an hour on two cores, half of it when the
 truth is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its
-own (:mod:`optsim.own_f_number`). Nothing is asserted: what was registered before measuring
-(:mod:`optsim.metrics.hypothesis`) is printed with its verdict, whichever it is. The priors were trained on
-none of these scenes; ``half_moving`` shares some textures with the training scene, the others do not but for
-stripes.
+own (:mod:`optsim.own_f_number`). Stopped, the same command goes on: what a scene gave is kept until the code
+changes. Nothing is asserted: what was registered before measuring (:mod:`optsim.metrics.hypothesis`) is
+printed with its verdict, whichever it is. The priors were trained on none of these scenes; ``half_moving``
+shares some textures with the training scene, the others do not but for stripes.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
-from optsim.experiment import load_experiment
+from kept import kept
+
+from optsim.experiment import Experiment, load_experiment
 from optsim.files import write_text
 from optsim.job import execute, run_folder
 from optsim.own_f_number import OwnLight, compare
@@ -24,7 +29,7 @@ from optsim.report.schema import Phase, Results, Score, Verdict
 from optsim.truth import render_truth
 
 SCENES = ("window_room", "half_moving", "night_street")
-OUT = Path("reports") / "figure4.md"
+OUT, RUNS = Path("reports") / "figure4.md", Path("reports") / "runs"
 _METRICS = (("PU21-PSNR", "dB"), ("log-RMSE", "stops"))
 _REGIONS = ("moving", "static", "all")
 _HEADS = tuple(f"{region}, {unit}" for _, unit in _METRICS for region in _REGIONS)
@@ -40,12 +45,20 @@ def main(names: list[str]) -> None:
     parts = [_HEAD]
     for name in names or SCENES:
         experiment = load_experiment("figure4", [f"scene.name={name}"])
-        folder = run_folder(experiment, Path("reports") / "runs" / f"figure4-{name}")
-        results = execute(experiment, folder, command="make figure4", progress=_say)
-        own = compare(experiment, render_truth(experiment), progress=_say)
-        parts += [section(results), own_section(own)]
+        folder = RUNS / f"figure4-{name}"
+        results = kept(RUNS / f"{folder.name}.json", experiment, partial(_run, experiment, folder))
+        own = kept(RUNS / f"{folder.name}-own.json", experiment, partial(_compare, experiment))
+        parts += [section(cast("Results", results)), own_section(OwnLight(**own))]
         write_text(OUT, "\n".join(parts))
     print(f"tables: {OUT}")
+
+
+def _run(experiment: Experiment, folder: Path) -> dict[str, Any]:
+    return execute(experiment, run_folder(experiment, folder), command="make figure4", progress=_say)
+
+
+def _compare(experiment: Experiment) -> dict[str, Any]:
+    return asdict(compare(experiment, render_truth(experiment), progress=_say))
 
 
 def section(results: Results) -> str:

@@ -9,15 +9,15 @@ left out. What is found is kept until the code changes, so that a stopped run go
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
+
+from kept import kept
 
 from optsim.effects import ALL
-from optsim.errors import OptsimError
 from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_json, write_json, write_text
-from optsim.job import versions
-from optsim.journal import run_key
+from optsim.files import write_text
 from optsim.loop import run
 from optsim.report.markdown import markdown_table
 from optsim.scoring import score
@@ -64,30 +64,24 @@ def _demo(*switches: str) -> Experiment:
 
 
 def _found(name: str, experiment: Experiment) -> Found:
-    path = KEPT / f"{name}.json"
-    key = run_key(experiment, versions())
-    try:
-        kept = cast("dict[str, Any]", read_json(path))
-    except OptsimError:
-        kept = {}
-    if kept.get("key") != key:
-        records = score(run(experiment, render_truth(experiment)))
-        steady = [r for r in records if r["phase"] == "steady"]
+    return Found(**kept(KEPT / f"{name}.json", experiment, partial(_measure, experiment)))
 
-        def of(metric: str, method: str, region: str) -> float:
-            return next(
-                float(r["value"])
-                for r in steady
-                if r["metric"].startswith(metric) and (r["method"], r["region"]) == (method, region)
-            )
 
-        kept = {
-            "key": key,
-            "db": {m: {region: of(_DB, m, region) for region in REGIONS} for m in METHODS},
-            "stops": {m: of(_STOPS, m, "all") for m in METHODS},
-        }
-        write_json(path, kept)
-    return Found(kept["db"], kept["stops"])
+def _measure(experiment: Experiment) -> dict[str, Any]:
+    records = score(run(experiment, render_truth(experiment)))
+    steady = [r for r in records if r["phase"] == "steady"]
+
+    def of(metric: str, method: str, region: str) -> float:
+        return next(
+            float(r["value"])
+            for r in steady
+            if r["metric"].startswith(metric) and (r["method"], r["region"]) == (method, region)
+        )
+
+    return {
+        "db": {m: {region: of(_DB, m, region) for region in REGIONS} for m in METHODS},
+        "stops": {m: of(_STOPS, m, "all") for m in METHODS},
+    }
 
 
 def _page(base: Found, rows: list[tuple[str, str, Found]]) -> str:
