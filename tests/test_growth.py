@@ -51,6 +51,11 @@ def test_what_is_faster_than_it_is_long_came_from_the_nearest_region():
     np.testing.assert_allclose(limit, [(0, 18)])
     _, beyond = region_displacements(boxes((10, 39)), boxes((10, 20)))
     assert np.isnan(beyond).all()
+    # The longer side is what counts: 3 x 6 pixels.
+    flat, came = boxes((10, 38)), boxes((10, 20))
+    flat[13:], came[13:] = False, False
+    np.testing.assert_allclose(region_displacements(flat, came)[1], [(0, 18)])
+    np.testing.assert_allclose(region_displacements(flat.T, came.T)[1], [(18, 0)])
 
 
 def test_the_largest_overlap_decides():

@@ -185,6 +185,10 @@ def test_pu21_psnr_by_hand() -> None:
     # the encoding needs absolute light: the same ratio a thousand times darker is another score
     darker = score(Pu21Psnr(), estimate / 1000, truth / 1000)
     assert darker - by_hand > 10
+    # Half of the pixels right: half of the squared error, a mean over all that is compared.
+    right = np.repeat(truth, 6, axis=2)
+    half = np.where(np.arange(6) < 3, right, 10).astype(np.float32)
+    assert score(Pu21Psnr(), half, right) == pytest.approx(by_hand + 10 * math.log10(2), abs=1e-5)
 
 
 def test_log_error_is_in_stops_and_knows_no_scale_above_its_offset() -> None:
