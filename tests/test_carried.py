@@ -119,6 +119,14 @@ def test_gaps_are_filled_in_time_first_and_then_in_proportion():
     assert np.isnan(filled(np.full((2, 2, 3), nan, np.float32), static, mask, 0.0)).all()
 
 
+def test_of_two_keys_as_near_the_earlier_one_fills_a_gap():
+    light = np.full((5, 2, 1), np.nan, np.float32)
+    light[[1, 3], :, 0] = [[1.0, 10.0], [2.0, 20.0]]
+    whole = filled(light, np.ones((2, 1), np.float32), np.ones((1, 1), np.bool_), 0.0)
+    np.testing.assert_array_equal(whole[:, 0, 0], [1, 1, 1, 2, 2])
+    np.testing.assert_array_equal(whole[:, 1, 0], [10, 10, 10, 20, 20])
+
+
 def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
     activate_vectorised()
     scene = load_scene("window_room")

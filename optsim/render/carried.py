@@ -224,10 +224,7 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
         Still NaN where no sample is known in any key.
     """
     known = np.logical_and(*np.moveaxis(np.isfinite(behind), 1, 0))
-    order = np.arange(len(behind))
-    distance = np.abs(order[:, None] - order)[:, :, None]
-    nearest = np.argmin(np.where(known[None], distance, len(behind)), axis=1)
-    light = np.take_along_axis(behind, nearest[:, None], axis=0)
+    light = np.take_along_axis(behind, _nearest(known)[:, None], axis=0)
     never, ever = np.flatnonzero(~known.any(axis=0)), np.zeros(mask.shape, np.bool_)
     ever[mask] = known.any(axis=0)
     if len(never) and ever.any():
@@ -239,6 +236,15 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
         about = np.maximum(static.mean(axis=0), 0) + floor
         light[:, :, never] = (light[:, :, other] + floor) * (about[never] / about[other]) - floor
     return light
+
+
+def _nearest(known: Bools) -> Ints:
+    """Nearest place along the first axis that is known, of two the earlier one; 0 where none is."""
+    n = len(known)
+    order = np.arange(n)[:, None]
+    before = np.maximum.accumulate(np.where(known, order, -n), axis=0)
+    after = np.minimum.accumulate(np.where(known, order, 2 * n)[::-1], axis=0)[::-1]
+    return np.where(known.any(axis=0), np.where(order - before <= after - order, before, after), 0)
 
 
 def between(before: Floats, after: Floats, share: float) -> Floats:
