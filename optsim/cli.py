@@ -148,6 +148,7 @@ def render(
     from optsim import job
     from optsim.console import people, progress_bars
     from optsim.experiment import load_experiment
+    from optsim.files import check_empty
     from optsim.truth import render_truth
 
     loaded = load_experiment(experiment, assignments or [])
@@ -155,6 +156,8 @@ def render(
     if (passes and out is None) or ((half or slots or further) and not passes):
         raise ConfigError("--passes needs --out DIR; --slots, --half and further channels need --passes")
     job.check(loaded, out, backend)
+    if out is not None and not passes:
+        check_empty(out)
     if passes and out is not None:
         from optsim.passes import choose_extras, export_passes, parse_slots
 
@@ -192,13 +195,14 @@ def trace(
     from optsim import job
     from optsim.console import page, progress_bars
     from optsim.experiment import load_experiment
-    from optsim.files import write_json, write_text
+    from optsim.files import check_empty, write_json, write_text
     from optsim.report.trace_plot import trace_plot
     from optsim.trace import choose_aim, show, trace_experiment
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
     aim = choose_aim(loaded, pixel, frame, method)
     folder = out or job.new_folder(f"trace-{loaded.name}")
+    check_empty(folder)
     job.check(loaded, folder, backend)
     with progress_bars() as progress:
         found = trace_experiment(loaded, aim, backend=backend, progress=progress)
@@ -225,7 +229,8 @@ def doctor(as_json: Json = False) -> None:
         print_json([asdict(f) for f in findings])
     else:
         for f in findings:
-            page.print(f"[{'green' if f.ok else 'red'}]{'ok ' if f.ok else 'BAD'}[/] {f.what}: {f.found}")
+            page.print("ok " if f.ok else "BAD", style="green" if f.ok else "red", end=" ")
+            page.print(f"{f.what}: {f.found}")
             if f.cure and not f.ok:
                 page.print(f"    cure: {f.cure}")
         page.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
@@ -297,8 +302,10 @@ def bench(
     """
     from optsim import benchmark
     from optsim.console import page, people, progress_bars, table
-    from optsim.files import write_json, write_text
+    from optsim.files import check_empty, write_json, write_text
 
+    if out is not None:
+        check_empty(out)
     with progress_bars(quiet=as_json) as progress:
         found = benchmark.measure_all(names or [], progress)
     if out is not None:

@@ -33,10 +33,10 @@ def reconstruct_files(
     """Decode coded images of any camera: light slot by slot as OpenEXR, a picture, a film and scores."""
     from optsim.config import build, override
     from optsim.console import page, people, progress_bars, table
+    from optsim.files import check_empty
     from optsim.job import new_folder
     from optsim.measurement import decode_measurement, read_measurement
     from optsim.measurement.files import DecoderChoice, measurement_files
-    from optsim.measurement.job import check_empty
     from optsim.measurement.runs import RECORD, decoder_of_run, read_run
 
     folder = out or new_folder(f"reconstruct-{measurement.stem}")

@@ -14,8 +14,9 @@ from rich.table import Table
 
 from optsim.progress import Progress
 
-people = Console(stderr=True, highlight=False, soft_wrap=True)
-page = Console(highlight=False, soft_wrap=True)
+# Brackets are part of names and paths here, never markup.
+people = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+page = Console(highlight=False, soft_wrap=True, markup=False)
 _EVERY_S = 10.0  # seconds between lines of a log
 
 

@@ -31,21 +31,44 @@ def writable_folder(place: Path, what: str, cure: str) -> Path:
     Raises
     ------
     StorageError
-        When it is a file or must not be written to; before anything long is begun.
+        When it is a file or cannot be written to; before anything long is begun.
     """
     existing = next(each for each in [place.absolute(), *place.absolute().parents] if each.exists())
     if not existing.is_dir():
         raise StorageError(f"{existing} is a file, expected a folder ({what}); {cure}")
-    if not os.access(existing, os.W_OK):
-        raise StorageError(f"{existing} is not writable ({what}); {cure}")
+    try:
+        # Permissions alone don't tell: root has them on a disk that takes nothing.
+        Path(tempfile.mkdtemp(prefix=".optsim-", dir=existing)).rmdir()
+    except OSError as error:
+        raise StorageError(
+            f"{existing} cannot be written to ({what}): {error.strerror or error}; {cure}"
+        ) from None
     return existing
+
+
+def check_empty(folder: Path) -> None:
+    """Refuse an output folder that holds something, or that could not be made.
+
+    Raises
+    ------
+    StorageError
+        With the cure.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
+    writable_folder(folder, "--out", "choose another one")
 
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Generator[Path, None, None]:
     """Yield a temporary path beside ``path``; rename it into place if the block succeeds."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part" + path.suffix, dir=path.parent)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name}.", suffix=".part" + path.suffix, dir=path.parent
+        )
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
     os.close(handle)
     temporary = Path(name)
     try:

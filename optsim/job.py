@@ -66,7 +66,9 @@ def run_folder(experiment: Experiment, out: Path | None) -> Path:
         marker = out / "experiment.json"
         if not marker.is_file():
             raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
-        if read_json(marker).get("fingerprint") != experiment.fingerprint():
+        # A run that was refused before it made anything leaves its statement behind: that binds nobody.
+        begun = any(item != marker for item in out.iterdir())
+        if begun and read_json(marker).get("fingerprint") != experiment.fingerprint():
             raise StorageError(
                 f"--out {out} holds a run of another experiment; choose another folder, "
                 "or run that experiment (its resolved form is in experiment.json)"

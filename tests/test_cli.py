@@ -1,6 +1,7 @@
 """The command line: good input, wrong input, exit codes, and nothing rendered before input is checked."""
 
 import json
+import re
 import subprocess
 import sys
 from io import StringIO
@@ -151,6 +152,23 @@ def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None
     assert code == 2
     assert "another experiment" in err
     assert (other / "precious.txt").read_text() == "mine"
+    for command in (["render", "demo"], ["trace", "demo", "--pixel", "1,1"], ["bench"]):
+        code, _, err = cli(*command, "--out", str(other))
+        assert code == 2
+        assert "not an empty folder" in err
+
+
+def test_a_folder_of_a_run_that_made_nothing_is_free(cli, tmp_path: Path) -> None:
+    (tmp_path / "experiment.json").write_text('{"fingerprint": "0"}')
+    assert cli("run", "demo", "--dry-run", "--out", str(tmp_path))[0] == 0
+
+
+def test_a_place_that_takes_no_file_is_refused_before_any_work(cli) -> None:
+    for command in (["run", "demo"], ["render", "demo"], ["init", "demo"], ["reconstruct", "a.npz"]):
+        code, _, err = cli(*command, "--out", "/proc/none/here")
+        assert code == 2
+        assert "/proc" in err
+        assert re.search("cannot (be )?writ", err)
 
 
 def test_init_copies_a_preset_that_loads_and_never_overwrites(cli, tmp_path: Path) -> None:

@@ -33,3 +33,11 @@ def test_who_wants_no_remarks_gets_none(said: list[str]) -> None:
     with console.progress_bars(quiet=True) as progress:
         progress("movers", 1, 1)
     assert not said
+
+
+def test_brackets_are_text_in_lines_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    console.page.print("interior pu21_psnr [banding_glare, peak=256] in runs[a]")
+    console.page.print(console.table("of [b]", ("what [c]",), [("one [d]",)]))
+    out = capsys.readouterr().out
+    assert "[banding_glare, peak=256] in runs[a]" in out
+    assert all(f"[{letter}]" in out for letter in "bcd")

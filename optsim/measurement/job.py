@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from optsim.errors import ConfigError, StorageError
-from optsim.files import atomic, write_exr, write_json, write_png8
+from optsim.errors import ConfigError
+from optsim.files import atomic, check_empty, write_exr, write_json, write_png8
 from optsim.measurement.coded import Measurement
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Bytes, Floats, Reconstruction
@@ -103,18 +103,6 @@ def decode_measurement(
     }
     write_json(folder / "results.json", record)
     return record
-
-
-def check_empty(folder: Path) -> None:
-    """Refuse a folder that holds something.
-
-    Raises
-    ------
-    StorageError
-        With the cure.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
 
 
 def _opened(measurement: Measurement, index: int) -> Bools:
