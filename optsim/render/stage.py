@@ -109,6 +109,8 @@ class Stage:
         import drjit as dr
         import mitsuba as mi
 
+        # Launches of another pose are of other sizes: what Dr.Jit keeps of the last ones would only pile up.
+        dr.flush_malloc_cache()
         unit = unit_m(self.scene)
         for name, mover in self._movers.items():
             _write_vertices(self._parameters, f"mover_{name}", vertices_at(mover, time_s) / unit)
