@@ -60,11 +60,19 @@ def reconstruct_files(
     if as_json:
         print_json(record)
     else:
-        shown = [(key, value) for key, value in record.items() if key not in ("decoder", "psnr_db")]
+        inner = ("optsim", "measurement", "decoder", "psnr_db")
+        shown = [(key, value) for key, value in record.items() if key not in inner]
         page.print(table(f"decoded by {chosen.kind}", ("what", "value"), shown))
         if scores := cast("list[float | None] | None", record["psnr_db"]):
             rows = [(index, each) for index, each in enumerate(scores)]
             page.print(table("PSNR", ("coded image", "dB"), rows))
+        elif "run" in found.origin:
+            people.print(
+                "No score: a run's folder holds no truth. To score a decoder, run the experiment with "
+                f"--set methods.{found.origin['method']}.decoder.kind={chosen.kind}; the cache has the truth."
+            )
+        else:
+            people.print("No score: the measurement says no truth.")
         if not record["valid_share"]:
             people.print(
                 "No pixel is valid: each is dead or saturated, or its code never opens it. "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import tomllib
 from collections.abc import Mapping
 from functools import lru_cache
@@ -85,11 +86,20 @@ def read_toml(path: Path) -> Table:
     try:
         return cast("Table", _copy(_parsed(path.read_bytes())))
     except FileNotFoundError:
-        raise ConfigError(f"no such file: {path}; a name without '/' or '.toml' means a preset") from None
+        raise ConfigError(f"no such file: {path}") from None
     except IsADirectoryError:
         raise ConfigError(f"{path} is a folder; expected a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}{_quoted(path, str(error))}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is no text, expected TOML: {error}") from None
+
+
+def _quoted(path: Path, message: str) -> str:
+    """Quote the line that a message tells the number of."""
+    told = re.search(r"at line (\d+)", message)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return f": {lines[int(told[1]) - 1].strip()!r}" if told and int(told[1]) <= len(lines) else ""
 
 
 @lru_cache(maxsize=64)
@@ -128,6 +138,18 @@ def override(table: Table, assignments: list[str]) -> Table:
                 cure = f": {at} is the name {target!r}; for more of it, set {at}.hardware={target} instead"
             raise ConfigError(f"--set {assignment!r}: {key!r} has no table to be set in{cure}")
         cast("Table", target)[key] = value
+    return result
+
+
+def merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:
+    """Lay a table over another, table in table."""
+    result = dict(under)
+    for key, value in over.items():
+        below = result.get(key)
+        if isinstance(value, dict) and isinstance(below, dict):
+            result[key] = merged(cast("Table", below), cast("Table", value))
+        else:
+            result[key] = value
     return result
 
 

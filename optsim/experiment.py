@@ -12,12 +12,12 @@ from typing import cast
 import numpy as np
 from pydantic import Field, model_validator
 
-from optsim import hardware
 from optsim.calibrate import Calibration
 from optsim.camera import CodedCamera
+from optsim.camera_table import check_hardware, on_hardware
 from optsim.coding import Scheme
-from optsim.config import Part, Table, build, override, read_toml
-from optsim.effects import ITSELF, drifted, switched
+from optsim.config import Part, Table, build, merged, override, read_toml
+from optsim.effects import drifted
 from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
 from optsim.knowledge import Known, Operator, ReadingPx, widest_reading
 from optsim.quantities import Timing
@@ -212,7 +212,7 @@ class Experiment(Part):
                 "drift.objective: got one, but the truth is the light behind the objective as it is; change "
                 "camera.objective, or let the relay, splitter, modulator or sensor drift"
             )
-        working = build(CodedCamera, _merged(self.camera.model_dump(), self.drift), where="drift")
+        working = build(CodedCamera, merged(self.camera.model_dump(), self.drift), where="drift")
         was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
         if was != now or (working.sensor.rows, working.sensor.cols) != (
             self.camera.sensor.rows,
@@ -246,9 +246,14 @@ def experiment_path(name_or_path: str) -> Path:
     Raises
     ------
     ConfigError
-        For a bare name that is no preset.
+        For a bare name that is no preset, or a file that isn't there.
     """
     if "/" in name_or_path or name_or_path.endswith(".toml"):
+        if not Path(name_or_path).exists():
+            raise ConfigError(
+                f"no such file: {name_or_path}; a name without '/' or '.toml' means a preset: "
+                f"{', '.join(preset_names())}"
+            )
         return Path(name_or_path)
     if name_or_path not in preset_names():
         raise unknown_name("experiment", name_or_path, preset_names())
@@ -291,15 +296,16 @@ def load_experiment(
     table = override(read_toml(path), list(assignments))
     if seed is not None:
         table["seed"] = seed
-    camera: object = table.get("camera", {})
-    by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)
-    table["camera"] = _on_hardware(cast("object", camera))
-    _find_footage(table, path.parent)
     where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name
+    camera: object = table.get("camera", {})
+    check_hardware(table, camera, where, Experiment.model_fields)
+    by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)
+    table["camera"] = on_hardware(cast("object", camera))
+    _find_footage(table, path.parent)
     experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
     switches: Table = cast("Table", camera).get("effects", {}) if isinstance(camera, dict) else {}
     # Set by hand wins, here as well.
-    drift = _merged(drifted(experiment.camera, switches), experiment.drift)
+    drift = merged(drifted(experiment.camera, switches), experiment.drift)
     experiment = experiment.model_copy(update={"drift": drift})
     if check_geometry:
         experiment.camera.geometry().check()
@@ -341,50 +347,4 @@ def _find_footage(table: Table, folder: Path) -> None:
     footage: object = cast("Table", source).get("footage") if isinstance(source, dict) else None
     if isinstance(footage, dict) and isinstance(path := cast("Table", footage).get("path"), str):
         found = str(folder / Path(path).expanduser())
-        table["source"] = _merged(cast("Table", source), {"footage": {"path": found}})
-
-
-def _on_hardware(table: object) -> object:
-    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
-
-    So does its ``sensor`` table, or is the name itself.
-    The switches of its ``effects`` table come between: over the hardware, under what is set by hand. Those of
-    what drifts have no part in the camera (:func:`~optsim.effects.drifted`).
-    """
-    if not isinstance(table, dict):
-        return table
-    keys = dict(cast("Table", table))
-    under: Table = {}
-    if "hardware" in keys:
-        name = str(keys.pop("hardware"))
-        if name not in hardware.ALL:
-            raise unknown_name("camera.hardware", name, hardware.ALL)
-        under = hardware.ALL[name]().model_dump()
-    sensor = keys.get("sensor")
-    if isinstance(sensor, str):
-        sensor = keys["sensor"] = {"hardware": sensor}
-    if isinstance(sensor, dict) and "hardware" in sensor:
-        keys["sensor"] = by_hand = dict(cast("Table", sensor))
-        name = str(by_hand.pop("hardware"))
-        if name not in hardware.SENSORS:
-            raise unknown_name("camera.sensor.hardware", name, hardware.SENSORS)
-        under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
-    switches = keys.pop("effects", {})
-    if not isinstance(switches, dict):
-        raise ConfigError(
-            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}"
-        )
-    changes = switched(cast("Table", switches))
-    changes |= changes.pop(ITSELF, {})
-    return _merged(_merged(under, changes), keys)
-
-
-def _merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:
-    result = dict(under)
-    for key, value in over.items():
-        below = result.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            result[key] = _merged(cast("Table", below), cast("Table", value))
-        else:
-            result[key] = value
-    return result
+        table["source"] = merged(cast("Table", source), {"footage": {"path": found}})

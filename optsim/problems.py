@@ -40,7 +40,13 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
     items = cast("list[dict[str, Any]]", error.errors())
     # A list whose items are wrong is also called too short: that is no problem of its own.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
-    return [_line(part, table, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
+    lines = [_line(part, table, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
+    # What may be a number or a word is refused as both: one problem, of a value that might have been either.
+    joined: dict[str, str] = {}
+    for line in lines:
+        value, expected, rest = line.partition(", expected ")
+        joined[value] = f"{joined[value]}, or {rest}" if value in joined and rest else value + expected + rest
+    return list(joined.values())
 
 
 class _Place(NamedTuple):
@@ -68,7 +74,13 @@ def _line(part: type[BaseModel], table: Mapping[str, object], item: dict[str, An
         # The message names the key inside the table and what it got; the whole table only hides it.
         return f"{place.key}: {message}" if place.key else message
     if kind.startswith("union_tag"):
-        return f"{place.key}.kind: {_found(context.get('tag'))}, {_one_of(_kinds(place), context.get('tag'))}"
+        tag, written = (
+            context.get("tag"),
+            list(cast("dict[str, object]", got)) if isinstance(got, dict) else [],
+        )
+        near = nearest_name(written, "kind")
+        meant = f" (did you mean it by {near!r}?)" if near and "kind" not in written else ""
+        return f"{place.key}.kind: {_found(tag)}{meant}, {_one_of(_kinds(place), tag)}"
     return f"{place.key}: {_found(got)}, {_expected(kind, message, context, place, got)}"
 
 
@@ -134,10 +146,12 @@ def _right_key(part: type[BaseModel], place: _Place) -> str:
     # A key that another kind would have here isn't what this one should have.
     table = place.path[: place.path.rfind(".") + 1]
     paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
-    # Nearer ones first: a key of this very table before one elsewhere.
+    # Nearer ones first: a key of this very table before one elsewhere, unless that is the very same.
     begun = sorted((key for key in own if key.startswith(name)), key=len)[:1]
+    same = [name] if 0 < len(paths.get(name, [])) <= _PLACES else []
     near = (
         begun
+        or same
         or difflib.get_close_matches(name, own, n=1, cutoff=0.7)
         # Elsewhere only a name that is all but the same.
         or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.85)
@@ -160,6 +174,9 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
         chosen = [p for p in inside if "kind" in p.model_fields and p.model_fields["kind"].default == step]
         if chosen and _inside(value, step) is None:
             inside = chosen
+            continue
+        # What pydantic calls one of the types that a plain value may have is no key.
+        if isinstance(step, str) and value is not None and not isinstance(value, dict | list | tuple):
             continue
         value = _inside(value, step)
         # What is wrong with a name is told by its place.

@@ -51,17 +51,13 @@ def parse_quantity(key: str, text: str) -> float:
     if not match:
         raise ValueError(f"expected a number with a unit; {cure}")
     number, unit = match.groups()
-    factors = _by_lower(units)
-    if unit.lower() not in factors:
-        known = any(unit.lower() in _by_lower(other) for other in _UNITS.values())
+    # As SI writes them: a capital makes a milli a mega.
+    if unit not in units:
+        known = any(unit in other for other in _UNITS.values())
         raise ValueError(
             f"the unit {unit!r} is {'of another dimension than this key' if known else 'unknown'}; {cure}"
         )
     try:
-        return float(number) * factors[unit.lower()]
+        return float(number) * units[unit]
     except ValueError:
         raise ValueError(f"{number!r} is not a number; {cure}") from None
-
-
-def _by_lower(units: dict[str, float]) -> dict[str, float]:
-    return {name.lower(): factor for name, factor in units.items()}

@@ -1,5 +1,6 @@
 """Quantity strings, unknown keys, overrides: what a user sees when an experiment is wrong."""
 
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -116,6 +117,9 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
         ("n_frames=true", "n_frames: got 'true', expected a whole number"),
         ("camera.wavelength_m=true", "camera.wavelength_m: got 'true', expected a number with a unit"),
         ("camera.objective.focus_m=true", "or one of the words target, everywhere"),
+        ("camera.objective.focal_length_m='4 Mm'", "the unit 'Mm' is unknown"),
+        ("latency_frames=1", "latency_frames: unknown key; did you mean 'camera.latency_frames'?"),
+        ("camera.objective.focus_m=inf", "focus_m: got inf, expected a finite number, or one of: target,"),
         ("camera.objective.focus_m=evrywhere", "got 'evrywhere', did you mean 'everywhere'?"),
         ("n_frames=1.5", "n_frames: got 1.5, expected a whole number"),
         ("camera.overlap=3", "camera.overlap: got 3, expected true or false"),
@@ -168,6 +172,48 @@ def test_a_wrong_value_says_where_what_and_the_cure(assignment: str, message: st
     assert message in str(caught.value)
     # The file is right: what was set on the command line isn't.
     assert "demo.toml: " not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (
+            {"hardwar": "demo"},
+            "camera: got hardwar, expected hardware = one of prototype, demo, or all parts",
+        ),
+        ({"hardwar": "demo"}, "did you mean 'hardware' by 'hardwar'?"),
+        ({}, "camera: got nothing, expected hardware = one of"),
+    ],
+)
+def test_a_camera_that_is_none_is_told_of_hardware(
+    camera: dict[str, str], message: str, tmp_path: Path
+) -> None:
+    keys = "\n".join(f"{key} = '{value}'" for key, value in camera.items())
+    (tmp_path / "a.toml").write_text(f"name = 'a'\nmethods = []\n[camera]\n{keys}\n")
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(str(tmp_path / "a.toml"))
+    assert message in str(caught.value)
+
+
+def test_a_misspelt_camera_or_kind_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("name = 'a'\nmethods = []\n[camra]\nhardware = 'demo'\n")
+    with pytest.raises(ConfigError, match="did you mean 'camera' by 'camra'"):
+        load_experiment(str(tmp_path / "a.toml"))
+    with pytest.raises(
+        ConfigError, match=r"scheme\.kind: got nothing \(did you mean it by 'knd'\?\), expected"
+    ):
+        load_experiment("demo", ["methods.0.scheme={knd = 'hdr_mosaic'}"])
+
+
+def test_toml_that_is_none_is_quoted_and_a_missing_file_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("name = 'a'\nn_frames = 07\n")
+    with pytest.raises(ConfigError, match=r"line 2.*: 'n_frames = 07'"):
+        load_experiment(str(tmp_path / "a.toml"))
+    (tmp_path / "a.toml").write_bytes(b"\x93NUMPY")
+    with pytest.raises(ConfigError, match="is no text, expected TOML"):
+        load_experiment(str(tmp_path / "a.toml"))
+    with pytest.raises(ConfigError, match=r"no such file.*means a preset"):
+        load_experiment(str(tmp_path / "b.toml"))
 
 
 class Shelf(Part):

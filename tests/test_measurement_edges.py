@@ -1,5 +1,6 @@
 """Measurements at their edges: shutters closed for a while, hot and saturated pixels, and what is misread."""
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from test_measurement import COLS, ROWS, SLOTS, code, decoded, light, measured
 from typer.testing import CliRunner
 
+from optsim import __version__
 from optsim.cli import app
 from optsim.errors import ConfigError, StorageError, ValueCheckError
 from optsim.files import read_exr, write_exr
@@ -146,6 +148,9 @@ def test_saturated_pixels_are_no_measurement(kind: Any, tmp_path: Path) -> None:
         ({"image": np.array([[None]])}, "image: got object, expected real numbers"),
         ({"image": np.zeros((0, ROWS, COLS))}, "none of them empty"),
         ({"code": code()[:0]}, "none of them empty"),
+        ({"code": np.moveaxis(code(), 0, -1)}, "the slots come last"),
+        ({"image": np.ones((ROWS, COLS, 3))}, "the image has colours"),
+        ({"image": np.ones((2, ROWS, COLS + 1))}, "need a calibration"),
     ],
 )
 def test_what_is_no_array_of_numbers_is_refused(given: dict[str, Any], message: str) -> None:
@@ -255,6 +260,23 @@ def test_a_method_belongs_to_a_run(tmp_path: Path) -> None:
     found = CliRunner().invoke(app, given)
     assert isinstance(found.exception, ConfigError)
     assert "is no folder of a run" in str(found.exception)
+
+
+def test_one_array_alone_is_told_what_it_lacks(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((8, 8)))
+    with pytest.raises(ConfigError, match=r"one file of \.npy, expected image and code"):
+        measurement_files(tmp_path / "a.npy", [])
+
+
+def test_a_record_says_what_was_decoded_and_by_which_version(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", image=measured(light(), code()), code=code())
+    files = measurement_files(tmp_path / "a.npz", ["sensor.read_noise=2"])
+    record = decode_measurement(read_measurement(files), Interpolation(), tmp_path / "out")
+    said = record["measurement"]
+    assert (said["image"], said["sensor"]["read_noise"]) == (str(tmp_path / "a.npz"), 2)
+    want = hashlib.sha256((tmp_path / "a.npz").read_bytes()).hexdigest()
+    assert said["sha256"] == {str(tmp_path / "a.npz"): want}
+    assert record["optsim"] == __version__
 
 
 def test_a_damaged_prior_is_named(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,8 @@ class Measurement:
         Of the light: counts a slot where the camera isn't calibrated.
     rounded : float
         How far weights of the code had to be rounded, at most: 0 for pixels that are open or shut.
+    origin : Mapping
+        Where it comes from, for records of what is made of it: files and their SHA-256, settings, or a run.
     """
 
     frames: tuple[CodedFrame, ...]
@@ -82,6 +85,7 @@ class Measurement:
     truth: tuple[Floats, ...]
     unit: str
     rounded: float
+    origin: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def __post_init__(self) -> None:
         if self.truth and len(self.truth) != len(self.frames):
@@ -134,8 +138,7 @@ def coded_measurement(
     if images.shape[1:] != codes.shape[2:]:
         raise ValueCheckError(
             f"images of {images.shape[1:]} and codes of {codes.shape[2:]} pixels: expected codes of the "
-            "images' pixels, (slot, v, u); images of a sensor with other pixels need a calibration (key "
-            "'bench')"
+            f"images' pixels, (slot, v, u); {_other_pixels(images, codes)}"
         )
     levels, rounded = code_levels(codes)
     full, noise = _full(images, known), _read_noise(images, known)
@@ -150,7 +153,17 @@ def coded_measurement(
         light,
         "counts a slot",
         rounded,
+        {"sensor": known.model_dump(mode="json")},
     )
+
+
+def _other_pixels(images: NDArray[Any], codes: NDArray[Any]) -> str:
+    """Cure where images (frame, y, x) and codes (frame, slot, v, u) differ in their pixels."""
+    if codes.shape[1:3] == images.shape[1:]:
+        return "the slots come last: np.moveaxis(code, -1, -3) puts them before the pixels"
+    if images.shape[2] in (3, 4) and images.shape[:2] == codes.shape[2:]:
+        return "the image has colours: give one of them, or their mean"
+    return "images of a sensor with other pixels need a calibration (key 'bench')"
 
 
 def numbers(name: str, given: object) -> NDArray[Any]:

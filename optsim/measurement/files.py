@@ -10,6 +10,8 @@ keys are the fields of :class:`MeasurementFiles`; paths in it begin at its folde
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -127,6 +129,11 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
             f"{path} is a folder, but of no finished run; expected one, a TOML file, or an .npz or .mat file "
             "with image and code"
         )
+    elif path.suffix.lower() != ".toml" and path.is_file():
+        raise ConfigError(
+            f"{path}: got one file of {path.suffix or 'no suffix'}, expected image and code: an .npz or .mat "
+            f"file of both, or a TOML file with image = '{path.name}' and code = '...'"
+        )
     else:
         table, folder = read_toml(path), path.parent
     table = override(table, assignments)
@@ -161,10 +168,24 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
                 f"reading_px: got {files.reading_px} without a bench, which says where a code's pixels are; "
                 "name its folder as bench, or remove reading_px"
             )
-        return coded_measurement(images, codes, sensor=files.sensor, moving=moving, truth=truth)
-    if files.sensor != Sensor():
+        found = coded_measurement(images, codes, sensor=files.sensor, moving=moving, truth=truth)
+    elif files.sensor != Sensor():
         raise ConfigError("sensor: got one and a bench, which says all of it; remove one of them")
-    return _on_a_bench(Path(files.bench), files.reading_px, images, codes, moving, truth)
+    else:
+        found = _on_a_bench(Path(files.bench), files.reading_px, images, codes, moving, truth)
+    return replace(found, origin=_origin(files))
+
+
+def _origin(files: MeasurementFiles) -> dict[str, object]:
+    """Say what was stated of a measurement, and the SHA-256 of each of its files."""
+    said = files.model_dump(mode="json", exclude={"decoder"}, exclude_none=True)
+    named = [Path(said[key]) for key in (*_NAMES, "bench") if key in said]
+    inside = [each for path in named for each in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    hashes: dict[str, str] = {}
+    for path in filter(Path.is_file, inside):
+        with path.open("rb") as stream:
+            hashes[str(path)] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return {**said, "sha256": hashes}
 
 
 def _on_a_bench(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from optsim import __version__
 from optsim.errors import ConfigError
 from optsim.files import atomic, check_empty, write_exr, write_json, write_png8
 from optsim.measurement.coded import Measurement
@@ -83,6 +84,8 @@ def decode_measurement(
         start = time.perf_counter()
     _pictures(folder, measurement, decoded)
     record: dict[str, Any] = {
+        "optsim": __version__,
+        "measurement": dict(measurement.origin),
         "decoder": decoder.model_dump(mode="json"),
         "frames": len(decoded),
         "slots": measurement.calibration.slots_per_frame,

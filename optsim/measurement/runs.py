@@ -49,7 +49,13 @@ def read_run(folder: Path, method: str | None) -> Measurement:
         )
     frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
     calibration = calibrate(planned(experiment)[0], experiment.known_to(chosen))
-    return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0)
+    origin = {
+        "run": str(folder),
+        "method": chosen.name,
+        "fingerprint": experiment.fingerprint(),
+        "calibration": str(experiment.known_to(chosen)),
+    }
+    return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0, origin)
 
 
 def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method]:

@@ -175,7 +175,7 @@ class FootageTruth:
             raise ConfigError(
                 f"source.footage: {held.n_frames} frames at {stated.frame_rate_hz:g} Hz from first_frame = "
                 f"{stated.first_frame} cover {whole} coded frames, but n_frames = {self.timing.n_frames}; "
-                "lower n_frames or record longer"
+                f"{'lower n_frames or ' if whole else ''}record longer"
             )
         stated.weights(held.shape[2])
         _ = self.pixels_per_sample

@@ -1,0 +1,83 @@
+"""A ``[camera]`` table as it is written: over which data sheets it is laid, and what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import cast
+
+from optsim import hardware
+from optsim.camera import CodedCamera
+from optsim.config import Table, merged
+from optsim.effects import ITSELF, switched
+from optsim.errors import ConfigError, nearest_name, unknown_name
+
+
+def check_hardware(table: Table, camera: object, where: str, keys: Collection[str]) -> None:
+    """Refuse a camera that is none: no part of it can be guessed.
+
+    Parameters
+    ----------
+    table : dict
+        Of the experiment, of which ``keys`` may be.
+    camera : object
+        What it has as its camera.
+    where : str
+        Name of the file, for messages.
+    keys : collection of str
+        What an experiment has.
+
+    Raises
+    ------
+    ConfigError
+        With the key that was probably meant.
+    """
+    if not isinstance(camera, dict) or "hardware" in camera:
+        return
+    parts = cast("Table", camera)
+    needed = [key for key, field in CodedCamera.model_fields.items() if field.is_required()]
+    missing = [key for key in needed if key not in parts]
+    if not missing:
+        return
+    inside = [key for key in parts if key not in CodedCamera.model_fields]
+    outside = [key for key in table if key not in keys]
+    near = nearest_name(inside, "hardware") or (None if parts else nearest_name(outside, "camera"))
+    raise ConfigError(
+        f"{where}: camera: got {', '.join(parts) or 'nothing'}, expected hardware = one of "
+        f"{', '.join(hardware.ALL)}, or all parts; missing: {', '.join(missing)}"
+        + (f"; did you mean {'hardware' if parts else 'camera'!r} by {near!r}?" if near else "")
+    )
+
+
+def on_hardware(table: object) -> object:
+    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
+
+    So does its ``sensor`` table, or is the name itself.
+    The switches of its ``effects`` table come between: over the hardware, under what is set by hand. Those of
+    what drifts have no part in the camera (:func:`~optsim.effects.drifted`).
+    """
+    if not isinstance(table, dict):
+        return table
+    keys = dict(cast("Table", table))
+    under: Table = {}
+    if "hardware" in keys:
+        name = str(keys.pop("hardware"))
+        if name not in hardware.ALL:
+            raise unknown_name("camera.hardware", name, hardware.ALL)
+        under = hardware.ALL[name]().model_dump()
+    sensor = keys.get("sensor")
+    if isinstance(sensor, str):
+        sensor = keys["sensor"] = {"hardware": sensor}
+    if isinstance(sensor, dict) and "hardware" in sensor:
+        keys["sensor"] = by_hand = dict(cast("Table", sensor))
+        name = str(by_hand.pop("hardware"))
+        if name not in hardware.SENSORS:
+            raise unknown_name("camera.sensor.hardware", name, hardware.SENSORS)
+        under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
+    switches = keys.pop("effects", {})
+    if not isinstance(switches, dict):
+        raise ConfigError(
+            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}"
+        )
+    changes = switched(cast("Table", switches))
+    changes |= changes.pop(ITSELF, {})
+    return merged(merged(under, changes), keys)
