@@ -292,6 +292,8 @@ def load_experiment(
     GeometryError
         When the panel's image does not fit the CCD.
     """
+    if isinstance(assignments, str):
+        raise ConfigError(f"assignments: got {assignments!r}, expected a list of such texts; put it in []")
     path = experiment_path(name_or_path)
     table = override(read_toml(path), list(assignments))
     if seed is not None:

@@ -278,7 +278,7 @@ def _without_video(frames: Sequence[CodedFrame], first: int) -> Iterator[CodedFr
         yield replace(frame, code=still) if frame.index < first else frame
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A whole run in memory: for small experiments and notebooks; ``optsim run`` streams to disk instead.
 
@@ -323,6 +323,11 @@ class Result:
         """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
         return self.camera.reference(self.truth, index)
 
+    def __repr__(self) -> str:
+        """Say what it is in a line: its arrays would fill pages."""
+        names = ", ".join(self.frames)
+        return f"<Result of {self.experiment.name!r}: {self.experiment.n_frames} coded frames by {names}>"
+
     def _repr_html_(self) -> str:
         from optsim.scoring import score_table_html
 
@@ -345,7 +350,17 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     -------
     Result
         Frames, reconstructions and what they were made with.
+
+    Raises
+    ------
+    ConfigError
+        When the truth is none, or a method cannot do with the camera.
     """
+    given: object = radiance
+    if not isinstance(given, RadianceVideo):
+        raise ConfigError(
+            f"radiance: got {type(given).__name__}, expected a RadianceVideo; cure: render_truth(experiment)"
+        )
     experiment, plan = planned(experiment)
     known = calibrate_all(experiment)
     experiment.check_methods(known)

@@ -152,6 +152,20 @@ def test_a_result_shows_itself(result: Result) -> None:
     assert "steady phase" in html
 
 
+def test_a_result_says_what_it_is_in_a_line(result: Result) -> None:
+    said = repr(result)
+    assert repr(result.experiment.name) in said
+    assert all(name in said for name in result.frames)
+    assert len(said) < 200
+
+
+def test_a_truth_that_is_none_is_refused(small) -> None:
+    with pytest.raises(ConfigError, match=r"radiance: got NoneType, .* render_truth\(experiment\)"):
+        run(small, None)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="assignments: got 'n_frames=4', expected a list"):
+        load_experiment("demo", "n_frames=4")
+
+
 def test_a_result_that_never_settles_shows_how_far_it_came(
     result: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,6 +35,7 @@ from optsim.report.pictures import (
     mask_picture,
     start_picture,
 )
+from optsim.report.sheet import half_moving
 
 METHODS = {
     "adaptive": "motion-adaptive coding, union decoder",
@@ -558,6 +559,23 @@ def test_crops_find_motion_window_and_texture() -> None:
     assert not crops["interior texture"].of(outside | oracle).any()
     with pytest.raises(ValueCheckError, match="do not fit"):
         report.choose_crops(reference[0], oracle, outside, size=(61, 20))
+
+
+def test_the_code_is_shown_where_a_camera_that_tells_motion_has_both() -> None:
+    mask = np.zeros((60, 80), np.bool_)
+    mask[10:50, 30:70] = True
+
+    def shot(moving: Any) -> report.Shot:
+        light = np.ones((2, 60, 80), np.float32)
+        return report.Shot(light, mask, moving, np.ones((2, 2), np.uint16), np.ones((2, 60, 80), np.uint8))
+
+    still, whole, oracle = np.zeros_like(mask), np.ones_like(mask), np.roll(mask, 20, axis=1)
+    for shots, seen in (({"a": whole, "b": mask}, mask), ({"a": whole, "c": still}, oracle)):
+        every = {name: shot(moving) for name, moving in shots.items()}
+        moment = report.Moment(0, 0, np.ones((2, 60, 80), np.float32), oracle, 1.0, every)
+        crop = half_moving(moment, (16, 20))
+        assert crop.of(seen).mean() == pytest.approx(0.5)
+        assert crop.of(seen).shape == (16, 20)
 
 
 def test_plots_break_at_missing_values_and_keep_labels_apart() -> None:

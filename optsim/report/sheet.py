@@ -11,7 +11,7 @@ import numpy as np
 
 from optsim.errors import ValueCheckError
 from optsim.files import write_png8
-from optsim.quantities import Bools, Bytes, Floats, Words
+from optsim.quantities import Bools, Bytes, Doubles, Floats, Words
 from optsim.report import pictures as draw
 from optsim.report.schema import ColourScale, LegendEntry, Picture, Section
 
@@ -116,12 +116,26 @@ def choose_crops(
 
 
 def _best(name: str, weight: Floats, size: tuple[int, int]) -> Crop:
-    """Crop of the largest total weight, from a table of sums over all rectangles at the origin."""
+    """Crop of the largest total weight."""
+    total = _totals(weight, size)
+    row, col = divmod(int(total.argmax()), total.shape[1])
+    return Crop(name, row, col, *size)
+
+
+def _totals(weight: Floats, size: tuple[int, int]) -> Doubles:
+    """Sum over each crop, by its corner: from a table of sums over all rectangles at the origin."""
     height, width = size
     sums = np.pad(weight.astype(np.float64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
-    total = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
-    row, col = divmod(int(total.argmax()), total.shape[1])
-    return Crop(name, row, col, height, width)
+    return sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
+
+
+def half_moving(moment: Moment, size: tuple[int, int]) -> Crop:
+    """Crop in which a camera that tells motion takes about half of the pixels to move: it has both codes."""
+    masks = [shot.moving for shot in moment.shots.values()]
+    mask = next((m for m in masks if m.any() and not m.all()), moment.oracle)
+    off = np.abs(_totals(mask.astype(np.float32), size) - size[0] * size[1] / 2)
+    row, col = divmod(int(off.argmin()), off.shape[1])
+    return Crop("code", row, col, *size)
 
 
 def render_pictures(
@@ -138,7 +152,7 @@ def render_pictures(
     tone : ToneCurve
         One curve for all pictures of light.
     crops : sequence of Crop
-        From :func:`choose_crops`; the first one also frames the picture of the code.
+        From :func:`choose_crops`; the picture of the code is of the first one's size.
     e_cd_m2 : float
         Offset of the error maps, that of the scored log error.
     """
@@ -165,8 +179,9 @@ def render_pictures(
             )
             for name, image in toned.items()
         ]
+    of_code = half_moving(moment, (crops[0].height, crops[0].width) if crops else moment.oracle.shape)
     for name, shot in moment.shots.items():
-        found += _capture(sheet, moment, name, shot, toned["truth"], crops[0] if crops else None)
+        found += _capture(sheet, moment, name, shot, toned["truth"], of_code)
         error = draw.error_picture(views[name], truth, shot.valid, e_cd_m2=e_cd_m2, limit_stops=LIMIT_STOPS)
         caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {when}."
         scale = draw.error_scale(LIMIT_STOPS)
@@ -174,11 +189,8 @@ def render_pictures(
     return found
 
 
-def _capture(
-    sheet: _Sheet, moment: Moment, name: str, shot: Shot, truth: Bytes, crop: Crop | None
-) -> list[Picture]:
+def _capture(sheet: _Sheet, moment: Moment, name: str, shot: Shot, truth: Bytes, cut: Crop) -> list[Picture]:
     """Draw captured frame, code and mask of one method."""
-    cut = crop or Crop("panel", 0, 0, *moment.oracle.shape)
     factor = max(1, round(_SHOWN_PX / cut.width))
     place = f"{cut.width} × {cut.height} panel pixels at row {cut.row}, column {cut.col}"
     code = draw.enlarge(cut.of(shot.levels[moment.slot]), factor)
