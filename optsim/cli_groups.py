@@ -9,7 +9,11 @@ import typer
 from optsim.cli_options import ExperimentName, Json, Set, print_json
 
 config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
-cache_app = typer.Typer(no_args_is_help=True, help="Show or clear the cache of rendered truth.")
+cache_app = typer.Typer(
+    no_args_is_help=True,
+    help="Show or clear the cache of rendered truth.",
+    epilog="OPTSIM_CACHE chooses its folder, OPTSIM_CACHE_MAX_GB its size [20]: the oldest entries go first.",
+)
 
 
 @config_app.command("show")

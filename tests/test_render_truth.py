@@ -174,6 +174,21 @@ def test_resuming_and_longer_runs_find_the_cached_poses_bitwise(scene, truth):
     np.testing.assert_array_equal(longer.load(0).instant(3), video.load(0).instant(3))
 
 
+def test_work_on_light_that_stands_still_is_told_piece_by_piece(scene, truth, tmp_path, monkeypatch):
+    monkeypatch.setattr("optsim.render.rays._MAX_LANES", 20_000)
+    told = {"pilot": [], "static light": []}
+
+    def progress(stage, done, total):
+        told.get(stage, []).append(done / total)
+
+    render_truth(scene, VIEW, TIMING, SETTINGS, cache=Cache(tmp_path), progress=progress)
+    for each in told.values():
+        assert each[0] == 0
+        assert each[-1] == 1
+        assert each == sorted(each)
+        assert len(set(each)) > 3
+
+
 def test_a_fresh_cache_gives_the_same_light(scene, truth, tmp_path):
     fresh = render_truth(scene, VIEW, Timing(1 / 180, 4, 1), SETTINGS, cache=Cache(tmp_path))
     assert_same(fresh.load(0).instant(1), truth[1].load(0).instant(1))

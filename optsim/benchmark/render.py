@@ -234,7 +234,8 @@ def _ours(scene: Scene, timing: Timing, references: list[_Reference], target: fl
             segment = video.load(slot // video.slots_per_segment)
             image = segment.instant(slot % video.slots_per_segment)
             squared.append(reference.squared_errors(image.ravel().astype(np.float64)))
-    repeated = [each for stage, groups in stamps.items() if stage != "static light" for each in groups]
+    once = ("pilot", "static light")
+    repeated = [each for stage, groups in stamps.items() if stage not in once for each in groups]
     # The last pieces of each kind cost what every further one of a long sequence does.
     pieces = min(len(each) for each in repeated)
     steady = sum(min(np.diff(each)[-2:]) for each in repeated) * pieces / timing.n_slots

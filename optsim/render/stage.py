@@ -8,7 +8,7 @@ All mesh parameters are behind :func:`_write_vertices`: Mitsuba 3.10 renames the
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -126,9 +126,16 @@ class Stage:
         self._time_s = time_s
 
     def radiance(
-        self, pixels: Ints, samples: int | Ints, seeds: tuple[int, ...], first_sample: int = 0
+        self,
+        pixels: Ints,
+        samples: int | Ints,
+        seeds: tuple[int, ...],
+        first_sample: int = 0,
+        told: Callable[[float], None] | None = None,
     ) -> Doubles:
         """Mean of samples in some pixels, one independent estimate for each seed.
+
+        ``told`` hears now and then what share of them is done.
 
         Returns
         -------
@@ -137,10 +144,19 @@ class Stage:
         """
         counts = np.broadcast_to(np.asarray(samples, np.int64), pixels.shape)
         turns = np.repeat(np.asarray(seeds, np.int64), len(pixels))
-        found = self.paths(np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample)
+        found = self.paths(
+            np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample, told
+        )
         return found.reshape(len(seeds), len(pixels))
 
-    def paths(self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0) -> Doubles:
+    def paths(
+        self,
+        pixels: Ints,
+        samples: Ints,
+        seeds: Ints,
+        first_sample: int | Ints = 0,
+        told: Callable[[float], None] | None = None,
+    ) -> Doubles:
         """Mean radiance over random paths, bitwise the same whatever else is asked for in the same call.
 
         Another call or process repeats it bitwise with LLVM; with CUDA to a few 1e-8, and rarely a path ends
@@ -157,6 +173,8 @@ class Stage:
             Seed of each.
         first_sample : int or ndarray of shape (n,)
             Number of the first path: calls that continue each other stratify as one.
+        told : callable, optional
+            Hears of each launch what share of the pixels is done.
 
         Returns
         -------
@@ -174,6 +192,8 @@ class Stage:
             values = self._trace(pixels[part], samples[part], seeds[part], first[part])
             # In float64, as float32 sums of many paths lose digits.
             result[part] = np.add.reduceat(values, starts(samples[part]), dtype=np.float64)
+            if told is not None:
+                told(part.stop / len(pixels))
         return result / samples
 
     def looks(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,8 @@ from optsim.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Tiles, tally
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage
+
+_Told = Callable[[float], None]
 
 _PILOT_SAMPLES = 8
 _MOST_SAMPLES = 4096
@@ -43,7 +46,8 @@ def static_light(plan: Plan, still: Stage) -> Floats:
     pixels, target = plan.pixels, plan.settings.static_error
 
     def pilot() -> dict[str, Floats]:
-        light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"))
+        told = _telling(plan, "pilot", 0.0, 1.0)
+        light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"), told=told)
         tiles = halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
         return {"tiles": tiles.arrays(), "light": light.mean(axis=0).astype(np.float32)}
 
@@ -59,8 +63,13 @@ def static_light(plan: Plan, still: Stage) -> Floats:
             break
         samples = np.minimum(counts[chosen], last).astype(np.int64) - first
 
-        def make(chosen: Ints = chosen, samples: Ints = samples, first: int = first) -> dict[str, Floats]:
-            light = still.radiance(pixels[chosen], samples, plan.seeds("static"), first)
+        # A share of the pixels is about as much of the work: where samples are many there are few of them.
+        told = _telling(plan, "static light", spent / budget, float(samples.sum()) / budget)
+
+        def make(
+            chosen: Ints = chosen, samples: Ints = samples, first: int = first, told: _Told = told
+        ) -> dict[str, Floats]:
+            light = still.radiance(pixels[chosen], samples, plan.seeds("static"), first, told)
             return {"light": light.astype(np.float32)}
 
         entry = plan.cache.get(plan.key("static", target, plan.stop(), first, last), make)
@@ -68,3 +77,13 @@ def static_light(plan: Plan, still: Stage) -> Floats:
         spent += float(samples.sum())
         plan.progress("static light", round(100 * spent / budget), 100)
     return (total / counts).reshape(2, *plan.shape).astype(np.float32)
+
+
+def _telling(plan: Plan, stage: str, before: float, share: float) -> _Told:
+    """Say of a part of a stage how far the whole of it is."""
+
+    def told(done: float) -> None:
+        plan.progress(stage, round(100 * (before + share * done)), 100)
+
+    told(0.0)
+    return told

@@ -87,8 +87,8 @@ def render_truth(
         Follow polarised light, and return twice what a polariser before the camera at this azimuth passes
         (``render.analyser``): unpolarised light keeps its radiance. None: gloss doesn't polarise.
     progress : Progress
-        Stages "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar fallback:
-        "preview").
+        Stages "pilot", "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar
+        fallback: "preview").
 
     Returns
     -------
