@@ -10,6 +10,8 @@ import typer
 from optsim.cli_options import Json, Set, print_json
 from optsim.errors import ConfigError
 
+_MANY = 0.25  # of all pixels: saturated ones that are worth a word (no source)
+
 
 def reconstruct_files(
     measurement: Annotated[
@@ -73,6 +75,11 @@ def reconstruct_files(
             )
         else:
             people.print("No score: the measurement says no truth.")
+        if record["saturated_share"] > _MANY:
+            people.print(
+                f"{record['saturated_share']:.0%} of the pixels are saturated: of their light nothing is "
+                "known but that it is bright. Expose less, or correct sensor.saturation."
+            )
         if not record["valid_share"]:
             people.print(
                 "No pixel is valid: each is dead or saturated, or its code never opens it. "

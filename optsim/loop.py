@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
@@ -356,7 +356,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     ConfigError
         When the truth is none, or a method cannot do with the camera.
     """
-    given: object = radiance
+    given = cast("object", radiance)
     if not isinstance(given, RadianceVideo):
         raise ConfigError(
             f"radiance: got {type(given).__name__}, expected a RadianceVideo; cure: render_truth(experiment)"

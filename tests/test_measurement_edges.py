@@ -268,6 +268,22 @@ def test_one_array_alone_is_told_what_it_lacks(tmp_path: Path) -> None:
         measurement_files(tmp_path / "a.npy", [])
 
 
+def test_a_measurement_that_is_mostly_saturated_or_without_truth_is_said_so(tmp_path: Path) -> None:
+    for level, words in ((4000.0, "100% of the pixels are saturated"), (50.0, "says no truth")):
+        np.savez(tmp_path / "a.npz", image=np.full((ROWS, COLS), level), code=code())
+        given = [
+            str(tmp_path / "a.npz"),
+            "--set",
+            "sensor.saturation=4000",
+            "--out",
+            str(tmp_path / str(level)),
+        ]
+        found = CliRunner().invoke(app, ["reconstruct", *given])
+        assert found.exit_code == 0
+        assert words in found.output
+        assert ("saturated:" in found.output) == (level == 4000)
+
+
 def test_a_record_says_what_was_decoded_and_by_which_version(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", image=measured(light(), code()), code=code())
     files = measurement_files(tmp_path / "a.npz", ["sensor.read_noise=2"])

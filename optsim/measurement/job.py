@@ -11,18 +11,12 @@ import numpy as np
 
 from optsim import __version__
 from optsim.errors import ConfigError
-from optsim.files import atomic, check_empty, write_exr, write_json, write_png8
+from optsim.files import check_empty, write_exr, write_json
 from optsim.measurement.coded import Measurement
+from optsim.measurement.pictures import draw_film, draw_slots
 from optsim.progress import Progress, silent
-from optsim.quantities import Bools, Bytes, Floats, Reconstruction
+from optsim.quantities import Bools, Reconstruction
 from optsim.reconstruct import Decoder
-from optsim.report.pictures import enlarge
-
-_SHOWN = 8  # slots in the picture
-_FILM_MS = 80
-_GAP_PX = 4
-_WIDTH_PX = 160  # of a picture, at least
-_DEEP = 20.0  # brightest over median from which pictures are logarithmic
 
 
 def decode_measurement(
@@ -82,7 +76,8 @@ def decode_measurement(
             errors.append(float(np.mean(off.astype(np.float64) ** 2)) if off.size else None)
         progress("decode", len(decoded), len(measurement.frames))
         start = time.perf_counter()
-    _pictures(folder, measurement, decoded)
+    draw_slots(folder / "slots.png", measurement, decoded[0])
+    draw_film(folder / "film.gif", measurement, decoded)
     record: dict[str, Any] = {
         "optsim": __version__,
         "measurement": dict(measurement.origin),
@@ -102,10 +97,16 @@ def decode_measurement(
         ),
         "decode_s": round(seconds, 3),
         "psnr_peak": top,
-        "psnr_db": [None if not (e and top) else round(10 * np.log10(top**2 / e), 3) for e in errors] or None,
+        "psnr_db": [_psnr_db(top, error) for error in errors] or None,
     }
     write_json(folder / "results.json", record)
     return record
+
+
+def _psnr_db(peak: float | None, squared_error: float | None) -> float | None:
+    if not (peak and squared_error):
+        return None
+    return round(float(10 * np.log10(peak**2 / squared_error)), 3)
 
 
 def _opened(measurement: Measurement, index: int) -> Bools:
@@ -141,48 +142,3 @@ def _write(folder: Path, video: Reconstruction, unit: str) -> None:
         },
         attributes=about,
     )
-
-
-def _pictures(folder: Path, measurement: Measurement, decoded: list[Reconstruction]) -> None:
-    """Draw the first coded image with some of its slots, and all slots as a film; the truth below."""
-    from PIL import Image
-
-    truth = measurement.truth
-    factor = -(-_WIDTH_PX // measurement.calibration.shape[1])
-    shown = truth[0] if truth else decoded[0].irradiance_w_m2
-
-    def grey(light: Floats) -> Bytes:
-        return enlarge(_toned(light, shown), factor)
-
-    signals = [measurement.calibration.observe(frame).signal for frame in measurement.frames]
-    coded = [enlarge(_toned(signal, signals[0]), factor) for signal in signals]
-    slots = np.unique(np.linspace(0, len(shown) - 1, _SHOWN).astype(int))
-    rows = [[coded[0], *(grey(decoded[0].irradiance_w_m2[slot]) for slot in slots)]]
-    if truth:
-        rows.append([np.full_like(coded[0], 255), *(grey(truth[0][slot]) for slot in slots)])
-    write_png8(folder / "slots.png", np.vstack([_side_by_side(row) for row in rows]))
-    film = [
-        _side_by_side(
-            [coded[k], grey(light), *([grey(truth[k][slot])] if truth else [])],
-        )
-        for k, video in enumerate(decoded)
-        for slot, light in enumerate(video.irradiance_w_m2)
-    ]
-    first, *others = [Image.fromarray(each) for each in film]
-    with atomic(folder / "film.gif") as temporary:
-        first.save(temporary, format="GIF", save_all=True, append_images=others, duration=_FILM_MS, loop=0)
-
-
-def _toned(light: Floats, like: Floats) -> Bytes:
-    """Grey of light: linear up to the brightest of ``like``; logarithmic where its middle would be black."""
-    middle, white = (max(float(q), 1e-30) for q in np.percentile(like, (50, 99.9)))
-    relative = np.clip(light / white, 0, 1)
-    if white > _DEEP * middle:
-        relative = np.log1p(relative * white / middle) / np.log1p(white / middle)
-    return np.rint(255 * relative).astype(np.uint8)
-
-
-def _side_by_side(pictures: list[Bytes]) -> Bytes:
-    gap = np.full((len(pictures[0]), _GAP_PX), 255, np.uint8)
-    row = np.hstack([part for picture in pictures for part in (picture, gap)])
-    return np.pad(row, ((0, _GAP_PX), (0, 0)), constant_values=255)
