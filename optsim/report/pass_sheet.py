@@ -237,7 +237,10 @@ def _ids(ids: Ids, moving: Bools, id_table: Mapping[int, str]) -> _Panel:
     for number_ in numbers.tolist():
         picture[ids == number_] = _id_colour(number_)
     names = tuple((_id_colour(n), id_table[n].removeprefix("object/")) for n, _ in order[:_LISTED])
-    return _Panel(picture, f"object ids: {len(numbers)} of {len(id_table)} in view", swatches=names)
+    text = f"object ids: {len(numbers)} of {len(id_table)} in view"
+    if len(names) < len(numbers):
+        text += f"; movers and the largest, {len(names)}:"
+    return _Panel(picture, text, swatches=names)
 
 
 def _id_colour(number_: int) -> Colour:
