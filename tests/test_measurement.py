@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -175,8 +175,11 @@ def test_folders_of_images_that_a_toml_file_names(tmp_path: Path, arrays: Any, k
     for k, pictures in enumerate(arrays["truth"]):
         names = {f"slot{t:02d}": each.astype(np.float32) for t, each in enumerate(pictures)}
         write_exr(tmp_path / "truth" / f"{k}.exr", names, attributes={})
-    (tmp_path / "m.toml").write_text('image = "image"\ncode = "code"\ntruth = "truth"\n')
-    same(read_measurement(measurement_files(tmp_path / "m.toml", [])), arrays)
+    (tmp_path / "m.toml").write_text('image = "image/*.png"\ncode = "code"\ntruth = "truth"\n')
+    found = read_measurement(measurement_files(tmp_path / "m.toml", []))
+    same(found, arrays)
+    names = [path for each in ("image", "code", "truth") for path in (tmp_path / each).iterdir()]
+    assert set(cast("dict[str, str]", found.origin["sha256"])) == {str(name) for name in names}
 
 
 def test_codes_of_all_images_one_after_the_other(tmp_path: Path, arrays: Any) -> None:

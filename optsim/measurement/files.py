@@ -179,12 +179,13 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
 def _origin(files: MeasurementFiles) -> dict[str, object]:
     """Say what was stated of a measurement, and the SHA-256 of each of its files."""
     said = files.model_dump(mode="json", exclude={"decoder"}, exclude_none=True)
-    named = [Path(said[key]) for key in (*_NAMES, "bench") if key in said]
-    inside = [each for path in named for each in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     hashes: dict[str, str] = {}
-    for path in filter(Path.is_file, inside):
-        with path.open("rb") as stream:
-            hashes[str(path)] = hashlib.file_digest(stream, "sha256").hexdigest()
+    for path in (Path(said[key]) for key in (*_NAMES, "bench") if key in said):
+        pattern = [] if path.exists() else path.parent.glob(path.name)
+        inside = path.rglob("*") if path.is_dir() else [path]
+        for each in sorted(filter(Path.is_file, {*inside, *pattern})):
+            with each.open("rb") as stream:
+                hashes[str(each)] = hashlib.file_digest(stream, "sha256").hexdigest()
     return {**said, "sha256": hashes}
 
 
