@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import cast
+
+from pydantic import BaseModel
 
 from optsim import hardware
 from optsim.camera import CodedCamera
 from optsim.config import Table, merged
 from optsim.effects import ITSELF, switched
 from optsim.errors import ConfigError, nearest_name, unknown_name
+from optsim.sensor import Ccd
 
 
 def check_hardware(table: Table, camera: object, where: str, keys: Collection[str]) -> None:
@@ -31,21 +34,32 @@ def check_hardware(table: Table, camera: object, where: str, keys: Collection[st
     ConfigError
         With the key that was probably meant.
     """
-    if not isinstance(camera, dict) or "hardware" in camera:
+    if not isinstance(camera, dict):
+        if isinstance(camera, str) and camera in hardware.ALL:
+            raise ConfigError(f"{where}: camera: got {camera!r}, expected a table; set camera.hardware to it")
         return
     parts = cast("Table", camera)
+    _check_more("camera", parts, CodedCamera, ("hardware", "effects"), where)
+    if isinstance(parts.get("sensor"), dict):
+        _check_more("camera.sensor", cast("Table", parts["sensor"]), Ccd, ("hardware",), where)
     needed = [key for key, field in CodedCamera.model_fields.items() if field.is_required()]
     missing = [key for key in needed if key not in parts]
-    if not missing:
+    if "hardware" in parts or not missing:
         return
-    inside = [key for key in parts if key not in CodedCamera.model_fields]
-    outside = [key for key in table if key not in keys]
-    near = nearest_name(inside, "hardware") or (None if parts else nearest_name(outside, "camera"))
+    near = nearest_name([key for key in table if key not in keys], "camera") if not parts else None
     raise ConfigError(
         f"{where}: camera: got {', '.join(parts) or 'nothing'}, expected hardware = one of "
         f"{', '.join(hardware.ALL)}, or all parts; missing: {', '.join(missing)}"
-        + (f"; did you mean {'hardware' if parts else 'camera'!r} by {near!r}?" if near else "")
+        + (f"; did you mean 'camera' by {near!r}?" if near else "")
     )
+
+
+def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str], where: str) -> None:
+    """Refuse a misspelt key of those that a table may have beside its part's own."""
+    for key in table:
+        names = [*part.model_fields, *more]
+        if key not in names and nearest_name(names, key) in more:
+            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {nearest_name(more, key)!r}?")
 
 
 def on_hardware(table: object) -> object:

@@ -320,10 +320,11 @@ def init(
     from optsim.experiment import experiment_path
     from optsim.files import write_text
 
-    target = out or Path(f"{preset}.toml")
-    if target.exists():
+    source = experiment_path(preset)
+    target = out or Path(f"{source.stem}.toml")
+    if target.exists() or target.is_symlink():
         raise StorageError(f"{target} exists already; choose another name with --out, or move it away")
-    write_text(target, experiment_path(preset).read_text(encoding="utf-8"))
+    write_text(target, source.read_text(encoding="utf-8"))
     typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
 
 
@@ -334,6 +335,12 @@ def main() -> None:
         status = command.main(standalone_mode=False)
     except OptsimError as error:
         typer.echo(f"optsim: {error}", err=True)
+        status = 2
+    except OSError as error:
+        # Of a file or folder that somebody named: not to be read, too long a name, a disk that fails.
+        if error.filename is None:
+            raise
+        typer.echo(f"optsim: {error.filename}: {error.strerror}; choose another place, or mend it", err=True)
         status = 2
     except Exception as error:
         # A usage error, of a class that typer keeps in its private copy of click.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -68,13 +69,8 @@ def reconstruct_files(
         if scores := cast("list[float | None] | None", record["psnr_db"]):
             rows = [(index, each) for index, each in enumerate(scores)]
             page.print(table("PSNR", ("coded image", "dB"), rows))
-        elif "run" in found.origin:
-            people.print(
-                "No score: a run's folder holds no truth. To score a decoder, run the experiment with "
-                f"--set methods.{found.origin['method']}.decoder.kind={chosen.kind}; the cache has the truth."
-            )
         else:
-            people.print("No score: the measurement says no truth.")
+            people.print(_no_score(found.origin, chosen.kind))
         if record["saturated_share"] > _MANY:
             people.print(
                 f"{record['saturated_share']:.0%} of the pixels are saturated: of their light nothing is "
@@ -86,3 +82,13 @@ def reconstruct_files(
                 "What is written is a guess."
             )
         people.print(f"Wrote {folder}")
+
+
+def _no_score(origin: Mapping[str, object], decoder: str) -> str:
+    """Say why a measurement has none, and how it could have one."""
+    if "run" not in origin:
+        return "No score: the measurement says no truth."
+    return (
+        "No score: a run's folder holds no truth. To score a decoder, run the experiment with "
+        f"--set methods.{origin['method']}.decoder.kind={decoder}; the cache has the truth."
+    )

@@ -85,7 +85,7 @@ def read_toml(path: Path) -> Table:
     """
     try:
         return cast("Table", _copy(_parsed(path.read_bytes())))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise ConfigError(f"no such file: {path}") from None
     except IsADirectoryError:
         raise ConfigError(f"{path} is a folder; expected a TOML file") from None
@@ -98,7 +98,7 @@ def read_toml(path: Path) -> Table:
 def _quoted(path: Path, message: str) -> str:
     """Quote the line that a message tells the number of."""
     told = re.search(r"at line (\d+)", message)
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = path.read_text(encoding="utf-8").split("\n")
     return f": {lines[int(told[1]) - 1].strip()!r}" if told and int(told[1]) <= len(lines) else ""
 
 

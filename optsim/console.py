@@ -14,9 +14,9 @@ from rich.table import Table
 
 from optsim.progress import Progress
 
-# Brackets are part of names and paths here, never markup.
-people = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
-page = Console(highlight=False, soft_wrap=True, markup=False)
+# Brackets and colons are part of names and paths here, never markup.
+people = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+page = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
 _EVERY_S = 10.0  # seconds between lines of a log
 
 

@@ -33,9 +33,11 @@ def writable_folder(place: Path, what: str, cure: str) -> Path:
     StorageError
         When it is a file or cannot be written to; before anything long is begun.
     """
-    existing = next(each for each in [place.absolute(), *place.absolute().parents] if each.exists())
+    above = [place.absolute(), *place.absolute().parents]
+    existing = next(each for each in above if each.exists() or each.is_symlink())
     if not existing.is_dir():
-        raise StorageError(f"{existing} is a file, expected a folder ({what}); {cure}")
+        kind = "a file" if existing.is_file() else "a broken link"
+        raise StorageError(f"{existing} is {kind}, expected a folder ({what}); {cure}")
     try:
         # Permissions alone don't tell: root has them on a disk that takes nothing.
         Path(tempfile.mkdtemp(prefix=".optsim-", dir=existing)).rmdir()
@@ -54,7 +56,7 @@ def check_empty(folder: Path) -> None:
     StorageError
         With the cure.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.is_dir() and any(folder.iterdir()):
         raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
     writable_folder(folder, "--out", "choose another one")
 
@@ -104,6 +106,14 @@ def read_json(path: Path) -> Any:
         raise StorageError(f"no such file: {path}") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise StorageError(f"{path} is not valid JSON: {error}") from None
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Read a JSON object; errors as of :func:`read_json`, and one for JSON that is something else."""
+    record = read_json(path)
+    if not isinstance(record, dict):
+        raise StorageError(f"{path}: got {type(record).__name__}, expected a JSON object")
+    return cast("dict[str, Any]", record)
 
 
 def write_exr(

@@ -5,9 +5,12 @@ Streams frame by frame, so that memory does not grow with the length of the expe
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 import platform
 import shutil
+from collections.abc import Generator
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -19,10 +22,10 @@ import numpy as np
 from optsim import __version__, evidence
 from optsim.cache import Cache
 from optsim.camera import CodedCamera
-from optsim.errors import StorageError
+from optsim.errors import OptsimError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
-from optsim.files import read_json, writable_folder, write_exr, write_json, write_png8, write_png16
+from optsim.files import read_record, writable_folder, write_exr, write_json, write_png8, write_png16
 from optsim.gallery import MOVING_FRAMES, Gallery
 from optsim.journal import Journal, run_key
 from optsim.known_calibration import ideal_calibration
@@ -47,7 +50,9 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-i
 
 def new_folder(name: str) -> Path:
     """Folder among the runs, named by what is in it and the time (UTC)."""
-    return Path("reports") / "runs" / f"{name}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')}"
+    first = Path("reports") / "runs" / f"{name}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')}"
+    others = (first.with_name(f"{first.name}-{number}") for number in itertools.count(2))
+    return next(folder for folder in (first, *itertools.islice(others, 100)) if not folder.exists())
 
 
 def run_folder(experiment: Experiment, out: Path | None) -> Path:
@@ -66,9 +71,7 @@ def run_folder(experiment: Experiment, out: Path | None) -> Path:
         marker = out / "experiment.json"
         if not marker.is_file():
             raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
-        # A run that was refused before it made anything leaves its statement behind: that binds nobody.
-        begun = any(item != marker for item in out.iterdir())
-        if begun and read_json(marker).get("fingerprint") != experiment.fingerprint():
+        if read_record(marker).get("fingerprint") != experiment.fingerprint():
             raise StorageError(
                 f"--out {out} holds a run of another experiment; choose another folder, "
                 "or run that experiment (its resolved form is in experiment.json)"
@@ -158,8 +161,7 @@ def execute(
         The content of results.json.
     """
     watch = Stopwatch()
-    resolved = experiment.model_dump(mode="json")
-    write_json(folder / "experiment.json", {"fingerprint": experiment.fingerprint(), "experiment": resolved})
+    resolved, fingerprint = experiment.model_dump(mode="json"), experiment.fingerprint()
     chosen, why = renderer(experiment, backend)
     # What a bench or a decoder refuses is said before the long work.
     with watch.stage("plan"):
@@ -169,7 +171,7 @@ def execute(
         known = calibrate_all(modelled)
         progress("laboratory", 1, 1)
     experiment.check_methods(known)
-    with watch.stage("render"):
+    with _claimed(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
@@ -255,6 +257,20 @@ def execute(
     write_report(folder, results)
     journal.close()
     return results
+
+
+@contextlib.contextmanager
+def _claimed(folder: Path, statement: dict[str, Any]) -> Generator[None, None, None]:
+    """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
+    path = folder / "experiment.json"
+    begun = path.exists()
+    write_json(path, statement)
+    try:
+        yield
+    except OptsimError:
+        if not begun:
+            path.unlink()
+        raise
 
 
 def versions() -> dict[str, str]:

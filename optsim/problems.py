@@ -40,12 +40,18 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
     items = cast("list[dict[str, Any]]", error.errors())
     # A list whose items are wrong is also called too short: that is no problem of its own.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
-    lines = [_line(part, table, i) for i in items if i["type"] != "too_short" or i["loc"] not in inside]
     # What may be a number or a word is refused as both: one problem, of a value that might have been either.
-    joined: dict[str, str] = {}
-    for line in lines:
-        value, expected, rest = line.partition(", expected ")
-        joined[value] = f"{joined[value]}, or {rest}" if value in joined and rest else value + expected + rest
+    joined: dict[tuple[int | str, ...], str] = {}
+    for item in items:
+        if item["type"] == "too_short" and item["loc"] in inside:
+            continue
+        place = _place(part, table, item["loc"])
+        line = _line(part, item, place)
+        _, expected, rest = line.partition(", expected ")
+        if place.steps in joined and expected:
+            joined[place.steps] += f", or {rest}"
+        else:
+            joined[place.steps] = line
     return list(joined.values())
 
 
@@ -57,15 +63,15 @@ class _Place(NamedTuple):
 
     key: str
     path: str
+    steps: tuple[int | str, ...]
     owners: list[type[BaseModel]]
     field: FieldInfo | None
 
 
-def _line(part: type[BaseModel], table: Mapping[str, object], item: dict[str, Any]) -> str:
+def _line(part: type[BaseModel], item: dict[str, Any], place: _Place) -> str:
     kind, context = cast("str", item["type"]), cast("dict[str, Any]", item.get("ctx", {}))
     message = cast("str", item["msg"]).removeprefix("Value error, ")
     got = cast("object", item["input"])
-    place = _place(part, table, item["loc"])
     if kind == "extra_forbidden":
         return f"{place.key}: unknown key; {_right_key(part, place)}"
     if kind == "missing":
@@ -146,18 +152,18 @@ def _right_key(part: type[BaseModel], place: _Place) -> str:
     # A key that another kind would have here isn't what this one should have.
     table = place.path[: place.path.rfind(".") + 1]
     paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
-    # Nearer ones first: a key of this very table before one elsewhere, unless that is the very same.
+    # Nearer ones first: a key of this very table before one elsewhere, unless that has the very same name.
     begun = sorted((key for key in own if key.startswith(name)), key=len)[:1]
-    same = [name] if 0 < len(paths.get(name, [])) <= _PLACES else []
     near = (
         begun
-        or same
         or difflib.get_close_matches(name, own, n=1, cutoff=0.7)
         # Elsewhere only a name that is all but the same.
         or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.85)
     )
     # Of a name elsewhere the whole key.
     meant = near if near and near[0] in own else paths[near[0]] if near else []
+    same = [] if begun or len(paths.get(name, [])) > _PLACES else paths.get(name, [])
+    meant = list(dict.fromkeys([*same, *meant]))
     if not 0 < len(meant) <= _PLACES:
         return f"keys here are: {', '.join(dict.fromkeys(own))}"
     return f"did you mean {' or '.join(repr(m) for m in meant)}?"
@@ -168,6 +174,7 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
     inside, owners, field = [part], [part], None
     keys: list[str] = []
     path: list[str] = []
+    steps: list[int | str] = []
     value = table
     for step in location:
         # The kind that was chosen, which the table need not hold where one is chosen unless it says so.
@@ -176,8 +183,10 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
             inside = chosen
             continue
         # What pydantic calls one of the types that a plain value may have is no key.
-        if isinstance(step, str) and value is not None and not isinstance(value, dict | list | tuple):
+        known = any(step in p.model_fields for p in inside) or _inside(value, step) is not None
+        if field and not known and isinstance(step, str) and not inside:
             continue
+        steps.append(step)
         value = _inside(value, step)
         # What is wrong with a name is told by its place.
         name = None if isinstance(step, str) or location[-1] == "name" else _inside(value, "name")
@@ -192,7 +201,7 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
             inside = [p for info in fields for p in _parts(info.annotation)]
         inside = _of_its_kind(inside, value)
     # What is wrong with a table is the table's; what is wrong with a number is its owner's.
-    return _Place(".".join(keys), ".".join(path), inside or owners, field)
+    return _Place(".".join(keys), ".".join(path), tuple(steps), inside or owners, field)
 
 
 def _inside(value: Any, step: int | str) -> Any:

@@ -46,7 +46,8 @@ def parse_quantity(key: str, text: str) -> float:
     units = units_of(key)
     if not units:
         raise ValueError("expected a plain number (this key has no unit)")
-    match = _QUANTITY.match(text)
+    # Two letters look like the micro sign: the sign itself, and the Greek letter.
+    match = _QUANTITY.match(text.replace("\u03bc", "\u00b5"))
     cure = f"write for example {key} = '1 {next(iter(units))}'; units accepted: {', '.join(units)}"
     if not match:
         raise ValueError(f"expected a number with a unit; {cure}")

@@ -25,7 +25,7 @@ ALLOWED: dict[str, set[str]] = {
     "camera": {"forward", "optics", "sensor", "geometry", "ledger"},
     "origins": {"forward", "camera", "report"},
     "effects": {"camera"},
-    "camera_table": {"camera", "effects", "hardware"},
+    "camera_table": {"camera", "effects", "hardware", "sensor"},
     "probe": {"forward", "camera", "coding", "effects", "optics", "scene"},
     "effect_sizes": {"forward", "effects", "probe"},
     "camera_plan": {"forward", "camera", "effects", "optics", "probe"},

@@ -125,6 +125,11 @@ def test_of_two_keys_as_near_the_earlier_one_fills_a_gap():
     whole = filled(light, np.ones((2, 1), np.float32), np.ones((1, 1), np.bool_), 0.0)
     np.testing.assert_array_equal(whole[:, 0, 0], [1, 1, 1, 2, 2])
     np.testing.assert_array_equal(whole[:, 1, 0], [10, 10, 10, 20, 20])
+    for known in (0, 4):
+        light = np.full((5, 2, 1), np.nan, np.float32)
+        light[known] = 3
+        one, mask = np.ones((2, 1), np.float32), np.ones((1, 1), np.bool_)
+        np.testing.assert_array_equal(filled(light, one, mask, 0.0), np.full((5, 2, 1), 3))
 
 
 def test_a_look_is_the_beginning_of_the_path_with_the_same_number():

@@ -158,9 +158,33 @@ def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None
         assert "not an empty folder" in err
 
 
-def test_a_folder_of_a_run_that_made_nothing_is_free(cli, tmp_path: Path) -> None:
-    (tmp_path / "experiment.json").write_text('{"fingerprint": "0"}')
-    assert cli("run", "demo", "--dry-run", "--out", str(tmp_path))[0] == 0
+def test_what_an_output_cannot_be_is_said(cli, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "made" / "x").mkdir(parents=True)
+    (tmp_path / "made" / "experiment.json").write_text("[]")
+    for out, words in (
+        ("link", "is a broken link, expected a folder"),
+        ("file", "is a file"),
+        ("made", "got list, expected a JSON object"),
+        ("x" * 300, "too long"),
+    ):
+        code, _, err = cli("run", "demo", "--dry-run", "--out", str(tmp_path / out))
+        assert code == 2
+        assert words in err
+    code, _, err = cli("reconstruct", str(tmp_path / "made"), "--out", str(tmp_path / "new"))
+    assert code == 2
+    assert "got list, expected a JSON object" in err
+    (tmp_path / "made" / "experiment.json").write_text("{}")
+    assert "what 'optsim run' writes" in cli("reconstruct", str(tmp_path / "made"), "--out", "new")[2]
+
+
+def test_a_copy_of_a_file_has_its_name(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.toml").write_text("name = 'mine'\n")
+    assert cli("init", "sub/mine.toml")[0] == 0
+    assert (tmp_path / "mine.toml").read_text() == "name = 'mine'\n"
 
 
 def test_a_place_that_takes_no_file_is_refused_before_any_work(cli) -> None:

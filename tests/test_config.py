@@ -118,7 +118,19 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
         ("camera.wavelength_m=true", "camera.wavelength_m: got 'true', expected a number with a unit"),
         ("camera.objective.focus_m=true", "or one of the words target, everywhere"),
         ("camera.objective.focal_length_m='4 Mm'", "the unit 'Mm' is unknown"),
-        ("latency_frames=1", "latency_frames: unknown key; did you mean 'camera.latency_frames'?"),
+        ("latency_frames=1", "latency_frames: unknown key; did you mean 'camera.latency_frames' or 'n_fra"),
+        ("camera.hardwar=demo", "camera.hardwar: unknown key; did you mean 'hardware'?"),
+        ("camera.effect.fringing=ideal", "camera.effect: unknown key; did you mean 'effects'?"),
+        ("camera.sensor.hardwar=icx674", "camera.sensor.hardwar: unknown key; did you mean 'hardware'?"),
+        ("camera=demo", "camera: got 'demo', expected a table; set camera.hardware to it"),
+        (
+            "camera.modulator.frame_rate_hz=3",
+            "did you mean 'source.footage.frame_rate_hz' or 'field_rate_hz'",
+        ),
+        (
+            "camera.objective.focus_m=[1]",
+            "focus_m: got [1], expected a number, or one of: target, everywhere",
+        ),
         ("camera.objective.focus_m=inf", "focus_m: got inf, expected a finite number, or one of: target,"),
         ("camera.objective.focus_m=evrywhere", "got 'evrywhere', did you mean 'everywhere'?"),
         ("n_frames=1.5", "n_frames: got 1.5, expected a whole number"),
@@ -177,11 +189,8 @@ def test_a_wrong_value_says_where_what_and_the_cure(assignment: str, message: st
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
-        (
-            {"hardwar": "demo"},
-            "camera: got hardwar, expected hardware = one of prototype, demo, or all parts",
-        ),
-        ({"hardwar": "demo"}, "did you mean 'hardware' by 'hardwar'?"),
+        ({"hardwar": "demo"}, "camera.hardwar: unknown key; did you mean 'hardware'?"),
+        ({"panel_rows": "3"}, "camera: got panel_rows, expected hardware = one of prototype, demo, or all"),
         ({}, "camera: got nothing, expected hardware = one of"),
     ],
 )
@@ -193,6 +202,15 @@ def test_a_camera_that_is_none_is_told_of_hardware(
     with pytest.raises(ConfigError) as caught:
         load_experiment(str(tmp_path / "a.toml"))
     assert message in str(caught.value)
+
+
+def test_two_methods_of_a_name_have_problems_of_their_own() -> None:
+    with pytest.raises(ConfigError, match="4 problems"):
+        load_experiment("demo", ["methods=[{name='a'}, {name='a'}]"])
+
+
+def test_both_letters_for_micro_are_read() -> None:
+    assert parse_quantity("x_m", "3 \u00b5m") == parse_quantity("x_m", "3 \u03bcm") == pytest.approx(3e-6)
 
 
 def test_a_misspelt_camera_or_kind_is_said(tmp_path: Path) -> None:

@@ -35,9 +35,10 @@ def test_who_wants_no_remarks_gets_none(said: list[str]) -> None:
     assert not said
 
 
-def test_brackets_are_text_in_lines_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    console.page.print("interior pu21_psnr [banding_glare, peak=256] in runs[a]")
-    console.page.print(console.table("of [b]", ("what [c]",), [("one [d]",)]))
-    out = capsys.readouterr().out
-    assert "[banding_glare, peak=256] in runs[a]" in out
-    assert all(f"[{letter}]" in out for letter in "bcd")
+def test_brackets_and_colons_are_text_in_lines_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    for console_ in (console.page, console.people):
+        console_.print("interior pu21_psnr [banding_glare, peak=256] in runs[a]:100:")
+        console_.print(console.table("of [b]", ("what [c]",), [("one [d]",)]))
+    for text in capsys.readouterr():
+        assert "[banding_glare, peak=256] in runs[a]:100:" in text
+        assert all(f"[{letter}]" in text for letter in "bcd")

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from optsim.errors import StorageError, ValueCheckError
-from optsim.files import atomic, read_exr, read_json, read_png16, write_exr, write_json, write_png16
+from optsim.files import (
+    atomic,
+    read_exr,
+    read_json,
+    read_png16,
+    writable_folder,
+    write_exr,
+    write_json,
+    write_png16,
+)
 
 
 @pytest.mark.parametrize(
@@ -108,3 +117,8 @@ def test_reading_what_is_not_there(tmp_path: Path) -> None:
     (tmp_path / "junk.exr").write_text("junk")
     with pytest.raises(StorageError, match="cannot be read"):
         read_exr(tmp_path / "junk.exr")
+
+
+def test_trying_a_folder_leaves_nothing_in_it(tmp_path: Path) -> None:
+    assert writable_folder(tmp_path / "a" / "b", "--out", "choose another one") == tmp_path
+    assert not list(tmp_path.iterdir())

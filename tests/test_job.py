@@ -49,6 +49,31 @@ def folder(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> 
     return where
 
 
+def test_a_run_whose_truth_is_refused_leaves_its_folder_free(
+    experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that renders keeps others out from the first moment on."""
+    other = load_experiment("demo", [*SMALL, "seed=5"])
+
+    def refused(*_: object, **__: object) -> None:
+        assert job.run_folder(experiment, tmp_path) == tmp_path
+        with pytest.raises(StorageError, match="of another experiment"):
+            job.run_folder(other, tmp_path)
+        raise StorageError("frame 7 holds NaN")
+
+    monkeypatch.setattr(job, "render_truth", refused)
+    with pytest.raises(StorageError, match="frame 7"):
+        job.execute(experiment, tmp_path)
+    assert job.run_folder(other, tmp_path) == tmp_path
+    # What an earlier run made stays that run's.
+    (tmp_path / "experiment.json").write_text(json.dumps({"fingerprint": experiment.fingerprint()}))
+    (tmp_path / "frames").mkdir()
+    with pytest.raises(StorageError, match="frame 7"):
+        job.execute(experiment, tmp_path)
+    with pytest.raises(StorageError, match="of another experiment"):
+        job.run_folder(other, tmp_path)
+
+
 def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: Experiment) -> None:
     text = (folder / "results.json").read_text()
     results = check_results(json.loads(text))
@@ -201,6 +226,15 @@ def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(
     for wrong in (["--decoder", "gausian"], ["--set", "decoder.n_atom=3"]):
         with pytest.raises(ConfigError, match=r"decoder\.(kind: got 'gausian'|n_atom: unknown key)"):
             CliRunner().invoke(app, [*line, *wrong], catch_exceptions=False)
+
+
+def test_a_run_decoded_again_says_of_which_run_and_how_to_score_it(folder: Path, tmp_path: Path) -> None:
+    line = ["reconstruct", str(folder), "--method", "random", "--decoder", "interpolation"]
+    found = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "out")], catch_exceptions=False)
+    assert "--set methods.random.decoder.kind=interpolation" in found.output
+    said = read_json(tmp_path / "out" / "results.json")["measurement"]
+    assert (said["run"], said["method"]) == (str(folder), "random")
+    assert said["fingerprint"] == read_json(folder / "experiment.json")["fingerprint"]
 
 
 def test_a_run_s_frames_decode_again_to_the_same_light(folder: Path, tmp_path: Path) -> None:

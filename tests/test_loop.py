@@ -160,8 +160,9 @@ def test_a_result_says_what_it_is_in_a_line(result: Result) -> None:
 
 
 def test_a_truth_that_is_none_is_refused(small) -> None:
-    with pytest.raises(ConfigError, match=r"radiance: got NoneType, .* render_truth\(experiment\)"):
-        run(small, None)  # type: ignore[arg-type]
+    for wrong, name in ((None, "NoneType"), (np.ones(3), "ndarray")):
+        with pytest.raises(ConfigError, match=rf"radiance: got {name}, .* render_truth\(experiment\)"):
+            run(small, wrong)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="assignments: got 'n_frames=4', expected a list"):
         load_experiment("demo", "n_frames=4")
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skimage.io import imread
 from test_measurement import COLS, ROWS, SLOTS, code, decoded, light, measured
 from typer.testing import CliRunner
 
@@ -17,6 +18,7 @@ from optsim.hardware import demo
 from optsim.laboratory import measure_bench
 from optsim.measurement import Sensor, coded_measurement, decode_measurement
 from optsim.measurement.files import MeasurementFiles, measurement_files, read_measurement
+from optsim.measurement.pictures import draw_slots
 from optsim.probe import shrunk
 from optsim.reconstruct import ALL, GaussianMixture, Interpolation, MotionDeblurring, SparseCoding
 
@@ -151,6 +153,7 @@ def test_saturated_pixels_are_no_measurement(kind: Any, tmp_path: Path) -> None:
         ({"code": np.moveaxis(code(), 0, -1)}, "the slots come last"),
         ({"image": np.ones((ROWS, COLS, 3))}, "the image has colours"),
         ({"image": np.ones((2, ROWS, COLS + 1))}, "need a calibration"),
+        ({"image": np.ones((ROWS + 1, COLS, 3))}, "need a calibration"),
     ],
 )
 def test_what_is_no_array_of_numbers_is_refused(given: dict[str, Any], message: str) -> None:
@@ -292,7 +295,24 @@ def test_a_record_says_what_was_decoded_and_by_which_version(tmp_path: Path) -> 
     assert (said["image"], said["sensor"]["read_noise"]) == (str(tmp_path / "a.npz"), 2)
     want = hashlib.sha256((tmp_path / "a.npz").read_bytes()).hexdigest()
     assert said["sha256"] == {str(tmp_path / "a.npz"): want}
+    assert "decoder" not in said
     assert record["optsim"] == __version__
+
+
+def test_pictures_show_light_as_screens_do_and_the_truth_below(tmp_path: Path) -> None:
+    truth = np.ones((2, 8, 8))
+    truth[1, :, 4:] = 0.5
+    found = coded_measurement(
+        truth.sum(axis=0), np.ones((2, 8, 8)), truth=truth, sensor=Sensor(read_noise=0.1)
+    )
+    (video,) = Interpolation().decode(found.frames, found.calibration)
+    draw_slots(tmp_path / "a.png", found, video)
+    image = imread(tmp_path / "a.png")
+    wide = 164  # of a picture and the gap beside it
+    assert image.shape == (20 + 2 * wide, 3 * wide)
+    right = [image[20 + wide * row + 80, wide * col + 120] for row in (0, 1) for col in (1, 2)]
+    # Every slot was open alike: decoded it is .75 in both, in truth 1 and .5.
+    assert right == [round(255 * each ** (1 / 2.2)) for each in (0.75, 0.75, 1.0, 0.5)]
 
 
 def test_a_damaged_prior_is_named(tmp_path: Path) -> None:

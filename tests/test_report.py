@@ -569,13 +569,14 @@ def test_the_code_is_shown_where_a_camera_that_tells_motion_has_both() -> None:
         light = np.ones((2, 60, 80), np.float32)
         return report.Shot(light, mask, moving, np.ones((2, 2), np.uint16), np.ones((2, 60, 80), np.uint8))
 
-    still, whole, oracle = np.zeros_like(mask), np.ones_like(mask), np.roll(mask, 20, axis=1)
+    still, whole, oracle = np.zeros_like(mask), np.ones_like(mask), np.roll(mask, (5, 9), axis=(0, 1))
     for shots, seen in (({"a": whole, "b": mask}, mask), ({"a": whole, "c": still}, oracle)):
         every = {name: shot(moving) for name, moving in shots.items()}
         moment = report.Moment(0, 0, np.ones((2, 60, 80), np.float32), oracle, 1.0, every)
         crop = half_moving(moment, (16, 20))
         assert crop.of(seen).mean() == pytest.approx(0.5)
         assert crop.of(seen).shape == (16, 20)
+        assert seen is oracle or crop.of(oracle).mean() != pytest.approx(0.5)
 
 
 def test_plots_break_at_missing_values_and_keep_labels_apart() -> None:

@@ -34,7 +34,7 @@ from optsim.measurement.coded import (
     truth_frames,
 )
 from optsim.reconstruct import Decoder, Interpolation
-from optsim.scene.recording import array_names, by_number, load_array, open_recording
+from optsim.scene.recording import IMAGES, array_names, by_number, load_array, open_recording
 
 _Role = Literal["image", "code", "truth", "moving"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
@@ -44,6 +44,7 @@ _NAMES: dict[_Role, tuple[str, ...]] = {
     "moving": ("moving",),
 }
 _ARRAYS = (".npz", ".mat")
+_READ = (*IMAGES, ".json")  # what is read of a folder, of a bench too
 
 
 class DecoderChoice(Part):
@@ -181,9 +182,9 @@ def _origin(files: MeasurementFiles) -> dict[str, object]:
     said = files.model_dump(mode="json", exclude={"decoder"}, exclude_none=True)
     hashes: dict[str, str] = {}
     for path in (Path(said[key]) for key in (*_NAMES, "bench") if key in said):
-        pattern = [] if path.exists() else path.parent.glob(path.name)
-        inside = path.rglob("*") if path.is_dir() else [path]
-        for each in sorted(filter(Path.is_file, {*inside, *pattern})):
+        there = path.iterdir() if path.is_dir() else path.parent.glob(path.name)
+        inside = {each for each in there if each.suffix.lower() in _READ and each.is_file()}
+        for each in sorted({path} if path.is_file() else inside):
             with each.open("rb") as stream:
                 hashes[str(each)] = hashlib.file_digest(stream, "sha256").hexdigest()
     return {**said, "sha256": hashes}

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from skimage.io import imread
 
-from optsim.config import build
+from optsim.config import Table, build
 from optsim.errors import ConfigError, StorageError, unknown_name
 from optsim.experiment import Experiment, Method
-from optsim.files import read_exr, read_json, read_png16
+from optsim.files import read_exr, read_png16, read_record
 from optsim.loop import calibrate, planned
 from optsim.measurement.coded import Measurement
 from optsim.quantities import CodedFrame, ExposureCode
@@ -59,7 +60,10 @@ def read_run(folder: Path, method: str | None) -> Measurement:
 
 
 def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method]:
-    experiment = build(Experiment, read_json(folder / RECORD)["experiment"], where=str(folder / RECORD))
+    stated = read_record(folder / RECORD).get("experiment")
+    if not isinstance(stated, dict):
+        raise StorageError(f"{folder / RECORD}: got no experiment in it, expected what 'optsim run' writes")
+    experiment = build(Experiment, cast("Table", stated), where=str(folder / RECORD))
     names = [each.name for each in experiment.methods]
     if method is None and len(names) > 1:
         raise ConfigError(f"--method: missing; {folder} holds {', '.join(names)}")
