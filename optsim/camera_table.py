@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Collection, Sequence
 from typing import cast
 
@@ -58,8 +59,9 @@ def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str
     """Refuse a misspelt key of those that a table may have beside its part's own."""
     for key in table:
         names = [*part.model_fields, *more]
-        if key not in names and nearest_name(names, key) in more:
-            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {nearest_name(more, key)!r}?")
+        near = difflib.get_close_matches(key, names, n=1, cutoff=0.7)
+        if key not in names and near and near[0] in more:
+            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {near[0]!r}?")
 
 
 def on_hardware(table: object) -> object:

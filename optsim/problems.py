@@ -40,19 +40,21 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
     items = cast("list[dict[str, Any]]", error.errors())
     # A list whose items are wrong is also called too short: that is no problem of its own.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
-    # What may be a number or a word is refused as both: one problem, of a value that might have been either.
-    joined: dict[tuple[int | str, ...], str] = {}
+    lines: list[str] = []
+    told: dict[tuple[int | str, ...], int] = {}
     for item in items:
         if item["type"] == "too_short" and item["loc"] in inside:
             continue
         place = _place(part, table, item["loc"])
         line = _line(part, item, place)
-        _, expected, rest = line.partition(", expected ")
-        if place.steps in joined and expected:
-            joined[place.steps] += f", or {rest}"
+        _, also, expected = line.partition(", expected ")
+        if also and place.steps in told:
+            # A number or a word is refused as both: one problem, of a value that might have been either.
+            lines[told[place.steps]] += f", or {expected}"
         else:
-            joined[place.steps] = line
-    return list(joined.values())
+            told[place.steps] = len(lines)
+            lines.append(line)
+    return lines
 
 
 class _Place(NamedTuple):
