@@ -51,15 +51,16 @@ def effect_sizes(probes: Probes, drift: Changes = NOTHING) -> list[EffectSize]:
     drift : mapping
         By how much fields of its parts have changed since.
     """
-    near = probes.near
+    return [size_of(name, probes, drift) for name, effect in ALL.items() if not effect.in_scene]
 
-    def found(name: str, effect: Effect) -> EffectSize:
-        if effect.drifts:
-            return largest(name, probes.sizes(_drifting(effect, near, drift), PLAIN))
-        against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
-        return largest(name, probes.sizes(switched({name: "ideal"}), against, shown_on(name)))
 
-    return [found(name, effect) for name, effect in ALL.items() if not effect.in_scene]
+def size_of(name: str, probes: Probes, drift: Changes = NOTHING) -> EffectSize:
+    """Predict the size of one effect that is not in the scene; arguments as of :func:`effect_sizes`."""
+    effect, near = ALL[name], probes.near
+    if effect.drifts:
+        return largest(name, probes.sizes(_drifting(effect, near, drift), PLAIN))
+    against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
+    return largest(name, probes.sizes(switched({name: "ideal"}), against, shown_on(name)))
 
 
 def largest(effect: str, sizes: Iterable[tuple[float, str]]) -> EffectSize:

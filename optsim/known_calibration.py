@@ -14,10 +14,11 @@ from optsim.forward.crosstalk import REACH, crosstalk_kernels, seen_at_picks, tr
 from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.panel import PanelResponse
 from optsim.forward.readings import mean_reading
+from optsim.forward.relay import RelayOperator
 from optsim.quantities import Bools, Doubles, Floats, Ints
 
 
-def true_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
+def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = False) -> Calibration:
     """Calibration copied from the parts; what it cannot hold is non-linearity.
 
     Parameters
@@ -26,22 +27,22 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
         The camera.
     reading_px : int
         CCD pixels to a side of the square that is read for a panel pixel, odd.
+    alone : bool
+        Leave out what each panel pixel reads of others, as if it were nothing: it takes most of the time.
     """
     geometry, sensor, modulator = camera.relay_geometry(), camera.sensor, camera.modulator
     row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH, reading_px)
     square = row, col, reading_px
-    reach = min(REACH, (min(camera.panel_rows, camera.panel_cols) - 1) // 2)
     view = camera.view
     shading = camera.objective.shading(view.rows, view.cols, modulator.pitch_m / SAMPLES_PER_PITCH)
     gain = whole_cells(camera.panel_gain, SAMPLES_PER_PITCH)
     operator = camera.relay_operator()
     image = operator.apply(shading * gain * camera.slot_s)
-    borders = border_shares(modulator.fringing_px, SAMPLES_PER_PITCH)
-    panel = np.ones((camera.panel_rows, camera.panel_cols))
-    flat = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
-    middle = (camera.panel_rows // 2, camera.panel_cols // 2)
-    lit = 0 * panel
-    lit[middle] = 1
+    # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+    veil = camera.relay.glare_share * float(image.mean() / mean_reading(image, *square).mean())
+    crosstalk, glare = _no_crosstalk(camera), Glare()
+    if not alone:
+        crosstalk, glare = _of_others(camera, operator, square, on_ccd, veil)
     return _known(
         "true",
         camera,
@@ -53,20 +54,31 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
             sensor.dark_signal_e(camera.serial_number) + np.float64(camera.dark_e), *square
         ),
         full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
-        crosstalk=crosstalk_kernels(
-            true_dots(operator, borders, row, col, reach, reading_px),
-            geometry.pick_offsets_px(SAMPLES_PER_PITCH),
-            on_ccd,
-            reach,
-        ),
-        glare=Glare(
-            # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
-            veil=camera.relay.glare_share * float(image.mean() / mean_reading(image, *square).mean()),
-            ghost=camera.relay.ghost_share,
-            ghost_blur_px=camera.relay.ghost_blur_px,
-            wings=ring_strengths(seen_at_picks(lit, operator, borders, *square) / flat, *middle),
-        ),
+        crosstalk=crosstalk,
+        glare=glare,
     )
+
+
+def _of_others(
+    camera: CodedCamera, operator: RelayOperator, square: tuple[Ints, Ints, int], on_ccd: Bools, veil: float
+) -> tuple[Floats, Glare]:
+    """Find what each panel pixel reads of its neighbours, by a kernel, and of those farther away."""
+    rows, cols = camera.panel_rows, camera.panel_cols
+    reach = min(REACH, (min(rows, cols) - 1) // 2)
+    borders = border_shares(camera.modulator.fringing_px, SAMPLES_PER_PITCH)
+    dots = true_dots(operator, borders, square[0], square[1], reach, square[2])
+    offsets_px = camera.relay_geometry().pick_offsets_px(SAMPLES_PER_PITCH)
+    panel, middle = np.ones((rows, cols)), (rows // 2, cols // 2)
+    flat = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
+    lit = 0 * panel
+    lit[middle] = 1
+    rings = ring_strengths(seen_at_picks(lit, operator, borders, *square) / flat, *middle)
+    glare = Glare(veil, camera.relay.ghost_share, camera.relay.ghost_blur_px, rings)
+    return crosstalk_kernels(dots, offsets_px, on_ccd, reach), glare
+
+
+def _no_crosstalk(camera: CodedCamera) -> Floats:
+    return np.ones((camera.panel_rows, camera.panel_cols, 1, 1), np.float32)
 
 
 def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
@@ -89,7 +101,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
         responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
         offset_e=np.zeros(shape),
         full_well_e=camera.sensor.full_well_e,
-        crosstalk=np.ones((*shape, 1, 1), np.float32),
+        crosstalk=_no_crosstalk(camera),
         glare=Glare(),
     )
 

@@ -65,7 +65,7 @@ class Scorer:
             latency_frames=self.camera.latency_frames,
             coded_slots=self.camera.coded_slots,
         )
-        self._ideal_pixel = true_calibration(self.camera)
+        self._ideal_pixel = true_calibration(self.camera, alone=True)
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance of each slot and pitch cell, array (slot, v, u), W m^-2, shading divided out."""

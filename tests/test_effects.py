@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from scipy.ndimage import shift
 
-from optsim.effect_sizes import effect_sizes, size_of_defocus
+from optsim.effect_sizes import effect_sizes, size_of, size_of_defocus
 from optsim.effects import ALL, STATES, changed, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
@@ -236,8 +236,8 @@ def test_states_go_from_better_to_worse(name):
         type(camera).model_validate(camera.model_dump())
         effect = ALL[name]
         drift = effect.pessimistic if effect.drifts and state == "pessimistic" else {}
-        found = effect_sizes(make_probes(camera, ROOM, SCHEMES), drift)
-        sizes[state] = next(each.size for each in found if each.effect == name)
+        sizes[state] = size_of(name, make_probes(camera, ROOM, SCHEMES), drift).size
+    assert sizes["ideal"] == 0
     # Under light that stands still only the difference of the time constants shows, which is smaller.
     if name != "response":
         assert sizes["nominal"] <= sizes["pessimistic"] * (1 + 1e-6)

@@ -50,14 +50,6 @@ def experiment(lab: Path) -> Experiment:
     return loaded.model_copy(update={"methods": chosen})
 
 
-@pytest.fixture(scope="module")
-def whole(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody stopped."""
-    folder = tmp_path_factory.mktemp("run") / "whole"
-    job.execute(experiment, folder)
-    return folder
-
-
 def stop_at(stage: str, done: int) -> Callable[[str, int, int], None]:
     """Ctrl-C as soon as so much of a stage is done."""
 

@@ -1,6 +1,7 @@
 """State that schemes and decoders carry from frame to frame, and what they do where pixels saturate."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -169,6 +170,20 @@ def test_the_true_calibration_knows_a_clip_and_the_veil() -> None:
     assert (calibration.mix(light) - calibration.spread(light[None])[0])[far].mean() == pytest.approx(
         excess, rel=0.25
     )
+
+
+@pytest.mark.parametrize("side", [1, 3])
+def test_a_pixel_by_itself_is_what_it_is_among_others(side: int) -> None:
+    """All but crosstalk and glare; without them light reads as a pixel's own."""
+    camera = small().camera
+    whole, alone = (true_calibration(camera, side, alone=each) for each in (False, True))
+    for field in fields(whole):
+        if field.name in {"crosstalk", "glare"}:
+            continue
+        np.testing.assert_array_equal(getattr(alone, field.name), getattr(whole, field.name), field.name)
+    light = np.random.default_rng(0).random((ROWS, COLS)).astype(np.float32)
+    np.testing.assert_array_equal(alone.mix(light), light)
+    assert np.abs(whole.mix(light) - light).max() > 0.05
 
 
 def test_the_newest_real_sample_judges_older_ones() -> None:

@@ -192,24 +192,29 @@ def fine_weights(
     run, height = (_fill_together, n_rows) if few else (fill_cells, _BAND)
 
     def band(top: int, bottom: int) -> None:
-        size = height * rims.pitch, n_cols * rims.pitch
-        sums, cells = np.empty((len(keys), *size), np.float32), np.empty((len(weights), *size), np.float32)
+        # The last band has fewer rows. All arrays lie whole in memory: one layout, one compiled loop.
+        most = height * rims.pitch * n_cols * rims.pitch
+        rooms = [np.empty(n * most, np.float32) for n in (len(keys), len(weights))]
         for row in range(top, bottom, height):
             end = min(row + height, bottom)
             # Beyond the panel's edge the nearest pixel counts.
             around = np.clip(np.arange(row - 1, end + 1), 0, n_rows - 1)
-            shown, gamma, driven = panel.levels[around], panel.retardance_rad[around], levels[:, around]
+            shown, gamma, driven = panel.levels[around], panel.retardance_rad[around], levels.take(around, 1)
             turns = Turns(turn[around], early_s[around], rims.instant_s)
             even = all(
                 (each == each.flat[0]).all() for each in (shown, gamma, turns.instant, turns.early_s, *driven)
             )
-            found = [each[:, : (end - row) * rims.pitch] for each in (sums, cells)]
+            size = (end - row) * rims.pitch * n_cols * rims.pitch
+            sums, cells = (
+                room[: n * size].reshape(n, -1, n_cols * rims.pitch)
+                for n, room in zip((len(keys), len(weights)), rooms, strict=True)
+            )
             run(
-                driven, gamma, shown, targets, rims.taus, turns, once if even else looks, weights[:, around],
-                keys, _runs(moving[row:end]), *found,
+                driven, gamma, shown, targets, rims.taus, turns, once if even else looks,
+                weights.take(around, 1), keys, _runs(moving[row:end]), sums, cells,
             )  # fmt: skip
             after.retardance_rad[row:end], after.levels[row:end] = gamma[1:-1], shown[1:-1]
-            add(found[0], found[1], row * rims.pitch)
+            add(sums, cells, row * rims.pitch)
 
     in_bands(n_rows, band)
     return after
