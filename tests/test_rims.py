@@ -17,6 +17,7 @@ from optsim.forward.fringing import border_shares, fine_image
 from optsim.forward.integrate import Shutter, integrate_exposure
 from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
 from optsim.forward.radau import middles, radau
+from optsim.forward.rim_loops import fill_cells
 from optsim.forward.rims import Rims, cell_weights, relaxed
 from optsim.hardware import demo
 from optsim.probe import Illumination, compared_with
@@ -118,6 +119,8 @@ def test_rows_of_a_tall_panel_find_the_same_in_bands(monkeypatch, cores):
     monkeypatch.setattr(rims_module, "FEW", 0)
     found = cell_weights(rims, weights)
     np.testing.assert_allclose(found, together, atol=2e-6)
+    # Each further layout of the arrays would be compiled anew, for seconds of a first run.
+    assert len(fill_cells.dispatcher().signatures) == 1
     plain = weights.repeat(3, axis=1).repeat(3, axis=2)
     true = dense(levels, response, 1)
     assert np.std(found - true) < 0.01 * np.std(plain - true)
