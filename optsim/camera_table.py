@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Sequence
 from typing import cast
 
@@ -59,9 +58,9 @@ def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str
     """Refuse a misspelt key of those that a table may have beside its part's own."""
     for key in table:
         names = [*part.model_fields, *more]
-        near = difflib.get_close_matches(key, names, n=1, cutoff=0.7)
-        if key not in names and near and near[0] in more:
-            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {near[0]!r}?")
+        near = nearest_name(names, key, alike=0.7)
+        if key not in names and near in more:
+            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {near!r}?")
 
 
 def on_hardware(table: object) -> object:

@@ -56,6 +56,6 @@ def unknown_name(what: str, got: str, valid: Iterable[str]) -> ConfigError:
     return ConfigError(f"unknown {what} {got!r}; expected one of: {', '.join(names)}; {cure}")
 
 
-def nearest_name(names: Sequence[str], got: str) -> str | None:
-    """Name that was probably meant; None if none is near."""
-    return next(iter(difflib.get_close_matches(got, names, n=1, cutoff=0.4)), None)
+def nearest_name(names: Sequence[str], got: str, alike: float = 0.4) -> str | None:
+    """Name that was probably meant; None if none is as much alike, from 0 to 1 for the same."""
+    return next(iter(difflib.get_close_matches(got, names, n=1, cutoff=alike)), None)

@@ -38,11 +38,8 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
     gain = whole_cells(camera.panel_gain, SAMPLES_PER_PITCH)
     operator = camera.relay_operator()
     image = operator.apply(shading * gain * camera.slot_s)
-    # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
-    veil = camera.relay.glare_share * float(image.mean() / mean_reading(image, *square).mean())
-    crosstalk, glare = _no_crosstalk(camera), Glare()
-    if not alone:
-        crosstalk, glare = _of_others(camera, operator, square, on_ccd, veil)
+    nothing = _no_crosstalk(camera), Glare()
+    crosstalk, glare = nothing if alone else _of_others(camera, operator, image, square, on_ccd)
     return _known(
         "true",
         camera,
@@ -60,21 +57,34 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
 
 
 def _of_others(
-    camera: CodedCamera, operator: RelayOperator, square: tuple[Ints, Ints, int], on_ccd: Bools, veil: float
+    camera: CodedCamera, operator: RelayOperator, flat: Doubles, square: tuple[Ints, Ints, int], on_ccd: Bools
 ) -> tuple[Floats, Glare]:
-    """Find what each panel pixel reads of its neighbours, by a kernel, and of those farther away."""
+    """Find what each panel pixel reads of its neighbours, by a kernel, and of those farther away.
+
+    ``flat`` is the CCD's image of even light, ``square`` the picks and the side of what is read at each.
+    """
+    row, col, side = square
     rows, cols = camera.panel_rows, camera.panel_cols
     reach = min(REACH, (min(rows, cols) - 1) // 2)
     borders = border_shares(camera.modulator.fringing_px, SAMPLES_PER_PITCH)
-    dots = true_dots(operator, borders, square[0], square[1], reach, square[2])
-    offsets_px = camera.relay_geometry().pick_offsets_px(SAMPLES_PER_PITCH)
+    kernels = crosstalk_kernels(
+        true_dots(operator, borders, row, col, reach, side),
+        camera.relay_geometry().pick_offsets_px(SAMPLES_PER_PITCH),
+        on_ccd,
+        reach,
+    )
     panel, middle = np.ones((rows, cols)), (rows // 2, cols // 2)
-    flat = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
+    whole = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
     lit = 0 * panel
     lit[middle] = 1
-    rings = ring_strengths(seen_at_picks(lit, operator, borders, *square) / flat, *middle)
-    glare = Glare(veil, camera.relay.ghost_share, camera.relay.ghost_blur_px, rings)
-    return crosstalk_kernels(dots, offsets_px, on_ccd, reach), glare
+    glare = Glare(
+        # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+        veil=camera.relay.glare_share * float(flat.mean() / mean_reading(flat, *square).mean()),
+        ghost=camera.relay.ghost_share,
+        ghost_blur_px=camera.relay.ghost_blur_px,
+        wings=ring_strengths(seen_at_picks(lit, operator, borders, *square) / whole, *middle),
+    )
+    return kernels, glare
 
 
 def _no_crosstalk(camera: CodedCamera) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast, get_args, get_origin
 
@@ -155,15 +154,11 @@ def _right_key(part: type[BaseModel], place: _Place) -> str:
     table = place.path[: place.path.rfind(".") + 1]
     paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
     # Nearer ones first: a key of this very table before one elsewhere, unless that has the very same name.
-    begun = sorted((key for key in own if key.startswith(name)), key=len)[:1]
-    near = (
-        begun
-        or difflib.get_close_matches(name, own, n=1, cutoff=0.7)
-        # Elsewhere only a name that is all but the same.
-        or difflib.get_close_matches(name, sorted(paths), n=1, cutoff=0.85)
-    )
+    begun = min((key for key in own if key.startswith(name)), key=len, default=None)
+    # Elsewhere only a name that is all but the same.
+    near = begun or nearest_name(own, name, alike=0.7) or nearest_name(sorted(paths), name, alike=0.85)
     # Of a name elsewhere the whole key.
-    meant = near if near and near[0] in own else paths[near[0]] if near else []
+    meant = [] if near is None else [near] if near in own else paths[near]
     same = [] if begun or len(paths.get(name, [])) > _PLACES else paths.get(name, [])
     meant = list(dict.fromkeys([*same, *meant]))
     if not 0 < len(meant) <= _PLACES:

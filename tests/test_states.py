@@ -176,11 +176,14 @@ def test_the_true_calibration_knows_a_clip_and_the_veil() -> None:
 def test_a_pixel_by_itself_is_what_it_is_among_others(side: int) -> None:
     """All but crosstalk and glare; without them light reads as a pixel's own."""
     camera = small().camera
+    panel = camera.modulator.model_copy(update={"stuck_share": 0.02})
+    camera = camera.model_copy(update={"modulator": panel})
     whole, alone = (true_calibration(camera, side, alone=each) for each in (False, True))
     for field in fields(whole):
         if field.name in {"crosstalk", "glare"}:
             continue
         np.testing.assert_array_equal(getattr(alone, field.name), getattr(whole, field.name), field.name)
+    assert not whole.valid.all()
     light = np.random.default_rng(0).random((ROWS, COLS)).astype(np.float32)
     np.testing.assert_array_equal(alone.mix(light), light)
     assert np.abs(whole.mix(light) - light).max() > 0.05
