@@ -75,8 +75,8 @@ class CodedCamera(Part):
         if self.coded_slots < 1:
             raise ValueError(
                 f"slots_per_frame: got {self.slots_per_frame}, expected more than the "
-                f"{self.slots_per_frame - self.coded_slots} slots that the readout of "
-                f"{self.sensor.readout_s * 1e3:.3g} ms takes without overlap; raise it, or set overlap = true"
+                f"{self.slots_per_frame - self.coded_slots} slots that without overlap the readout takes, "
+                f"{self.sensor.frame_readout_s * 1e3:.3g} ms; raise it, or set overlap = true"
             )
         self.splitter.check_band(self.wavelength_m)
         self.sensor.efficiency_at(self.wavelength_m)
@@ -117,7 +117,7 @@ class CodedCamera(Part):
         if self.overlap:
             return self.slots_per_frame
         # A readout of 39.1 ms is 7.04 fields, so 8 are lost.
-        return self.slots_per_frame - int(np.ceil(self.sensor.readout_s / self.slot_s - 1e-9))
+        return self.slots_per_frame - int(np.ceil(self.sensor.frame_readout_s / self.slot_s - 1e-9))
 
     @property
     def exposure_s(self) -> float:
@@ -309,7 +309,7 @@ class CodedCamera(Part):
     def smallest_latency_frames(self, computation_s: float = 0.05) -> LatencyReport:
         """Smallest physical latency; the time for computing masks and codes is an assumption."""
         return latency_report(
-            readout_s=self.sensor.readout_s,
+            readout_s=self.sensor.frame_readout_s,
             ccd_pixels=self.sensor.rows * self.sensor.cols,
             computation_s=computation_s,
             period_s=self.slots_per_frame * self.slot_s,

@@ -171,6 +171,10 @@ def test_a_grey_scene_reads_back_through_the_true_calibration_within_its_stated_
 
 def test_without_overlap_the_last_slots_are_dark_and_closed():
     camera = small(overlap=False, slots_per_frame=36, modulator=INSTANT)
+    # 88 rows of 27.2 us are 2.4 ms, less than a slot; the whole chip's 39.1 ms are 7.04.
+    assert camera.coded_slots == 35
+    slow = camera.sensor.model_copy(update={"readout_rows": None})
+    camera = camera.model_copy(update={"sensor": slow})
     assert camera.coded_slots == 28
     light = truth(camera, np.full((3 * V, 3 * U), 0.1), 36)
     shown = np.full((36, V, U), 255, np.uint8)
@@ -312,6 +316,8 @@ def test_the_smallest_latency_adds_up_readout_transfer_computation_and_display()
     # Readout within the period: the eight uncoded slots count for the loop.
     sequential = prototype().model_copy(update={"overlap": False})
     assert sequential.smallest_latency_frames(computation_s=0.16).frames == 2
+    # The demo reads 368 of the chip's 1440 rows.
+    assert demo().smallest_latency_frames().readout_s == pytest.approx(39.1e-3 * 368 / 1440, rel=1e-12)
 
 
 @pytest.mark.parametrize(("slots", "enough"), [(7, False), (8, True)])

@@ -212,7 +212,10 @@ def check_ends(camera, rng):
 def impossible(table):
     """Keys of which an error must name one; none where the parts can work together."""
     keys = []
-    readout = table["sensor"]["readout_s"] * table["modulator"]["field_rate_hz"]
+    sensor = table["sensor"]
+    readout = (
+        sensor["readout_s"] * sensor["rows"] / sensor["readout_rows"] * table["modulator"]["field_rate_hz"]
+    )
     if not table["overlap"] and table["slots_per_frame"] <= readout:
         keys.append("slots_per_frame")
     parts = Splitter(**table["splitter"]), Modulator(**table["modulator"])

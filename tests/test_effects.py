@@ -15,7 +15,7 @@ from optsim.effects import ALL, STATES, changed, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
 from optsim.explain import explanation, scene_effects, show
-from optsim.hardware import imx174, prototype
+from optsim.hardware import demo, imx174, prototype
 from optsim.probe import Illumination, make_probes, near_probe, shrunk
 from optsim.quantities import Block, ExposureCode, Segment
 from optsim.scene import BrightLight
@@ -421,3 +421,11 @@ def test_the_probe_sees_the_field_of_the_camera_it_stands_for():
     assert probe.ratio == pytest.approx(whole.ratio)
     assert probe.panel_gain[:, -1].mean() == pytest.approx(whole.panel_gain[:, -1].mean(), rel=0.02)
     assert probe.geometry().fits
+
+
+def test_small_cameras_take_as_long_to_read_as_the_camera_they_stand_for():
+    # Smear and slots lost to the readout would otherwise be a small panel's.
+    for camera in (demo(), prototype()):
+        assert shrunk(camera).sensor.frame_readout_s == pytest.approx(camera.sensor.frame_readout_s)
+        closed = [c.model_copy(update={"overlap": False}).coded_slots for c in (camera, shrunk(camera))]
+        assert closed[0] == closed[1]

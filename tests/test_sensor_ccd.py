@@ -57,7 +57,8 @@ def test_a_saturated_pixel_reads_the_well_or_the_converters_end_exactly(make, we
 
 
 def test_more_light_never_reads_less_even_when_smear_passes_the_well_many_times():
-    sensor = icx674().model_copy(update={"rows": 16, "cols": 5, "read_noise_e": 0.0, "dsnu_e": 0.0})
+    few = {"rows": 16, "cols": 5, "readout_rows": None}
+    sensor = icx674().model_copy(update=few | {"read_noise_e": 0.0, "dsnu_e": 0.0})
     well_dn = sensor.full_well_e * (1 - sensor.bend_at_full_well) / sensor.gain_e + sensor.black_dn
     seen = [frame(sensor, wells * sensor.full_well_e)[0].min() for wells in 10.0 ** np.arange(1, 10)]
     assert seen == sorted(seen)
@@ -127,7 +128,9 @@ def test_dark_electrons_are_not_smeared():
 
 
 def test_smear_is_the_column_sum_times_shield_and_dwell_and_passes_a_full_well():
-    sensor = plain(rows=100, cols=6, smear_share=1e-3, readout_s=0.04, read_noise_e=0.0, gain_e=1.1)
+    sensor = plain(
+        rows=100, cols=6, smear_share=1e-3, readout_s=0.04, readout_rows=100, read_noise_e=0.0, gain_e=1.1
+    )
     expected = np.zeros((100, 6))
     expected[20:40, 3] = 1000 * sensor.full_well_e
     expected[10, 1] = 1.0
@@ -144,6 +147,20 @@ def test_smear_is_the_column_sum_times_shield_and_dwell_and_passes_a_full_well()
     assert seen[0, 20:40, 3].min() > sensor.full_well_e
     none = sensor.model_copy(update={"smear_share": 0.0})
     assert not none.smear_e(expected, 0.2).any()
+
+
+def test_a_region_of_interest_is_read_as_fast_a_row_as_the_whole_chip():
+    whole, region = icx674(), icx674().model_copy(update={"rows": 360})
+    assert whole.frame_readout_s == pytest.approx(39.1e-3, rel=1e-12)
+    assert region.frame_readout_s == pytest.approx(39.1e-3 / 4, rel=1e-12)
+    # As many lit rows smear as much, whatever is read around them: each dwells 27.2 us in a row.
+    for sensor in (whole, region):
+        light = np.zeros((sensor.rows, 2))
+        light[100:120, 1] = 5e6
+        smear_e = sensor.smear_e(light + sensor.dark_rate_e_s * 0.2, 0.2)
+        assert smear_e[1] == pytest.approx(1e-3 * 20 * 5e6 * (39.1e-3 / 1440) / 0.2, rel=1e-9)
+    own = region.model_copy(update={"readout_s": 0.01, "readout_rows": None})
+    assert own.frame_readout_s == pytest.approx(0.01, rel=1e-12)
 
 
 def flat_frames(sensor, electrons, count, seed):

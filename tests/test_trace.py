@@ -130,7 +130,8 @@ def test_the_origins_add_up_to_the_expected_signal(experiment, pixel, state) -> 
 def test_stuck_pixels_and_a_closed_shutter_are_in_the_sum(experiment) -> None:
     """What the panel shows is then not what it is told."""
     panel = experiment.camera.modulator.model_copy(update={"stuck_share": 0.3})
-    camera = experiment.camera.model_copy(update={"modulator": panel, "overlap": False})
+    slow = experiment.camera.sensor.model_copy(update={"readout_rows": None})
+    camera = experiment.camera.model_copy(update={"modulator": panel, "sensor": slow, "overlap": False})
     stuck, levels = camera.stuck_pixels
     v, u = (int(k) for k in np.argwhere(stuck & (levels == 255))[0])
     pixel = (3 * v + 5, 3 * u + 5)

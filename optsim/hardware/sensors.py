@@ -56,6 +56,7 @@ def icx674() -> Ccd:
         bend_at_full_well=0.03,
         # Read-out table of beam-line software for this camera model.
         readout_s=39.1e-3,
+        readout_rows=1440,
         # No source; interline shields of about 0.1 % (ccd-sensor.de, "Smear").
         smear_share=1e-3,
     )
@@ -87,4 +88,5 @@ def imx174() -> Ccd:
         bend_at_full_well=0.01,
         # Read-out table of beam-line software for this camera model, Mono16.
         readout_s=12.2e-3,
+        readout_rows=1200,
     )

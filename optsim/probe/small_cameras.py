@@ -188,10 +188,13 @@ def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
                 }
             ),
             "relay": relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0}),
+            # Smear and slots lost to the readout are those of the camera: its whole readout stays.
             "sensor": camera.sensor.model_copy(
                 update={
                     "rows": int(np.ceil(rows * camera.ratio)) + around,
                     "cols": int(np.ceil(cols * camera.ratio)) + around,
+                    "readout_s": camera.sensor.frame_readout_s,
+                    "readout_rows": None,
                 }
             ),
         }

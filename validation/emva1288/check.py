@@ -120,8 +120,8 @@ def _bench(kind: str, factors: dict[str, float], seed: int) -> Pairs:
     camera = camera_of(sheet, seed)
     lamp = (camera.dark_e, camera.exposure_s)
     photons = LEVELS * sheet.full_well_e / sheet.quantum_efficiency
-    half = saturation_photons(sheet, photons, *lamp) / 2
-    truth = expected(sheet, photons, half, *lamp)
+    half = saturation_photons(camera.sensor, photons, *lamp) / 2
+    truth = expected(camera.sensor, photons, half, *lamp)
     built = sheet.model_copy(update={name: getattr(sheet, name) * f for name, f in factors.items()})
     with tempfile.TemporaryDirectory() as folder:
         results = _by_reference(

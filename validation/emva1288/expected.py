@@ -27,7 +27,7 @@ def expected(
     Parameters
     ----------
     sensor : Ccd
-        Only its data-sheet numbers are read.
+        Only its data-sheet numbers are read; its rows are those of the region on the bench.
     photons : ndarray of shape (level,)
         Photons a pixel in an exposure, evenly spaced, of each pair.
     spatial_photons : float
@@ -65,7 +65,8 @@ def saturation_photons(sensor: Any, photons: np.ndarray, dark_e: float, exposure
 
 def _moments(sensor: Any, photons: float, dark_e: float, exposure_s: float) -> tuple[float, float, float]:
     """Mean, DN, and temporal and spatial variance, DN^2, of pixels under uniform light."""
-    leak = sensor.smear_share * sensor.readout_s / exposure_s
+    readout_s = sensor.readout_s * sensor.rows / sensor.readout_rows
+    leak = sensor.smear_share * readout_s / exposure_s
     smear = leak * (sensor.quantum_efficiency * photons + dark_e)
     response = 1 + sensor.prnu * _NODES
     mean, variance = np.array(

@@ -43,7 +43,7 @@ def _shifted(light_e: np.ndarray, leak: float, dwell_s: float) -> np.ndarray:
 def _worst(scale: float) -> float:
     sensor = icx674().model_copy(update={"rows": _ROWS, "cols": _COLS})
     light_e = np.random.default_rng(4).uniform(0, 1e6, (_ROWS, _COLS))
-    expected = _shifted(light_e, scale * sensor.smear_share, sensor.readout_s / _ROWS)
+    expected = _shifted(light_e, scale * sensor.smear_share, sensor.readout_s / sensor.readout_rows)
     found = sensor.smear_e(light_e + sensor.dark_rate_e_s * _EXPOSURE_S, _EXPOSURE_S)
     error = found / expected - 1
     return float(error.ravel()[np.abs(error).argmax()])
