@@ -1,0 +1,90 @@
+"""What the loop hands from frame to frame and what it draws anew, against sums that share no code with it."""
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+from test_scoring import flat, small
+
+from optsim import loop
+from optsim.calibrate import Calibration
+from optsim.camera import CodedCamera
+from optsim.experiment import Experiment
+from optsim.loop import Frames, calibrate_all, capture, set_light
+
+FRAMES = 3
+
+
+def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, Calibration]:
+    """Frames of even light, with the camera and what is known of it."""
+    radiance = flat(experiment, 0.2)
+    known = calibrate_all(experiment)
+    camera, _ = set_light(experiment, radiance, known[experiment.known])
+    return capture(experiment, camera, camera.form_image(radiance), known), camera, known[experiment.known]
+
+
+def tail_slots(tau_s: float, slot_s: float) -> float:
+    """Light that a panel of half a wave lets through after it was told to close, in open slots."""
+    step = tau_s / 1000
+    gamma = np.pi * np.exp(-np.arange(0, 20 * tau_s, step) / tau_s)
+    return float((np.sin(gamma / 2) ** 2).sum() * step / slot_s)
+
+
+def test_a_frame_begins_with_what_the_frame_before_left_open() -> None:
+    """Of the mosaic, whoever has one open slot had all 36 in the frame before: its tail counts twice."""
+    experiment = small("camera.effects.all=ideal", "camera.modulator.tau_off_s=2 ms", n_frames=FRAMES)
+    mosaic = tuple(method for method in experiment.methods if method.name == "hdr_mosaic")
+    frames, camera, calibration = taken(experiment.model_copy(update={"methods": mosaic}))
+    tail = tail_slots(2e-3, camera.slot_s)
+    assert tail > 0.2
+    for before, frame in zip(frames["hdr_mosaic"][:-1], frames["hdr_mosaic"][1:], strict=True):
+        opened, earlier = (np.count_nonzero(each.code.levels, axis=0) for each in (frame, before))
+        assert set(earlier[opened == 1]) == {36}
+        light = frame.dn[calibration.pick_row, calibration.pick_col] - calibration.black_dn
+        slots = 36 * np.array([light[opened == n].mean() for n in (1, 3, 11)]) / light[opened == 36].mean()
+        # 192 pixels each, of 2000 electrons and more: 0.2 % and less of noise, and the corners' shading.
+        np.testing.assert_allclose(slots, [1 + 2 * tail, 3 + tail, 11 + tail], rtol=0.01)
+
+
+def test_no_two_frames_share_their_photons() -> None:
+    """Differences have the noise of both frames, between the frames of a method and between methods."""
+    experiment = small("camera.effects.all=ideal", n_frames=FRAMES)
+    normal = next(method for method in experiment.methods if method.name == "normal")
+    methods = tuple(normal.model_copy(update={"name": name}) for name in ("one", "other"))
+    frames, camera, calibration = taken(experiment.model_copy(update={"methods": methods}))
+    row, col = calibration.pick_row[calibration.valid], calibration.pick_col[calibration.valid]
+    light = [frame.dn[row, col].astype(float) for name in ("one", "other") for frame in frames[name]]
+    expected = 2 * (np.mean(light) - calibration.black_dn.mean()) / camera.sensor.step_e
+    for one, other in combinations(light, 2):
+        # Five standard errors of the variance of so many pixels.
+        assert np.var(one - other) == pytest.approx(expected, rel=5 * np.sqrt(2 / one.size))
+
+
+def test_every_draw_has_its_own_numbers_and_another_seed_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One bench, one code for all methods, photons of each frame and method: claims over seeds need it."""
+    given, drawn = loop.stream, []
+
+    def noted(*purpose: Any) -> np.random.Generator:
+        drawn.append(given(*purpose).random())
+        return given(*purpose)
+
+    monkeypatch.setattr(loop, "stream", noted)
+    monkeypatch.setattr(loop, "measure_bench", lambda _, rng: rng.random())
+    monkeypatch.setattr(loop, "calibrate_from", lambda bench, _: bench)
+    runs = []
+    for seed in (1, 2, 1):
+        experiment = small("camera.effects.all=ideal", f"seed={seed}", n_frames=FRAMES)
+        bench = loop.calibrate(experiment, experiment.known._replace(operator="bench"))
+        still = tuple(method for method in experiment.methods if method.name in ("normal", "random"))
+        frames, *_ = taken(experiment.model_copy(update={"methods": still}))
+        arrays = [bench, frames["random"][0].code.levels, *(f.dn for name in frames for f in frames[name])]
+        runs.append((set(drawn), [np.asarray(array) for array in arrays]))
+        drawn.clear()
+    (one, first), (other, second), (again, third) = runs
+    assert len(one) == len(other) == 2 + 2 * FRAMES
+    assert not one & other
+    assert one == again
+    for a, b, c in zip(first, second, third, strict=True):
+        assert np.array_equal(a, c)
+        assert not np.array_equal(a, b)
