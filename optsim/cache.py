@@ -1,20 +1,24 @@
 """Content-addressed cache on disk: an entry is a folder of .npy files, named by a hash of what made it.
 
-An entry is written under a temporary name and renamed, so it is either whole or absent: an interrupted render
-resumes by finding what is there. Reading is memory-mapped. When the cache grows over its cap, the entries
-not used for the longest time go first; entries used by this process stay, whatever the cap.
+An entry is written under a temporary name and renamed; it lists its files with their sizes and checksums. An
+entry that doesn't agree with its list counts as absent and is made again: an interrupted render resumes by
+finding what is whole. Reading is memory-mapped. When the cache grows over its cap, the entries not used for
+the longest time go first; entries that a live process uses stay, whatever the cap.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +28,8 @@ from numpy.typing import NDArray
 from optsim.errors import ConfigError, StorageError
 
 DEFAULT_CAP_GB = 20.0
+_LIST = "files.json"
+_BLOCK = 1 << 20  # bytes read at a time for a checksum
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -34,11 +40,23 @@ def hash_of(*parts: object) -> str:
 
 
 def default_folder() -> Path:
-    """``$OPTSIM_CACHE``, else ``optsim`` in the XDG cache folder."""
+    """``$OPTSIM_CACHE``, else ``optsim`` in the XDG cache folder.
+
+    Raises
+    ------
+    ConfigError
+        When the user that it names has no home, or nobody has.
+    """
     chosen = os.environ.get("OPTSIM_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "optsim"
+    try:
+        if chosen:
+            return Path(chosen).expanduser()
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "optsim"
+    except RuntimeError as error:
+        got = f"got {chosen!r}" if chosen else "not set, and this user has no home folder for a cache"
+        raise ConfigError(
+            f"OPTSIM_CACHE: {got} ({error}); expected a folder; cure: set OPTSIM_CACHE to one of yours"
+        ) from None
 
 
 def _default_cap_bytes() -> int:
@@ -88,7 +106,9 @@ class Cache:
         return self.read(key)
 
     def __contains__(self, key: str) -> bool:
-        return self._entry(key).is_dir()
+        # Whoever asks will use it; no other process may evict it from now on.
+        self._use(key)
+        return _files_of(self._entry(key)) is not None
 
     def read(self, key: str) -> Arrays:
         """Memory-map an entry's arrays.
@@ -96,24 +116,21 @@ class Cache:
         Raises
         ------
         StorageError
-            When the entry is not (or no longer) there, or a file in it is damaged.
+            When the entry is not (or no longer) there and whole.
         """
         entry = self._entry(key)
+        self._use(key)
+        paths = _files_of(entry)
         try:
-            # The folder's time says when it was last used; another process may be removing it.
-            if key not in self._used:
-                os.utime(entry)
-                self._used.add(key)
-            return {path.stem: np.load(path, mmap_mode="r") for path in sorted(entry.glob("*.npy"))}
-        except FileNotFoundError:
-            raise StorageError(
-                f"cache entry {key} is missing from {self.folder}: it was removed while in use; cure: run "
-                "again, and raise OPTSIM_CACHE_MAX_GB if several runs share this cache"
-            ) from None
+            if paths is not None:
+                return {path.stem: np.load(path, mmap_mode="r") for path in paths}
+            what = f"{entry} is damaged" if entry.is_dir() else f"{key} is missing from {self.folder}"
         except (ValueError, EOFError, OSError) as error:
-            raise StorageError(
-                f"cache entry {entry} is damaged ({error}); cure: delete this folder"
-            ) from error
+            what = f"{entry} cannot be read ({error})"
+        raise StorageError(
+            f"cache entry {what}: it was removed or changed while in use; cure: run again, which makes it "
+            "anew (or delete this folder first); if several runs share the cache, don't clear it meanwhile"
+        )
 
     def show(self) -> dict[str, Any]:
         """Where the cache is, its whole entries, and its size and cap in bytes."""
@@ -125,11 +142,22 @@ class Cache:
         }
 
     def clear(self) -> int:
-        """Remove every entry and every leftover of an interrupted write; return the bytes freed."""
-        freed = self._total()
+        """Remove every entry and every leftover of an interrupted write; return the bytes freed.
+
+        Raises
+        ------
+        StorageError
+            When some of it can't be removed.
+        """
+        entries, freed = self._entries(), self._total()
         shutil.rmtree(self.folder / "entries", ignore_errors=True)
         self._used.clear()
         self._size.clear()
+        # A run may make new ones at the same time.
+        if left := sum(_size(entry) for entry in entries):
+            raise StorageError(
+                f"{self.folder}: {left / 1e6:.1f} MB can't be removed; cure: make its entries writable"
+            )
         return freed
 
     def _total(self) -> int:
@@ -151,12 +179,16 @@ class Cache:
         try:
             for name, array in arrays.items():
                 np.save(temporary / f"{name}.npy", np.ascontiguousarray(array))
+            listed = {path.name: _sum_of(path) for path in temporary.iterdir()}
+            (temporary / _LIST).write_text(json.dumps(listed), encoding="utf-8")
             temporary.chmod(0o755)
+            if key not in self:
+                shutil.rmtree(entry, ignore_errors=True)
             # Another process may have made the same entry meanwhile: then ours is the spare.
-            with contextlib.suppress(FileExistsError, OSError):
+            with contextlib.suppress(OSError):
                 temporary.rename(entry)
-            if not entry.is_dir():
-                raise StorageError(f"cannot put {entry.name} into the cache {self.folder}")
+            if key not in self:
+                raise StorageError(f"cannot put {key} into the cache {self.folder}")
         except OSError as error:
             raise StorageError(
                 f"cannot write the cache {self.folder}: {error.strerror or error}; cure: free disk space, or "
@@ -164,8 +196,17 @@ class Cache:
             ) from error
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-        self._used.add(key)
         self._evict(_size(entry))
+
+    def _use(self, key: str) -> None:
+        """Note that an entry is used now, and will be for as long as this process lives."""
+        if key in self._used:
+            return
+        self._used.add(key)
+        # A cache that only others may write is as good to read.
+        with contextlib.suppress(OSError):
+            os.write(_notes(self.folder, os.getpid()), f"{key}\n".encode())
+            os.utime(self._entry(key))
 
     def _evict(self, n_new: int) -> None:
         if not self._size:
@@ -175,24 +216,74 @@ class Cache:
         if self._size[0] <= self.cap_bytes:
             return
         total = self._total()
+        used = self._used | _used_by_the_living(self.folder)
         for entry in sorted(self._entries(), key=_last_use):
             if total <= self.cap_bytes:
                 break
-            if entry.name not in self._used:
+            if entry.name not in used:
                 total -= _size(entry)
                 shutil.rmtree(entry, ignore_errors=True)
         self._size[0] = total
 
 
+def _files_of(entry: Path) -> list[Path] | None:
+    """Files that an entry lists, if all of them are as they were written."""
+    try:
+        listed = json.loads((entry / _LIST).read_bytes())
+        paths = [entry / name for name in listed]
+        whole = all(_sum_of(path) == listed[path.name] for path in paths)
+    except (OSError, ValueError, TypeError):
+        return None
+    return paths if whole else None
+
+
+def _sum_of(path: Path) -> list[int]:
+    """Size and checksum of a file, worked out once for each of its states."""
+    state = path.stat()
+    return [state.st_size, _checksum(path, state.st_ino, state.st_size, state.st_mtime_ns)]
+
+
+@lru_cache(maxsize=100_000)
+def _checksum(path: Path, *state: int) -> int:
+    found = 0
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            found = zlib.crc32(block, found)
+    return found
+
+
+@lru_cache(maxsize=1000)
+def _notes(folder: Path, process: int) -> int:
+    """Open file in which a process notes what it uses, locked for as long as it lives."""
+    (folder / "users").mkdir(parents=True, exist_ok=True)
+    notes, _ = tempfile.mkstemp(prefix=f"{process}-", dir=folder / "users")
+    fcntl.flock(notes, fcntl.LOCK_EX)
+    return notes
+
+
+def _used_by_the_living(folder: Path) -> set[str]:
+    """Entries that processes use which haven't ended, this one among them."""
+    used: set[str] = set()
+    for path in folder.glob("users/*"):
+        with contextlib.suppress(OSError), path.open(encoding="utf-8") as notes:
+            try:
+                fcntl.flock(notes, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                used |= set(notes.read().split())
+            else:
+                path.unlink()
+    return used
+
+
 def _size(entry: Path) -> int:
     try:
-        return sum(path.stat().st_size for path in entry.iterdir())
-    except FileNotFoundError:
+        return sum(path.stat().st_size for path in entry.glob("*.npy"))
+    except OSError:
         return 0
 
 
 def _last_use(entry: Path) -> float:
     try:
         return entry.stat().st_mtime
-    except FileNotFoundError:
+    except OSError:
         return 0.0

@@ -28,7 +28,7 @@ from optsim.cli_options import (
 )
 from optsim.cli_reconstruct import reconstruct_files
 from optsim.cli_train import train
-from optsim.errors import ConfigError, OptsimError, StorageError, unknown_name
+from optsim.errors import ConfigError, OptsimError, unknown_name
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -75,14 +75,17 @@ def run(
 ) -> None:
     """Render, expose, decode and score an experiment; write a run folder with report.html."""
     from optsim import job
+    from optsim.claims import free_folder, output_folder
     from optsim.console import page, people, progress_bars
     from optsim.experiment import load_experiment
     from optsim.explain import too_short
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
-    folder = job.run_folder(loaded, out)
-    needs = job.check(loaded, folder, backend)
+    if out is not None:
+        job.run_folder(loaded, out)
     if dry_run:
+        folder = out or free_folder(loaded.name)
+        needs = job.check(loaded, folder, backend)
         if as_json:
             print_json({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
         else:
@@ -91,19 +94,28 @@ def run(
                 people.print(short)
         return
     command = " ".join(["optsim", *sys.argv[1:]])
-    if (folder / "results.json").exists():
-        people.print(
-            f"{folder} holds a finished run of this experiment: it is made anew, and replaced at the end."
-        )
-    try:
-        with progress_bars() as progress:
-            results = job.execute(
-                loaded, folder, command=command, backend=backend, export_truth=export_truth, progress=progress
+    with output_folder(out, loaded.name) as folder:
+        job.check(loaded, folder, backend)
+        if (folder / "results.json").exists():
+            people.print(
+                f"{folder} holds a finished run of this experiment: it is made anew, and replaced at the end."
             )
-    except KeyboardInterrupt:
-        if (folder / job.UNFINISHED).exists():
-            people.print(f"Finished frames are in {folder}: with --out {folder} the same command finds them.")
-        raise
+        try:
+            with progress_bars() as progress:
+                results = job.execute(
+                    loaded,
+                    folder,
+                    command=command,
+                    backend=backend,
+                    export_truth=export_truth,
+                    progress=progress,
+                )
+        except KeyboardInterrupt:
+            if (folder / job.UNFINISHED).exists():
+                people.print(
+                    f"Finished frames are in {folder}: with --out {folder} the same command finds them."
+                )
+            raise
     if as_json:
         print_json(results)
     else:
@@ -143,10 +155,12 @@ def render(
     ] = None,
 ) -> None:
     """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
+    from contextlib import nullcontext
+
     from optsim import job
+    from optsim.claims import claimed_empty
     from optsim.console import people, progress_bars
     from optsim.experiment import load_experiment
-    from optsim.files import check_empty
     from optsim.truth import render_truth
 
     loaded = load_experiment(experiment, assignments or [])
@@ -154,8 +168,6 @@ def render(
     if (passes and out is None) or ((half or slots or further) and not passes):
         raise ConfigError("--passes needs --out DIR; --slots, --half and further channels need --passes")
     job.check(loaded, out, backend)
-    if out is not None and not passes:
-        check_empty(out)
     if passes and out is not None:
         from optsim.passes import choose_extras, export_passes, parse_slots
 
@@ -166,7 +178,7 @@ def render(
             export_passes(loaded, out, chosen, half=half, extras=extras, backend=backend, progress=progress)
         people.print(f"The passes are in {out}; {out / 'passes.png'} shows them.")
         return
-    with progress_bars() as progress:
+    with nullcontext() if out is None else claimed_empty(out), progress_bars() as progress:
         radiance = render_truth(loaded, backend=backend, progress=progress)
         if out is not None:
             job.export_radiance(radiance, out, loaded, progress)
@@ -191,21 +203,21 @@ def trace(
     from dataclasses import asdict
 
     from optsim import job
+    from optsim.claims import claimed_empty, output_folder
     from optsim.console import page, progress_bars
     from optsim.experiment import load_experiment
-    from optsim.files import check_empty, write_json, write_text
+    from optsim.files import write_json, write_text
     from optsim.report.trace_plot import trace_plot
     from optsim.trace import choose_aim, show, trace_experiment
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
     aim = choose_aim(loaded, pixel, frame, method)
-    folder = out or job.new_folder(f"trace-{loaded.name}")
-    check_empty(folder)
-    job.check(loaded, folder, backend)
-    with progress_bars() as progress:
-        found = trace_experiment(loaded, aim, backend=backend, progress=progress)
-    write_json(folder / "trace.json", asdict(found))
-    write_text(folder / "trace.svg", trace_plot(found))
+    with output_folder(out, f"trace-{loaded.name}") as folder, claimed_empty(folder):
+        job.check(loaded, folder, backend)
+        with progress_bars() as progress:
+            found = trace_experiment(loaded, aim, backend=backend, progress=progress)
+        write_json(folder / "trace.json", asdict(found))
+        write_text(folder / "trace.svg", trace_plot(found))
     if as_json:
         print_json(asdict(found))
     else:
@@ -318,13 +330,11 @@ def init(
 ) -> None:
     """Copy a preset to edit."""
     from optsim.experiment import experiment_path
-    from optsim.files import write_text
+    from optsim.files import write_new_text
 
     source = experiment_path(preset)
     target = out or Path(f"{source.stem}.toml")
-    if target.exists() or target.is_symlink():
-        raise StorageError(f"{target} exists already; choose another name with --out, or move it away")
-    write_text(target, source.read_text(encoding="utf-8"))
+    write_new_text(target, source.read_text(encoding="utf-8"))
     typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
 
 

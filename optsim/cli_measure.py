@@ -21,19 +21,21 @@ def bench(
 
     A NAME is a record or a family of them: capture, gmm, mask, omp, reconstruct, render.
     """
-    from optsim import benchmark
-    from optsim.console import page, people, progress_bars, table
-    from optsim.files import check_empty, write_json, write_text
+    from contextlib import nullcontext
 
-    if out is not None:
-        check_empty(out)
-    with progress_bars(quiet=as_json) as progress:
-        found = benchmark.measure_all(names or [], progress)
-    if out is not None:
-        write_json(out / "records.json", found)
-        for name, drawing in benchmark.pictures(found).items():
-            write_text(out / name, drawing)
-        people.print(f"Written to {out}.")
+    from optsim import benchmark
+    from optsim.claims import claimed_empty
+    from optsim.console import page, people, progress_bars, table
+    from optsim.files import write_json, write_text
+
+    with nullcontext() if out is None else claimed_empty(out):
+        with progress_bars(quiet=as_json) as progress:
+            found = benchmark.measure_all(names or [], progress)
+        if out is not None:
+            write_json(out / "records.json", found)
+            for name, drawing in benchmark.pictures(found).items():
+                write_text(out / name, drawing)
+            people.print(f"Written to {out}.")
     if as_json:
         print_json(found)
     else:

@@ -34,16 +34,16 @@ def reconstruct_files(
     as_json: Json = False,
 ) -> None:
     """Decode coded images of any camera: light slot by slot as OpenEXR, a picture, a film and scores."""
+    from optsim.claims import output_folder
     from optsim.config import build, override
     from optsim.console import page, people, progress_bars, table
     from optsim.files import check_empty
-    from optsim.job import new_folder
     from optsim.measurement import decode_measurement, read_measurement
     from optsim.measurement.files import DecoderChoice, measurement_files
     from optsim.measurement.runs import RECORD, decoder_of_run, read_run
 
-    folder = out or new_folder(f"reconstruct-{measurement.stem}")
-    check_empty(folder)
+    if out is not None:
+        check_empty(out)
     if decoder and any(each.strip().startswith("decoder.kind") for each in assignments or ()):
         raise ConfigError(f"--decoder {decoder}: --set decoder.kind says the same; drop one of them")
     wanted = [*([f"decoder.kind={decoder}"] if decoder else []), *(assignments or [])]
@@ -58,7 +58,10 @@ def reconstruct_files(
     else:
         files = measurement_files(measurement, wanted)
         found, chosen = read_measurement(files), files.decoder
-    with progress_bars(quiet=as_json) as progress:
+    with (
+        output_folder(out, f"reconstruct-{measurement.stem}") as folder,
+        progress_bars(quiet=as_json) as progress,
+    ):
         record = decode_measurement(found, chosen, folder, peak=peak, progress=progress)
     if as_json:
         print_json(record)

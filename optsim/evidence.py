@@ -11,11 +11,13 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import cast
 
+from optsim.claims import claimed_file
 from optsim.errors import StorageError, unknown_name
 from optsim.files import read_json, write_json
 from optsim.progress import Progress, silent
@@ -220,15 +222,16 @@ def measure_all(names: Sequence[str], *, write: bool, progress: Progress = silen
     for name in chosen:
         if name not in check_names():
             raise unknown_name("validation", name, check_names())
-    kept = records()
     found: list[Evidence] = []
-    for done, name in enumerate(chosen):
-        progress(f"validate {name}", done, len(chosen))
-        found.append(measure(name))
-        kept[name] = found[-1]
-        if write:
-            # One by one: what has been measured stays when a later check is interrupted.
-            write_json(_RECORDS, [asdict(kept[each]) for each in sorted(kept)])
+    with claimed_file(_RECORDS) if write else nullcontext():
+        kept = records()
+        for done, name in enumerate(chosen):
+            progress(f"validate {name}", done, len(chosen))
+            found.append(measure(name))
+            kept[name] = found[-1]
+            if write:
+                # One by one: what has been measured stays when a later check is interrupted.
+                write_json(_RECORDS, [asdict(kept[each]) for each in sorted(kept)])
     progress("validate", len(chosen), len(chosen))
     return found
 

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from optsim.errors import StorageError, ValueCheckError
 
 _HALF_MAX = 65504.0
+CLAIM = ".claim"
+"""Hidden file of a folder that a process writes into, or has been killed in."""
 
 
 def writable_folder(place: Path, what: str, cure: str) -> Path:
@@ -48,6 +50,11 @@ def writable_folder(place: Path, what: str, cure: str) -> Path:
     return existing
 
 
+def holds_nothing(folder: Path) -> bool:
+    """Whether there is nothing in a folder but a claim."""
+    return all(each.name == CLAIM for each in folder.iterdir())
+
+
 def check_empty(folder: Path) -> None:
     """Refuse an output folder that holds something, or that could not be made.
 
@@ -56,7 +63,7 @@ def check_empty(folder: Path) -> None:
     StorageError
         With the cure.
     """
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and not holds_nothing(folder):
         raise StorageError(f"--out {folder} is not an empty folder; choose a new one")
     writable_folder(folder, "--out", "choose another one")
 
@@ -87,6 +94,24 @@ def write_text(path: Path, text: str) -> None:
     """Write text atomically, UTF-8."""
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_new_text(path: Path, text: str) -> None:
+    """Write text into a file that isn't there yet; a StorageError if it is."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        raise StorageError(
+            f"{path} exists already; choose another name with --out, or move it away"
+        ) from None
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from None
+    try:
+        write_text(path, text)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def write_json(path: Path, record: object) -> None:

@@ -6,7 +6,6 @@ Streams frame by frame, so that memory does not grow with the length of the expe
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import platform
 import shutil
@@ -22,10 +21,19 @@ import numpy as np
 from optsim import __version__, evidence
 from optsim.cache import Cache
 from optsim.camera import CodedCamera
+from optsim.claims import claimed
 from optsim.errors import OptsimError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
-from optsim.files import read_record, writable_folder, write_exr, write_json, write_png8, write_png16
+from optsim.files import (
+    holds_nothing,
+    read_record,
+    writable_folder,
+    write_exr,
+    write_json,
+    write_png8,
+    write_png16,
+)
 from optsim.gallery import MOVING_FRAMES, Gallery
 from optsim.journal import Journal, run_key
 from optsim.known_calibration import ideal_calibration
@@ -48,26 +56,17 @@ UNFINISHED = "unfinished"
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
 
 
-def new_folder(name: str) -> Path:
-    """Folder among the runs, named by what is in it and the time (UTC)."""
-    first = Path("reports") / "runs" / f"{name}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')}"
-    others = (first.with_name(f"{first.name}-{number}") for number in itertools.count(2))
-    return next(folder for folder in (first, *itertools.islice(others, 100)) if not folder.exists())
-
-
-def run_folder(experiment: Experiment, out: Path | None) -> Path:
-    """Folder of a run: the one asked for, or a new one named by the experiment and the time (UTC).
+def run_folder(experiment: Experiment, out: Path) -> Path:
+    """Folder of a run, if it is free for this experiment.
 
     Raises
     ------
     StorageError
         When the folder holds a run of another experiment, or something that is no run.
     """
-    if out is None:
-        return new_folder(experiment.name)
     if out.is_file():
         raise StorageError(f"--out {out} is a file; expected a folder")
-    if out.is_dir() and any(out.iterdir()):
+    if out.is_dir() and not holds_nothing(out):
         marker = out / "experiment.json"
         if not marker.is_file():
             raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
@@ -145,7 +144,7 @@ def execute(
     experiment : Experiment
         What to run.
     folder : Path
-        From :func:`run_folder`.
+        New, empty, or of the same experiment; held for this process alone.
     command : str
         The command line, for the report.
     backend : str, optional
@@ -159,7 +158,25 @@ def execute(
     -------
     dict
         The content of results.json.
+
+    Raises
+    ------
+    StorageError
+        When another process writes into the folder, or it holds anything else.
     """
+    with claimed(folder):
+        run_folder(experiment, folder)
+        return _execute(experiment, folder, command, backend, export_truth, progress)
+
+
+def _execute(
+    experiment: Experiment,
+    folder: Path,
+    command: str,
+    backend: str | None,
+    export_truth: bool,
+    progress: Progress,
+) -> Results:
     watch = Stopwatch()
     resolved, fingerprint = experiment.model_dump(mode="json"), experiment.fingerprint()
     chosen, why = renderer(experiment, backend)
@@ -171,7 +188,7 @@ def execute(
         known = calibrate_all(modelled)
         progress("laboratory", 1, 1)
     experiment.check_methods(known)
-    with _claimed(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
+    with _stated(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
@@ -260,7 +277,7 @@ def execute(
 
 
 @contextlib.contextmanager
-def _claimed(folder: Path, statement: dict[str, Any]) -> Generator[None, None, None]:
+def _stated(folder: Path, statement: dict[str, Any]) -> Generator[None, None, None]:
     """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
     path = folder / "experiment.json"
     begun = path.exists()

@@ -12,6 +12,7 @@ import numpy as np
 
 from optsim import __version__
 from optsim.cache import Cache, hash_of
+from optsim.claims import claimed_file
 from optsim.errors import ConfigError, StorageError
 from optsim.files import writable_folder
 from optsim.imported_clips import ImportedClip
@@ -150,9 +151,25 @@ def train_prior(
     ConfigError
         When the file to write is no .npz, is missing where it must be said, or a mixture is given a method.
     StorageError
-        When nothing can be written there, or a file said by name exists already.
+        When nothing can be written there, a file said by name exists already, or another process learns it.
     """
-    path = prior_path(prior, out, method, imported=bool(clips))
+    with claimed_file(prior_path(prior, out, method, imported=bool(clips))):
+        # Once more: another process may have written it since.
+        path = prior_path(prior, out, method, imported=bool(clips))
+        return _train(prior, path, size, method, seed, footage, clips, backend, progress)
+
+
+def _train(
+    prior: Prior,
+    path: Path,
+    size: int | None,
+    method: Method | None,
+    seed: int,
+    footage: Footage | None,
+    clips: Sequence[ImportedClip],
+    backend: str | None,
+    progress: Progress,
+) -> Path:
     chosen = footage or (None if clips else _SHIPPED[prior])
     words = [
         *([] if size is None else [f"--size {size}"]),

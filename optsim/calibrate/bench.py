@@ -40,6 +40,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from optsim.calibrate.record import RECORD, Table
+from optsim.claims import claimed
 from optsim.errors import BenchError, StorageError
 from optsim.files import read_json, write_json, write_png16
 from optsim.quantities import Bytes, Words, checked
@@ -208,24 +209,25 @@ class Bench:
         Raises
         ------
         StorageError
-            When the disk refuses.
+            When the disk refuses, or another process writes into the folder.
         """
-        record: dict[str, Any] = {
-            "format": _FORMAT,
-            "slot_s": self.slot_s,
-            "slots_per_frame": self.slots_per_frame,
-            "coded_slots": self.coded_slots,
-            "panel_shape": list(self.panel_shape),
-            "white_rad": self.white_rad,
-            "darks": _write_images(folder, "dark", self.darks),
-        }
-        for name in self.FILES:
-            field = cast("_Group | tuple[_Group, ...]", getattr(self, name))
-            if isinstance(field, tuple):
-                record[name] = [_as_table(folder, f"{name}-{i:02d}", g) for i, g in enumerate(field)]
-            else:
-                record[name] = _as_table(folder, name, field)
-        write_json(folder / RECORD, record)
+        with claimed(folder):
+            record: dict[str, Any] = {
+                "format": _FORMAT,
+                "slot_s": self.slot_s,
+                "slots_per_frame": self.slots_per_frame,
+                "coded_slots": self.coded_slots,
+                "panel_shape": list(self.panel_shape),
+                "white_rad": self.white_rad,
+                "darks": _write_images(folder, "dark", self.darks),
+            }
+            for name in self.FILES:
+                field = cast("_Group | tuple[_Group, ...]", getattr(self, name))
+                if isinstance(field, tuple):
+                    record[name] = [_as_table(folder, f"{name}-{i:02d}", g) for i, g in enumerate(field)]
+                else:
+                    record[name] = _as_table(folder, name, field)
+            write_json(folder / RECORD, record)
 
     @classmethod
     def read(cls, folder: Path) -> Bench:

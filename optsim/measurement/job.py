@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from optsim import __version__
+from optsim.claims import claimed_empty
 from optsim.errors import ConfigError
-from optsim.files import check_empty, write_exr, write_json
+from optsim.files import write_exr, write_json
 from optsim.measurement.coded import Measurement
 from optsim.measurement.pictures import draw_film, draw_slots
 from optsim.progress import Progress, silent
@@ -53,15 +54,21 @@ def decode_measurement(
     Raises
     ------
     StorageError
-        When the folder holds something.
+        When the folder holds something, or another process writes into it.
     ConfigError
         When the peak is none.
     """
-    check_empty(folder)
     if peak is not None and not 0 < peak < float("inf"):
         raise ConfigError(f"--peak: got {peak:g}, expected more than 0, in the unit of the light")
     brightest = max((float(each.max()) for each in measurement.truth), default=0.0)
     top = (peak or brightest) if measurement.truth else None
+    with claimed_empty(folder):
+        return _decode(measurement, decoder, folder, top, progress)
+
+
+def _decode(
+    measurement: Measurement, decoder: Decoder, folder: Path, top: float | None, progress: Progress
+) -> dict[str, Any]:
     decoded: list[Reconstruction] = []
     seconds = 0.0
     errors: list[float | None] = []

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from optsim.cache import hash_of
+from optsim.claims import claimed
 from optsim.effects import with_effects
 from optsim.errors import ConfigError, StorageError
 from optsim.experiment import Experiment
-from optsim.files import read_exr, read_json, write_exr, write_json, write_png8
+from optsim.files import CLAIM, read_exr, read_json, write_exr, write_json, write_png8
 from optsim.job import versions
 from optsim.passes.channels import (
     CONVENTIONS,
@@ -110,7 +111,7 @@ def export_passes(
     ConfigError
         For footage, slots outside of the experiment, or denoising that is not installed.
     StorageError
-        When the folder holds anything else, or the disk is too full.
+        When the folder holds anything else, another process writes into it, or the disk is too full.
     BackendError
         When polarised light is wanted and only the scalar fallback works.
     """
@@ -131,24 +132,25 @@ def export_passes(
     )
     short = (*HALF_CHANNELS, *more) if half else ()
     export = _Export(folder, experiment, identity, short, extras, experiment.camera.wavelength_nm, made_by)
-    files = _found(export)
-    missing = [slot for slot in slots if slot not in files]
-    _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
-    _write_manifest(export, files, complete=not missing)
-    if missing:
-        # For others, without this camera's splitter: polarisation is a channel of its own.
-        plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
-        light = experiment.model_copy(update={"camera": plain})
-        radiance = render_truth(light, backend=backend, progress=progress)
-        look = PassRenderer(scene, view, backend=backend)
-        further = ExtraChannels(extras, experiment, backend=backend)
-        for done, slot in enumerate(missing, start=1):
-            passes = look.at((slot + 0.5) * slot_s, slot_s)
-            _write_slot(export, slot, passes, radiance, further)
-            files[slot] = _record(export.path(slot), slot)
-            progress("passes", done, len(missing))
-        _write_manifest(export, files, complete=True)
-    _write_picture(export, slots[len(slots) // 2])
+    with claimed(folder):
+        files = _found(export)
+        missing = [slot for slot in slots if slot not in files]
+        _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
+        _write_manifest(export, files, complete=not missing)
+        if missing:
+            # For others, without this camera's splitter: polarisation is a channel of its own.
+            plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
+            light = experiment.model_copy(update={"camera": plain})
+            radiance = render_truth(light, backend=backend, progress=progress)
+            look = PassRenderer(scene, view, backend=backend)
+            further = ExtraChannels(extras, experiment, backend=backend)
+            for done, slot in enumerate(missing, start=1):
+                passes = look.at((slot + 0.5) * slot_s, slot_s)
+                _write_slot(export, slot, passes, radiance, further)
+                files[slot] = _record(export.path(slot), slot)
+                progress("passes", done, len(missing))
+            _write_manifest(export, files, complete=True)
+        _write_picture(export, slots[len(slots) // 2])
 
 
 def _write_slot(
@@ -198,11 +200,9 @@ def check_slots(experiment: Experiment, slots: range | None) -> range:
 def _found(export: _Export) -> dict[int, Record]:
     """Find the slots that are already there and whole, by number; refuse a folder of anything else."""
     folder = export.folder
-    if folder.exists() and not folder.is_dir():
-        raise StorageError(f"--out {folder} is a file; expected a folder")
     # What a killed export left half-written is hidden and ends so; it is no content.
     halves = list(folder.glob(".*.part.*"))
-    if not folder.is_dir() or {*folder.iterdir()} <= {*halves}:
+    if {*folder.iterdir()} <= {*halves, folder / CLAIM}:
         return {}
     if not (folder / _MANIFEST).is_file():
         raise StorageError(
