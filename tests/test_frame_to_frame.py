@@ -1,5 +1,6 @@
 """What the loop hands from frame to frame and what it draws anew, against sums that share no code with it."""
 
+from collections import Counter
 from itertools import combinations
 from typing import Any
 
@@ -10,18 +11,20 @@ from test_scoring import flat, small
 from optsim import loop
 from optsim.calibrate import Calibration
 from optsim.camera import CodedCamera
+from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
 from optsim.experiment import Experiment
 from optsim.loop import Frames, calibrate_all, capture, set_light
+from optsim.reconstruct import HdrMerge, SparseCoding, Union
 
 FRAMES = 3
 
 
-def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, Calibration]:
-    """Frames of even light, with the camera and what is known of it."""
+def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, loop.Calibrations]:
+    """Frames of even light, with the camera and all that is known of it."""
     radiance = flat(experiment, 0.2)
     known = calibrate_all(experiment)
     camera, _ = set_light(experiment, radiance, known[experiment.known])
-    return capture(experiment, camera, camera.form_image(radiance), known), camera, known[experiment.known]
+    return capture(experiment, camera, camera.form_image(radiance), known), camera, known
 
 
 def tail_slots(tau_s: float, slot_s: float) -> float:
@@ -35,7 +38,8 @@ def test_a_frame_begins_with_what_the_frame_before_left_open() -> None:
     """Of the mosaic, whoever has one open slot had all 36 in the frame before: its tail counts twice."""
     experiment = small("camera.effects.all=ideal", "camera.modulator.tau_off_s=2 ms", n_frames=FRAMES)
     mosaic = tuple(method for method in experiment.methods if method.name == "hdr_mosaic")
-    frames, camera, calibration = taken(experiment.model_copy(update={"methods": mosaic}))
+    frames, camera, known = taken(experiment.model_copy(update={"methods": mosaic}))
+    calibration = known[experiment.known]
     tail = tail_slots(2e-3, camera.slot_s)
     assert tail > 0.2
     for before, frame in zip(frames["hdr_mosaic"][:-1], frames["hdr_mosaic"][1:], strict=True):
@@ -52,7 +56,8 @@ def test_no_two_frames_share_their_photons() -> None:
     experiment = small("camera.effects.all=ideal", n_frames=FRAMES)
     normal = next(method for method in experiment.methods if method.name == "normal")
     methods = tuple(normal.model_copy(update={"name": name}) for name in ("one", "other"))
-    frames, camera, calibration = taken(experiment.model_copy(update={"methods": methods}))
+    frames, camera, known = taken(experiment.model_copy(update={"methods": methods}))
+    calibration = known[experiment.known]
     row, col = calibration.pick_row[calibration.valid], calibration.pick_col[calibration.valid]
     light = [frame.dn[row, col].astype(float) for name in ("one", "other") for frame in frames[name]]
     expected = 2 * (np.mean(light) - calibration.black_dn.mean()) / camera.sensor.step_e
@@ -88,3 +93,35 @@ def test_every_draw_has_its_own_numbers_and_another_seed_others(monkeypatch: pyt
     for a, b, c in zip(first, second, third, strict=True):
         assert np.array_equal(a, c)
         assert not np.array_equal(a, b)
+
+
+def test_scheme_and_decoder_of_a_method_know_what_the_method_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The adaptive scheme hands its own on to the two codes that it is made of."""
+    others = ("methods.normal.calibration=ideal", "methods.random.calibration=ideal")
+    experiment = small("camera.effects.all=ideal", *others, n_frames=1)
+    told: list[tuple[type, str]] = []
+
+    def noted(function: Any) -> Any:
+        def called(part: Any, *given: Any) -> Any:
+            told.extend((type(part), each.source) for each in given if isinstance(each, Calibration))
+            return function(part, *given)
+
+        return called
+
+    for kind in (NormalPhotography, RandomExposure, HdrMosaic, MotionAdaptive):
+        monkeypatch.setattr(kind, "init", noted(kind.init))
+    frames, _, known = taken(experiment)
+    assert Counter(told) == {
+        (MotionAdaptive, "true"): 1,
+        (HdrMosaic, "true"): 2,
+        (RandomExposure, "true"): 1,
+        (RandomExposure, "ideal"): 1,
+        (NormalPhotography, "ideal"): 1,
+    }
+    told.clear()
+    for kind in (Union, HdrMerge, SparseCoding):
+        monkeypatch.setattr(kind, "decode", noted(lambda *_: iter([None])))
+    next(loop.decode(experiment, frames, known))
+    names = ["adaptive", "normal", "hdr_mosaic", "random"]
+    assert [method.name for method in experiment.methods] == names
+    assert told == [(Union, "true"), (HdrMerge, "ideal"), (HdrMerge, "true"), (SparseCoding, "ideal")]
