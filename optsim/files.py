@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.errors import StorageError, ValueCheckError
+from optsim.foreign.exr import only_part
+from optsim.foreign.png import png_head, png_pixels
 
 _HALF_MAX = 65504.0
 CLAIM = ".claim"
@@ -197,7 +199,7 @@ def write_exr(
 
 
 def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read what :func:`write_exr` wrote, or any single-part scanline EXR.
+    """Read what :func:`write_exr` wrote, or any EXR of one part.
 
     Returns
     -------
@@ -208,25 +210,16 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 
     Raises
     ------
-    StorageError
-        When the file is missing or unreadable.
+    StorageError, ValueCheckError
+        When the file is missing, unreadable or of several parts; for pixels as of :meth:`ExrPart.pixels`.
     """
-    import OpenEXR
-
-    if not path.is_file():
-        raise StorageError(f"no such file: {path}")
+    part = only_part(path, "write one part a file")
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as stream:
-            images = {name: _owned(channel.pixels) for name, channel in stream.channels().items()}
-            text = cast("dict[str, Any]", stream.header()).get("optsim", "{}")
-    except (RuntimeError, ValueError) as error:
-        raise StorageError(f"{path} cannot be read as OpenEXR: {error}") from None
-    return images, json.loads(text)
-
-
-def _owned(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Copy a channel; float32 has too few digits for ids above 2^24, so integers stay."""
-    return np.array(pixels, np.uint32 if pixels.dtype == np.uint32 else np.float32, order="C")
+        attributes = json.loads(part.header.get("optsim", "{}"))
+    except (ValueError, TypeError, RecursionError):
+        # Somebody else's attribute of that name.
+        attributes = {}
+    return part.pixels(path), cast("dict[str, Any]", attributes) if isinstance(attributes, dict) else {}
 
 
 def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
@@ -250,12 +243,15 @@ def write_png8(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def read_png16(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit greyscale PNG as (y, x) uint16."""
-    from PIL import Image
+    """Read a 16-bit greyscale PNG as (y, x) uint16.
 
-    if not path.is_file():
-        raise StorageError(f"no such file: {path}")
-    with Image.open(path) as picture:
-        if not picture.mode.startswith("I"):
-            raise StorageError(f"{path}: got mode {picture.mode}, expected 16-bit greyscale")
-        return np.asarray(picture).astype(np.uint16)
+    Raises
+    ------
+    StorageError, ValueCheckError
+        When the file is missing or unreadable, or of another kind.
+    """
+    head = png_head(path)
+    if (head.channels, head.bits) != (1, 16):
+        colour = "grey" if head.channels == 1 else "RGB"
+        raise ValueCheckError(f"{path}: got {colour} of {head.bits} bits, expected 16-bit greyscale")
+    return png_pixels(path, head)

@@ -25,6 +25,7 @@ _OPTIONS = {
     "source.footage.path": "--clips",
     "source.footage.key: missing": "--clips: expected one array, or the channels Y or R, G and B",
     "source.footage.black_level": "--black-level",
+    "source.footage.linearisation": "--linearisation",
 }
 _COLOURS = 3
 
@@ -129,8 +130,8 @@ def open_clips(
     frames_per_slot : int
         Consecutive frames that a slot is the mean of.
     linearisation : {"linear", "srgb"}, optional
-        Of the stored values; by default ``srgb`` (IEC 61966-2-1) for whole numbers of 8 bits and for videos,
-        ``linear`` for all others.
+        Of the stored values; by default what the file says; where it says nothing, ``srgb`` (IEC
+        61966-2-1) for whole numbers of 8 bits and for videos, ``linear`` for all others.
     black_level : float
         Stored value of no light; only with linear footage.
     patch, slots : int
@@ -171,6 +172,8 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
     """Say what stored values mean; what is stated of radiance and time has no part in learning."""
     name, whole = recording.files[0].name, "int" in recording.dtype
     encoded = (whole and recording.bits <= 8) or recording.files[0].suffix.lower() in VIDEOS
+    if recording.says.curve is not None:
+        encoded = recording.says.curve != "linear"
     curve = linearisation or ("srgb" if encoded else "linear")
     if curve == "srgb" and not whole:
         raise ConfigError(
@@ -193,7 +196,11 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
         "channel_weights": "rec709" if recording.shape[2] == _COLOURS else None,
         "accept_8bit": True,
     }
-    return FootageSource(**stated)
+    source = FootageSource(**stated)
+    with _naming_options():
+        # Other primaries change the weights of colours, not what is learned of their motion and texture.
+        source.check_says(recording.says._replace(primaries=None), name)
+    return source
 
 
 @contextmanager

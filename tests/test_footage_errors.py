@@ -139,7 +139,7 @@ WRONG = {
     "mixed sizes": (ValueCheckError, r"4\.png: 5 x 9 of uint16, but the recording starts with 6 x 9"),
     "lost frame": (StorageError, r"after 3\.png comes 5\.png"),
     "cut png": (StorageError, r"3\.png cannot be read"),
-    "palette": (ValueCheckError, "mode P"),
+    "palette": (ValueCheckError, "PNG of 1 bits, palette; expected grey or RGB"),
     "8 bit": (ConfigError, "accept_8bit = true"),
     "no full scale": (ConfigError, "full_scale: missing; the footage holds uint16"),
     "full scale of another dtype": (ConfigError, "at most 65535"),

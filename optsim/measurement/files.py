@@ -260,10 +260,16 @@ def _read(text: str, role: _Role) -> NDArray[Any]:
                 )
         return np.concatenate(stacks) if len(stacks[0]) == 1 else np.stack(stacks)
     try:
-        pictures = np.stack(list(open_recording(path).read(0)))
+        recording = open_recording(path)
+        pictures = np.stack(list(recording.read(0)))
     except OptsimError as error:
         # Footage says where its own keys are.
         raise type(error)(str(error).replace("source.footage.path", role)) from None
+    if role in ("image", "truth") and recording.says.curve not in (None, "linear"):
+        raise ValueCheckError(
+            f"{role}: {path} says that its values follow the curve {recording.says.curve}, expected linear "
+            "ones; cure: convert it, or remove what it says"
+        )
     if pictures.shape[3] != 1:
         raise ValueCheckError(f"{role}: {path} has {pictures.shape[3]} channels, expected grey pictures")
     return pictures[..., 0]
@@ -274,7 +280,12 @@ def _slots(channels: dict[str, NDArray[Any]], what: str) -> NDArray[Any]:
     names = sorted(channels, key=by_number)
     told = [[number for number, word in by_number(name) if not word] for name in names]
     numbers = [each[-1] for each in told if each]
-    if len(numbers) == len(names) and numbers != list(range(numbers[0], numbers[0] + len(names))):
+    if 0 < len(numbers) < len(names):
+        raise ValueCheckError(
+            f"{what}: got channels {', '.join(names)}, expected slots alone, all with numbers in their names "
+            "or none; cure: leave the others out"
+        )
+    if numbers and numbers != list(range(numbers[0], numbers[0] + len(names))):
         missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
         raise ValueCheckError(
             f"{what}: got channels {', '.join(names)}, expected slots one after the other; "

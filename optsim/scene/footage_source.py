@@ -12,9 +12,12 @@ from pydantic import Field, model_validator
 from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
 from optsim.quantities import Doubles
+from optsim.scene.recording import Says
 
 # Luminance of linear RGB with the primaries and white of ITU-R BT.709-6, item 3.2.
 REC709_Y = (0.2126, 0.7152, 0.0722)
+# Curves that no linearisation here undoes.
+_OTHER_CURVES = ("PQ", "HLG", "log 100:1", "log 316:1")
 # Values below the black level are read noise around a dark signal: about half, never most of a frame.
 _BELOW_BLACK_SHARE = 0.6
 
@@ -104,6 +107,27 @@ class FootageSource(Part):
         if isinstance(weights, tuple) and (not weights or min(weights) < 0 or sum(weights) <= 0):
             raise ValueError(f"channel_weights: got {weights}; expected weights >= 0, not all zero")
         return self
+
+    def check_says(self, says: Says, name: str) -> None:
+        """Refuse a statement that the file itself contradicts.
+
+        Raises
+        ------
+        ConfigError
+            When the file says another curve, or primaries whose luminance isn't BT.709's.
+        """
+        curve, stated = says.curve, self.linearisation
+        if curve in _OTHER_CURVES or (curve and (curve == "linear") != (stated == "linear")):
+            cure = f"linearisation = '{'linear' if curve == 'linear' else 'srgb'}', or remove what it says"
+            raise ConfigError(
+                f"source.footage.linearisation: got '{stated}', but {name} says that its values follow the "
+                f"curve {curve}; cure: {'convert it to linear values' if curve in _OTHER_CURVES else cure}"
+            )
+        if self.channel_weights == "rec709" and says.primaries not in (None, "BT.709"):
+            raise ConfigError(
+                f"source.footage.channel_weights: got 'rec709', but {name} says that its colours are "
+                f"{says.primaries}; cure: the weights of their luminance, one a channel"
+            )
 
     def weights(self, n_channels: int) -> Doubles:
         """Weight of each channel of footage that has so many, array (channel,).

@@ -155,6 +155,7 @@ class FootageTruth:
                 f"source.footage.full_scale: missing; the footage holds {held.dtype}: state the value that "
                 "means a signal of 1 (65535 for all of 16 bits and for videos, 16383 for 14 bits kept in 16)"
             )
+        stated.check_says(held.says, held.files[0].name)
         highest = float(np.iinfo(held.dtype).max) if "int" in held.dtype else np.inf
         decoded = held.bits < 8 * np.dtype(held.dtype).itemsize
         if stated.full_scale and (stated.full_scale > highest or (decoded and stated.full_scale != highest)):
@@ -287,6 +288,7 @@ def _digest_of(path: Path, size: int, mtime_ns: int) -> str:
 
 def _code_hash() -> str:
     """Hash of the code that decides an import, so that an old cache never answers for new code."""
-    return hash_of(
-        *(p.read_text(encoding="utf-8") for p in sorted(Path(__file__).parent.glob("footage*.py")))
-    )
+    here = Path(__file__).parent
+    readers = [*(here / "recording").glob("*.py"), *(here.parent / "foreign").glob("*.py")]
+    code = sorted([*here.glob("footage*.py"), *readers])
+    return hash_of(*(p.read_text(encoding="utf-8") for p in code))

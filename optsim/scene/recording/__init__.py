@@ -2,6 +2,15 @@
 
 from optsim.scene.recording.arrays import array_axes, array_names, load_array
 from optsim.scene.recording.files import IMAGES, by_number, open_recording
-from optsim.scene.recording.film import Recording
+from optsim.scene.recording.film import Recording, Says
 
-__all__ = ["IMAGES", "Recording", "array_axes", "array_names", "by_number", "load_array", "open_recording"]
+__all__ = [
+    "IMAGES",
+    "Recording",
+    "Says",
+    "array_axes",
+    "array_names",
+    "by_number",
+    "load_array",
+    "open_recording",
+]

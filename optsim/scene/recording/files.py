@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from optsim.errors import ConfigError, StorageError
-from optsim.scene.recording import arrays, images
+from optsim.scene.recording import arrays, images, tiff
 from optsim.scene.recording.arrays import ARRAYS
 from optsim.scene.recording.film import Recording, as_recording
 
@@ -24,7 +24,7 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
     path : Path
         A folder of images, a pattern, or one file.
     key : str, optional
-        Array of an npz or mat file, or channel of EXR files.
+        Array of an npz or mat file, or channel or part of EXR files.
     axes : str, optional
         Order of an array's axes, of ``t y x c``.
 
@@ -50,9 +50,14 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
 
         return video(files[0])
     if len(files) == 1 and suffix in (".tif", ".tiff"):
-        return images.tiff_stack(files[0])
-    read = {".exr": partial(images.exr, key=key), ".png": images.png}.get(suffix, images.tiff)
-    return as_recording(files, len(files), lambda first: map(read, files[first:]))
+        return tiff.tiff_stack(files[0])
+    if suffix == ".exr":
+        read, says = partial(images.exr, key=key), images.exr_says(files[0], key)
+    elif suffix == ".png":
+        read, says = images.png, images.png_says(files[0])
+    else:
+        read, says = tiff.tiff, tiff.tiff_stack(files[0]).says
+    return as_recording(files, len(files), lambda first: map(read, files[first:]), says=says)
 
 
 def by_number(name: str) -> list[tuple[int, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -13,6 +13,24 @@ from optsim.errors import StorageError, ValueCheckError
 
 Pixels = NDArray[Any]
 _DTYPES = ("uint8", "uint16", "uint32", "uint64", "int16", "int32", "int64", "float16", "float32", "float64")
+
+
+class Says(NamedTuple):
+    """What files say of their values, each None where they say nothing.
+
+    Parameters
+    ----------
+    curve : str or None
+        "linear", "srgb", or the name of another curve from light to stored value.
+    primaries : str or None
+        "BT.709", or the name or place of other primaries of R, G and B.
+    """
+
+    curve: str | None = None
+    primaries: str | None = None
+
+
+_NOTHING_SAID = Says()
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +51,8 @@ class Recording:
         Bits that a stored value really had: those of a video are decoded to 16.
     frames : callable
         First frame -> iterator over the frames from there, each an array of ``shape``.
+    says : Says
+        What the files themselves say of their values.
     """
 
     files: tuple[Path, ...]
@@ -41,6 +61,7 @@ class Recording:
     dtype: str
     bits: int
     frames: Callable[[int], Iterator[Pixels]]
+    says: Says = _NOTHING_SAID
 
     def where(self, frame: int) -> str:
         """File and number of a frame, for messages and to tell frames apart."""
@@ -72,7 +93,11 @@ class Recording:
 
 
 def as_recording(
-    files: tuple[Path, ...], n_frames: int, frames: Callable[[int], Iterator[Pixels]], bits: int | None = None
+    files: tuple[Path, ...],
+    n_frames: int,
+    frames: Callable[[int], Iterator[Pixels]],
+    bits: int | None = None,
+    says: Says = _NOTHING_SAID,
 ) -> Recording:
     """Make a recording of its reader, by looking at the first frame."""
     first = next(frames(0), None)
@@ -81,9 +106,8 @@ def as_recording(
     if first.dtype.name not in _DTYPES:
         raise ValueCheckError(f"{files[0]} holds {first.dtype.name}; expected one of {', '.join(_DTYPES)}")
     rows, cols, channels = (int(n) for n in first.shape)
-    return Recording(
-        files, n_frames, (rows, cols, channels), first.dtype.name, bits or 8 * first.dtype.itemsize, frames
-    )
+    bits = bits or 8 * first.dtype.itemsize
+    return Recording(files, n_frames, (rows, cols, channels), first.dtype.name, bits, frames, says)
 
 
 def with_channels(values: Pixels) -> Pixels:

@@ -1,97 +1,87 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportMissingTypeStubs=false
-"""One image a frame, or a stack of them: EXR, PNG and TIFF, with their own libraries and no rescaling."""
+"""One image a frame: EXR and PNG, as stored, without any rescaling."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from optsim.errors import ConfigError, StorageError, ValueCheckError, unknown_name
-from optsim.files import read_exr
-from optsim.scene.recording.film import Pixels, Recording, as_recording, with_channels
+from optsim.errors import ConfigError, unknown_name
+from optsim.foreign.exr import ExrPart, exr_parts
+from optsim.foreign.h273 import primaries_at
+from optsim.foreign.png import png_head, png_pixels
+from optsim.scene.recording.film import Pixels, Says, with_channels
 
-_PNG_DTYPES = {"L": np.uint8, "RGB": np.uint8, "I;16": np.uint16}
+# Names that the format keeps for depth and opacity.
+_NO_LIGHT = {"Z", "ZBack", "A"}
 
 
 def exr(path: Path, key: str | None) -> Pixels:
-    """Read the channel ``key``, else R, G and B, else Y or the only one, array (y, x, channel)."""
-    channels, _ = read_exr(path)
-    if key is not None:
-        if key not in channels:
-            raise unknown_name(f"source.footage.key of {path.name}", key, channels)
-        names = [key]
-    elif {"R", "G", "B"} <= set(channels):
-        names = ["R", "G", "B"]
-    elif len(channels) == 1 or "Y" in channels:
-        names = ["Y"] if "Y" in channels else list(channels)
-    else:
-        raise ConfigError(
-            f"source.footage.key: missing; {path.name} holds the channels {', '.join(sorted(channels))}"
-        )
+    """Read the channel ``key``, else R, G and B, else Y or the only one, array (y, x, channel).
+
+    In a file of several parts ``key`` names the part, ``PART`` or ``PART.CHANNEL``, or a channel of one only.
+    """
+    part, channel = _chosen(path, exr_parts(path), key)
+    names = [channel] if channel is not None else _light(path, part, part.stored)
+    channels = part.pixels(path)
     return np.stack([channels[name] for name in names], axis=-1)
+
+
+def exr_says(path: Path, key: str | None) -> Says:
+    """Say which primaries the chosen part declares."""
+    part, _ = _chosen(path, exr_parts(path), key)
+    declared = part.header.get("chromaticities")
+    if declared is None:
+        return Says()
+    return Says(None, primaries_at(np.ravel(declared)[:6].tolist()))
 
 
 def png(path: Path) -> Pixels:
     """Read grey or colour of 8 or 16 bits, array (y, x, channel)."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as picture:
-            raw = str(picture.tile[0].args)
-            # Pillow reads 16-bit colour as 8-bit without a word; only the raw mode of the tile says so.
-            deep_colour = raw == "RGB;16B"
-            if picture.mode in _PNG_DTYPES and not deep_colour:
-                return with_channels(np.asarray(picture).astype(_PNG_DTYPES[picture.mode]))
-    except (OSError, SyntaxError, ValueError) as error:
-        raise StorageError(f"{path} cannot be read as PNG: {error}") from None
-    if deep_colour:
+    head = png_head(path)
+    if (head.channels, head.bits) == (3, 16):
         from optsim.scene.recording.video import colour_picture
 
         return colour_picture(path)
-    raise ValueCheckError(
-        f"{path} is PNG of mode {raw}; expected grey or RGB of 8 or 16 bits, without palette and transparency"
+    return with_channels(png_pixels(path, head))
+
+
+def png_says(path: Path) -> Says:
+    """Say which curve and primaries the chunks declare."""
+    head = png_head(path)
+    return Says(head.curve, head.primaries)
+
+
+def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrPart, str | None]:
+    """Part that is meant, and its channel if one is named."""
+    if len(parts) == 1:
+        if key is not None and key not in parts[0].stored:
+            raise unknown_name(f"source.footage.key of {path.name}", key, parts[0].stored)
+        return parts[0], key
+    for part in parts:
+        if key == part.name:
+            return part, None
+    named = [(part, name) for part in parts for name in part.stored if key in (name, f"{part.name}.{name}")]
+    if len(named) == 1:
+        return named[0]
+    held = ", ".join(f"{part.name} ({', '.join(sorted(part.stored))})" for part in parts)
+    raise ConfigError(
+        f"source.footage.key: {'missing' if key is None else f'got {key!r}'}; {path.name} holds the parts "
+        f"{held}; expected the name of one, as PART or PART.CHANNEL"
     )
 
 
-def tiff(path: Path) -> Pixels:
-    """Read a TIFF file of one frame, array (y, x, channel)."""
-    stack = tiff_stack(path)
-    if stack.n_frames > 1:
-        raise StorageError(f"{path} holds {stack.n_frames} frames; in a folder of images each file holds one")
-    return next(stack.frames(0))
-
-
-def tiff_stack(path: Path) -> Recording:
-    """Open a TIFF file of one page a frame."""
-    import tifffile
-
-    def pages(first: int) -> Iterator[Pixels]:
-        try:
-            with tifffile.TiffFile(path) as tiff:
-                for page in islice(tiff.pages, first, None):
-                    if page.axes not in ("YX", "YXS"):
-                        raise ValueCheckError(f"{path}: a page has axes {page.axes}, expected YX or YXS")
-                    yield with_channels(page.asarray())
-        except (tifffile.TiffFileError, OSError, ValueError, IndexError) as error:
-            if isinstance(error, ValueCheckError):
-                raise
-            raise StorageError(
-                f"{path} cannot be read as TIFF: {error}; cure: write it uncompressed, one page a frame"
-            ) from None
-
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            n_frames = len(tiff.pages)
-            n_planes = sum(
-                int(np.prod([s.shape[i] for i, a in enumerate(s.axes) if a not in "YXS"]))
-                for s in tiff.series
-            )
-    except (tifffile.TiffFileError, OSError, ValueError) as error:
-        raise StorageError(f"{path} cannot be read as TIFF: {error}") from None
-    if n_planes != n_frames:
-        raise StorageError(f"{path}: {n_planes} frames in {n_frames} pages; cure: write one page a frame")
-    return as_recording((path,), n_frames, pages)
+def _light(path: Path, part: ExrPart, channels: Mapping[str, object]) -> list[str]:
+    """Names of the channels that hold light."""
+    if {"R", "G", "B"} <= set(channels):
+        return ["R", "G", "B"]
+    if "Y" in channels:
+        return ["Y"]
+    if len(channels) == 1 and not _NO_LIGHT & set(channels):
+        return list(channels)
+    where = path.name + (f", part {part.name}," if part.name else "")
+    raise ConfigError(
+        f"source.footage.key: missing; {where} holds the channels {', '.join(sorted(channels))}"
+    )
