@@ -41,20 +41,20 @@ class CodedCamera(Part):
     Parameters
     ----------
     objective, splitter, modulator, relay, sensor
-        The parts.
+        The parts, with their true numbers; ``hardware`` of a camera's table fills in those not written.
     panel_rows, panel_cols : int
         Panel pixels used, from the middle of the panel.
     slots_per_frame : int
-        Slots in the period of coded frames.
+        Slots in the period of coded frames: one lasts 1 / modulator.field_rate_hz.
     latency_frames : int
-        Code f may use frames up to f - latency_frames.
+        Code f may use frames up to f - latency_frames. The paper's prototype has 3.
     overlap : bool
         Whether the CCD is read out during the next exposure; otherwise the last slots of each period, as
         many as the readout takes, are uncoded: panel black and shutter closed.
     serial_number : int
         Seed of the fixed patterns of this very camera.
     wavelength_m : float
-        Of the light that it is used in, m: that of the scene's band, where the scene has any.
+        Wavelength of the light that it is used in, m: that of the scene's band, where the scene has any.
     """
 
     objective: Objective

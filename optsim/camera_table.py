@@ -91,7 +91,8 @@ def on_hardware(table: object) -> object:
     switches = keys.pop("effects", {})
     if not isinstance(switches, dict):
         raise ConfigError(
-            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}"
+            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}; cure: "
+            "camera.effects.all=ideal switches all off"
         )
     changes = switched(cast("Table", switches))
     changes |= changes.pop(ITSELF, {})

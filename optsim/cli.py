@@ -24,6 +24,7 @@ from optsim.cli_options import (
     Set,
     Tolerance,
     print_json,
+    refuse_without,
     with_tolerance,
 )
 from optsim.cli_reconstruct import reconstruct_files
@@ -164,9 +165,18 @@ def render(
     from optsim.truth import render_truth
 
     loaded = load_experiment(experiment, assignments or [])
-    further = light_groups or stokes or denoise or samples is not None
-    if (passes and out is None) or ((half or slots or further) and not passes):
-        raise ConfigError("--passes needs --out DIR; --slots, --half and further channels need --passes")
+    if not passes:
+        of_passes = {
+            "--slots": slots,
+            "--half": half,
+            "--light-groups": light_groups,
+            "--stokes": stokes,
+            "--denoise": denoise,
+            "--samples": samples,
+        }
+        refuse_without("--passes", "--passes", of_passes)
+    elif out is None:
+        raise ConfigError("--passes: got no --out, expected a folder for its files; cure: add --out DIR")
     job.check(loaded, out, backend)
     if passes and out is not None:
         from optsim.passes import choose_extras, export_passes, parse_slots

@@ -26,10 +26,10 @@ def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
 
 @config_app.command("schema")
 def config_schema() -> None:
-    """Print the JSON schema of an experiment."""
-    from optsim.experiment import Experiment
+    """Print the JSON schema of an experiment: meaning, unit, sign, typical value and source of each key."""
+    from optsim.experiment_schema import experiment_schema
 
-    print_json(Experiment.model_json_schema())
+    print_json(experiment_schema())
 
 
 @cache_app.command("show")

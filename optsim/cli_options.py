@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Annotated
 
 import typer
+
+from optsim.errors import ConfigError
 
 ExperimentName = Annotated[str, typer.Argument(metavar="EXPERIMENT", help="A preset's name or a TOML file.")]
 Set = Annotated[
@@ -28,6 +31,13 @@ Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Wh
 def with_tolerance(assignments: list[str] | None, tolerance: float | None) -> list[str]:
     """Put the tolerance of a command line among its overrides."""
     return [*(assignments or []), *([] if tolerance is None else [f"tolerance={tolerance!r}"])]
+
+
+def refuse_without(option: str, cure: str, options: Mapping[str, object]) -> None:
+    """Refuse options that say how another one is meant which wasn't given, by the names of those given."""
+    lost = [name for name, value in options.items() if value is not None and value is not False]
+    if lost:
+        raise ConfigError(f"{', '.join(lost)}: got without {option}, of which this is said; cure: add {cure}")
 
 
 def print_json(record: object) -> None:

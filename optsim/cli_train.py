@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from optsim.cli_options import Backend
-from optsim.errors import ConfigError
+from optsim.cli_options import Backend, refuse_without
 
 
 def train(
@@ -60,11 +59,8 @@ def train(
         "--linearisation": linearisation,
         "--black-level": black_level,
     }
-    lost = [option for option, value in about_clips.items() if value is not None]
-    if lost and not clips:
-        raise ConfigError(
-            f"{', '.join(lost)}: got without --clips, of which this is said; cure: add --clips PATH"
-        )
+    if not clips:
+        refuse_without("--clips", "--clips PATH", about_clips)
     path = prior_path(prior, out, method, imported=bool(clips))
     opened = open_clips(
         clips or [],

@@ -10,8 +10,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
+from optsim.descriptions import describe
 from optsim.errors import ConfigError
 from optsim.problems import problems
 from optsim.units import parse_quantity
@@ -23,6 +26,17 @@ class Part(BaseModel):
     """Base of everything configurable: frozen, no unknown keys, quantity strings read by suffix."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Describe every key, by the docstring of its class."""
+        schema = handler(core_schema)
+        keys = cast("dict[str, Table]", handler.resolve_ref_schema(schema).get("properties", {}))
+        for key, about in keys.items():
+            about["description"] = " ".join(filter(None, (describe(cls, key), about.get("description"))))
+        return schema
 
     @model_validator(mode="before")
     @classmethod

@@ -15,11 +15,14 @@ from typing import Any, cast
 
 from optsim.camera import CodedCamera
 from optsim.config import Part, Table
-from optsim.errors import unknown_name
+from optsim.errors import ConfigError, unknown_name
 
 _SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
 _TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
 STATES = ("ideal", "nominal", "pessimistic")
+# Words for a switch that others use.
+_OFF = {"off", "none", "no", "false", "0", "disabled", "perfect", "skip", "skipped"}
+_ON = {"on", "yes", "true", "1", "enabled", "default", "normal", "real"}
 Changes = Mapping[str, Mapping[str, Any]]
 ITSELF = "camera"
 """Stands for the camera where parts are named."""
@@ -261,7 +264,10 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
         if name != "all" and name not in ALL:
             raise unknown_name("camera.effects", name, ["all", *ALL])
         if state not in STATES:
-            raise unknown_name(f"state of camera.effects.{name}", str(state), STATES)
+            got = str(state).lower() if isinstance(state, bool) else str(state)
+            meant = "ideal" if got.lower() in _OFF else "nominal" if got.lower() in _ON else None
+            error = unknown_name(f"state of camera.effects.{name}", got, STATES, meant)
+            raise ConfigError(f"{error} ideal switches an effect off, nominal is the hardware as it is.")
     for name, effect in ALL.items():
         state = switches.get(name, switches.get("all", "nominal"))
         chosen = {"ideal": effect.ideal, "pessimistic": effect.pessimistic}.get(str(state), {})

@@ -48,10 +48,10 @@ class StorageError(OptsimError):
     """Disk space is short, a file is unreadable, or a folder belongs to another run."""
 
 
-def unknown_name(what: str, got: str, valid: Iterable[str]) -> ConfigError:
-    """Error for a name that is not in a list, with the nearest valid one as the cure."""
+def unknown_name(what: str, got: str, valid: Iterable[str], meant: str | None = None) -> ConfigError:
+    """Error for a name that is not in a list, with the one that was meant, or the nearest, as the cure."""
     names = sorted(valid)
-    near = nearest_name(names, got)
+    near = meant or nearest_name(names, got)
     cure = f"did you mean {near!r}?" if near else "choose one of the names listed."
     return ConfigError(f"unknown {what} {got!r}; expected one of: {', '.join(names)}; {cure}")
 

@@ -27,7 +27,17 @@ from optsim.scene import FootageSource, load_scene
 
 
 class SceneChoice(Part):
-    """Which scene, which of its variations, and in which of its bands (default the one nearest to 550 nm)."""
+    """Which scene, which of its variations, and in which of its bands.
+
+    Parameters
+    ----------
+    name : str
+        A shipped scene (``optsim list scenes``), or the path of a scene's folder.
+    variation : str
+        A variation that the scene names, or a number, which seeds a random one.
+    band : str, optional
+        Name of the scene's band that the camera sees; by default the one nearest to 550 nm.
+    """
 
     name: str
     variation: str = Field(default="main", coerce_numbers_to_str=True)
@@ -35,7 +45,13 @@ class SceneChoice(Part):
 
 
 class Source(Part):
-    """Where the truth comes from when it isn't rendered."""
+    """Where the truth comes from when it isn't rendered.
+
+    Parameters
+    ----------
+    footage : FootageSource
+        A recording, with what its numbers mean.
+    """
 
     footage: FootageSource
 
@@ -45,6 +61,13 @@ class LightRule(Part):
 
     The neutral density is set so that a percentile of the interior, under the all-on code, reaches a
     share of the measured saturation (a rule of this project for fair comparison; no outside source).
+
+    Parameters
+    ----------
+    percentile : float
+        Of the irradiance on the interior's panel pixels, percent: this much of it is darker.
+    saturation_share : float
+        Share of the measured saturation that this percentile reaches.
     """
 
     percentile: float = Field(default=90.0, gt=0, le=100)
@@ -56,6 +79,10 @@ class Method(Part):
 
     Parameters
     ----------
+    name : str
+        By which results, frames and pictures are told apart.
+    scheme, decoder
+        The coding scheme, and the decoder of its frames; ``optsim list schemes`` and ``decoders`` name them.
     calibration
         What this scheme and decoder know of the camera, if not what the experiment says.
     reading_px
@@ -91,6 +118,23 @@ class Experiment(Part):
 
     Parameters
     ----------
+    name : str
+        Of the experiment: run folders begin with it.
+    description : str
+        A sentence for people; nothing depends on it.
+    seed : int
+        Of all random numbers: the same experiment and seed give the same results.
+    n_frames : int
+        Coded frames to take; the steady phase begins with frame latency_frames + 4, counted from 0.
+    render
+        How accurately the truth is rendered.
+    camera
+        The camera's parts; ``hardware = "prototype"`` or ``"demo"`` fills in what isn't written, and
+        ``effects`` switches imperfections (``optsim list effects``).
+    methods
+        The contestants, each a scheme with its decoder.
+    light
+        How much light the camera gets.
     scene, source
         Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
     tolerance

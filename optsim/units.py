@@ -6,6 +6,9 @@ import re
 
 # SI suffix of a field name -> factors of the units accepted there, its own first.
 _UNITS: dict[str, dict[str, float]] = {
+    # Rates and inverse lengths first: they end like a time and a length.
+    "_per_m": {"1/m": 1.0, "dpt": 1.0, "dioptres": 1.0},
+    "_e_s": {"e-/s": 1.0, "e/s": 1.0},
     "_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
     "_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
     "_hz": {"Hz": 1.0, "kHz": 1e3, "fps": 1.0},
@@ -13,13 +16,31 @@ _UNITS: dict[str, dict[str, float]] = {
     "_e": {"e": 1.0, "ke-": 1e3, "e-": 1.0},
     "_c": {"°C": 1.0, "C": 1.0},
 }
-_QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°]*)\s*$")
+# Units that are only told: what such a key counts needs no other.
+_TOLD = {
+    "_w_m2_sr": "W m^-2 sr^-1",
+    "_px": "pixels",
+    "_dn": "digital numbers",
+    "_k": "kelvin",
+    "_slots": "slots",
+    "_frames": "coded frames",
+    "_sigma": "standard deviations",
+    "_waves": "waves of 550 nm, rms",
+    "_share": "share of 1",
+}
+_QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°/]*)\s*$")
 
 
 def units_of(key: str) -> dict[str, float]:
     """Units accepted at a key and what they are in SI; none for a key without a unit."""
     suffix = next((s for s in _UNITS if key.endswith(s)), None)
     return _UNITS[suffix] if suffix else {}
+
+
+def unit_of(key: str) -> str:
+    """Name a key's unit, with an example of another one that is accepted; empty where it has none."""
+    own, *others = units_of(key) or [next((unit for end, unit in _TOLD.items() if key.endswith(end)), "")]
+    return f"{own} (a text such as '1 {others[0]}' works too)" if others else own
 
 
 def parse_quantity(key: str, text: str) -> float:

@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "optsim"
 BASE = {
     "errors",
     "config",
+    "descriptions",
     "units",
     "problems",
     "quantities",
@@ -82,6 +83,7 @@ TOP = {
     "stopwatch",
     "console",
     "catalogue",
+    "experiment_schema",
 }
 
 # Rooms of variants (files that define a class with a ``kind``): these don't import each other. A wrapper is

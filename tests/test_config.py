@@ -11,7 +11,9 @@ from pydantic import Field
 from optsim.config import Part, build, override, read_toml
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
-from optsim.units import parse_quantity
+from optsim.experiment_schema import experiment_schema
+from optsim.hardware import icx674, imx174, sources
+from optsim.units import parse_quantity, units_of
 
 
 class Lens(Part):
@@ -176,6 +178,15 @@ def test_a_table_in_a_list_is_set_by_its_name_or_place() -> None:
             "camera.effects.all=idael",
             "camera.effects.all 'idael'; expected one of: ideal, nominal, pessimistic; did",
         ),
+        (
+            "camera.effects.smear=off",
+            "smear 'off'; expected one of: ideal, nominal, pessimistic; did you mean 'ideal'?",
+        ),
+        ("camera.effects.smear=None", "did you mean 'ideal'? ideal switches an effect off"),
+        (
+            "camera.effects.all=true",
+            "camera.effects.all 'true'; expected one of: ideal, nominal, pessimistic; did you mean 'nom",
+        ),
     ],
 )
 def test_a_wrong_value_says_where_what_and_the_cure(assignment: str, message: str) -> None:
@@ -255,3 +266,48 @@ def test_a_file_is_read_anew_once_it_changed_and_each_reader_has_a_table_of_its_
     assert read_toml(path) == {"lens": {"nodes": [1, 2]}}
     path.write_text("[lens]\nnodes = [4, 5]\n")
     assert read_toml(path) == {"lens": {"nodes": [4, 5]}}
+
+
+def test_the_schema_says_what_every_key_means():
+    """Meaning, unit, and of the camera's numbers the sign, a typical value and its source."""
+    schema = experiment_schema()
+    texts = {
+        (name, key): about
+        for name, table in {**schema["$defs"], "Experiment": schema}.items()
+        for key, about in table["properties"].items()
+    }
+    assert len(texts) > 220
+    for (name, key), about in texts.items():
+        text = about["description"]
+        assert len(text) > 30, (name, key, text)
+        assert units_of(key) == {} or f"Unit: {next(iter(units_of(key)))} " in f"{text} ", (name, key)
+    parts = ("CodedCamera", "Objective", "Wavefront", "Splitter", "Modulator", "Relay", "Ccd")
+    for (name, key), about in texts.items():
+        text = about["description"]
+        if name not in parts or "$ref" in about:
+            continue
+        assert "ource" in text, (name, key)
+        number = about.get("type") in ("number", "integer")
+        assert "Typical: " in text or not number, (name, key)
+        # What may be negative says what that means.
+        least = about.get("minimum", about.get("exclusiveMinimum", -1.0))
+        assert least >= 0 or not number or "negative" in text or "positive" in text, (name, key)
+
+
+def test_a_number_of_the_schema_is_the_data_sheets_with_the_comment_beside_it():
+    read_noise = experiment_schema()["$defs"]["Ccd"]["properties"]["read_noise_e"]["description"]
+    assert "Typical: 9.39 (prototype). Source: Point Grey camera table (AudeLA)." in read_noise
+    # A comment holds for the keys that follow; another sensor's doesn't count.
+    assert sources(icx674)["Ccd", "dark_current_e_s"] == "Point Grey camera table (AudeLA)."
+    assert sources(imx174)["Ccd", "cols"].startswith("Data of the same pixel in matrix-vision's")
+    assert experiment_schema()["$defs"]["Relay"]["properties"]["keystone_y"]["description"].endswith(
+        "Typical: 0 (prototype). No source: a default of this project."
+    )
+
+
+def test_rates_and_dioptres_are_no_times_and_lengths():
+    assert parse_quantity("dark_current_e_s", "2 e-/s") == 2
+    assert parse_quantity("defocus_per_m", "0.1 dpt") == 0.1
+    for key, text in (("dark_current_e_s", "2 ms"), ("defocus_per_m", "3 mm")):
+        with pytest.raises(ValueError, match="of another dimension"):
+            parse_quantity(key, text)

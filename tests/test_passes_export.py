@@ -259,9 +259,10 @@ def test_the_command_line(experiment, tmp_path: Path, monkeypatch, capsys) -> No
     assert {path.name for path in out.iterdir()} == {"slot000002.exr", "manifest.json", "passes.png"}
     assert json.loads((out / "manifest.json").read_text())["half"] == list(HALF_CHANNELS)
     for words, message in (
-        (("--passes",), "needs --out"),
-        (("--slots", "0:1", "--out", str(tmp_path / "b")), "need --passes"),
-        (("--half",), "need --passes"),
+        (("--passes",), "--passes: got no --out"),
+        (("--slots", "0:1", "--out", str(tmp_path / "b")), "optsim: --slots: got without --passes"),
+        (("--half",), "optsim: --half: got without --passes"),
+        (("--half", "--slots", "0:1"), "optsim: --slots, --half: got without --passes"),
         (("--passes", "--slots", "0-3", "--out", str(tmp_path / "b")), "FIRST:LAST"),
         (("--passes", "--slots", "35:37", "--out", str(tmp_path / "b")), "0:36"),
         (("--passes", "--out", str(out)), "another truth"),

@@ -291,10 +291,10 @@ def test_the_command_line(monkeypatch, tmp_path: Path, capsys) -> None:
     given = [Extras(light_samples=64, denoise=True), Extras(light_samples=9, stokes_samples=9), Extras()]
     assert seen == given
     for words, message in (
-        (("--light-groups",), "need --passes"),
-        (("--stokes",), "need --passes"),
-        (("--denoise",), "need --passes"),
-        (("--samples", "0"), "need --passes"),
+        (("--light-groups",), "--light-groups: got without --passes"),
+        (("--stokes",), "--stokes: got without --passes"),
+        (("--denoise",), "--denoise: got without --passes"),
+        (("--samples", "0"), "--samples: got without --passes"),
         ((*out, "--samples", "8"), "add --light-groups or --stokes"),
         ((*out, "--stokes", "--samples", "0"), "stokes_samples: got 0"),
     ):

@@ -83,11 +83,11 @@ class MotionAdaptive(Part):
         this share or more: of less, a random code, with its fewer photons, would lose more than it shows. 0.2
         was chosen on ``window_room`` and ``half_moving`` at a sixteenth of their light.
     speck_px : int
-        Changed regions of fewer pixels are dropped.
+        Changed regions of fewer panel pixels are dropped from the motion mask.
     dilation_px : int
         Reach of the dilation of the motion mask, pixels (the paper dilates, by an amount it does not give).
     patch_px : int
-        Side of the decoder's patches.
+        Side of the decoder's patches, panel pixels: all of one are shown the moving code.
     psf_px : int
         Extra reach for light that spreads between pixels.
     first_frames : {"moving", "static"}

@@ -46,8 +46,19 @@ _MARGIN = 4.0
 class Wavefront(Part):
     """Rms wavefront error of a lens, waves of 550 nm: spherical everywhere, the others at the panel's corner.
 
-    Positive coma has its tail away from the axis; positive curvature and spherical aberration have the sign
-    of Noll's polynomials, as a positive defocus has.
+    Parameters
+    ----------
+    spherical_waves : float
+        Spherical aberration, the same everywhere; positive has the sign of Noll's polynomial, as a positive
+        defocus has.
+    coma_waves : float
+        Coma at the corner, growing with the distance from the axis; positive has its tail away from the axis.
+    astigmatism_waves : float
+        Astigmatism at the corner, growing with the square of the distance; positive has the sign of Noll's
+        polynomial along the distance.
+    curvature_waves : float
+        Field curvature at the corner, growing with the square of the distance; positive is a positive
+        defocus.
     """
 
     spherical_waves: float = 0.0

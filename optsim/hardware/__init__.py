@@ -6,6 +6,7 @@ from optsim.camera import CodedCamera
 from optsim.hardware.cameras import demo, prototype, prototype_relay
 from optsim.hardware.lcr720 import lcr720
 from optsim.hardware.sensors import icx674, imx174
+from optsim.hardware.sources import sources
 from optsim.sensor import Ccd
 
 # Cameras by the name that `hardware = "..."` in a [camera] table uses.
@@ -13,4 +14,4 @@ ALL: dict[str, Callable[[], CodedCamera]] = {"prototype": prototype, "demo": dem
 # Image sensors by the name that `sensor = "..."` in it uses.
 SENSORS: dict[str, Callable[[], Ccd]] = {"icx674": icx674, "imx174": imx174}
 
-__all__ = ["ALL", "SENSORS", "demo", "icx674", "imx174", "lcr720", "prototype", "prototype_relay"]
+__all__ = ["ALL", "SENSORS", "demo", "icx674", "imx174", "lcr720", "prototype", "prototype_relay", "sources"]

@@ -38,9 +38,12 @@ def prototype_relay() -> Relay:
 def _objective(focal_length_m: float) -> Objective:
     """Lens data of the prototype's was not found; its aberrations are taken to be those of the relay."""
     return Objective(
+        # Tokina, f = 12.5 mm (the paper); its f-number is not given, f/4 is a sensible default. 1.5 is a
+        # design choice (no source) that gives a field of 35.5 x 30 degrees.
         focal_length_m=focal_length_m,
         f_number=4.0,
         magnification=1.5,
+        # No source: taken to be those of the relay.
         aberration_m=2e-6,
         wavefront=_ACHROMATS,
         # No source: a barrel of 1 % in the corners is usual for C-mount lenses of this focal length.
@@ -51,13 +54,13 @@ def _objective(focal_length_m: float) -> Objective:
 def prototype() -> CodedCamera:
     """Camera of Nagahara et al.: 600 x 500 panel pixels, 36 slots at 180 Hz, 5 frames a second."""
     return CodedCamera(
-        # Tokina, f = 12.5 mm (the paper); its f-number is not given, f/4 is a sensible default. 1.5 is a
-        # design choice (no source) that gives a field of 35.5 x 30 degrees.
         objective=_objective(12.5e-3),
         splitter=Splitter(),
         modulator=lcr720(),
         relay=prototype_relay(),
         sensor=icx674(),
+        # Nagahara et al., "Space-Time-Brightness Sampling Using an Adaptive Pixel-Wise Coded Exposure": 500
+        # x 600 pixels at 180 Hz, 36 fields a frame, masks three frames late.
         panel_rows=500,
         panel_cols=600,
         slots_per_frame=36,

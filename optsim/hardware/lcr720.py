@@ -14,17 +14,17 @@ def lcr720() -> Modulator:
         cols=1280,
         # Nagahara et al., "Space-Time-Brightness Sampling Using an Adaptive Pixel-Wise Coded Exposure".
         field_rate_hz=180.0,
-        # Same note as the pitch: fill factor 92 %, reflectivity about 70 % in the visible, taken to be that
-        # of the whole cell, gaps included (the note doesn't say).
+        # Set-up note on Li et al. (2018): fill factor 92 %, reflectivity about 70 % in the visible, taken to
+        # be that of the whole cell, gaps included (the note doesn't say).
         mirror_reflectivity=0.70 / 0.92,
         fill_factor=0.92,
         # No source: half a percent of the area as bright as aluminium.
         gap_reflectivity=0.05,
-        # No source for the split. The same note says "< 3 ms" without defining it; 10-90 % times of
-        # 2.2 tau, rise and fall together, are then 3.3 ms.
+        # No source for the split. The set-up note on Li et al. (2018) says "< 3 ms" without defining it;
+        # 10-90 % times of 2.2 tau, rise and fall together, are then 3.3 ms.
         tau_on_s=0.5e-3,
         tau_off_s=1.0e-3,
-        # No source: the note's phase range of about pi in the visible says as much, not where.
+        # No source: the set-up note's phase range of about pi in the visible says as much, not where.
         half_wave_m=550e-9,
         # No source: no measured grey curve was found.
         drive_exponent=1.2,

@@ -33,19 +33,20 @@ def icx674() -> Ccd:
         rows=1440,
         cols=1920,
         pitch_m=4.54e-6,
-        # Same table: 0.67 at 525 nm; times 0.99 to 550 nm (no source for the shape of the curve).
+        # Point Grey camera table (AudeLA): 0.67 at 525 nm; times 0.99 to 550 nm (no source for the shape of
+        # the curve).
         quantum_efficiency=0.663,
         spectral_response=_INTERLINE,
-        # Published Mitsuba-based simulation of the ICX674. The table's 14 693 e- is the EMVA saturation
-        # capacity, the peak of the variance, a little below.
+        # Published Mitsuba-based simulation of the ICX674. The camera table's 14 693 e- is the EMVA
+        # saturation capacity, the peak of the variance, a little below.
         full_well_e=15770.0,
-        # Same table.
+        # Point Grey camera table (AudeLA).
         read_noise_e=9.39,
         dark_current_e_s=1.27,
         # No source for either; sensible defaults.
         prnu=0.008,
         dsnu_e=1.5,
-        # Same table: 0.24 e- per 16-bit number, so 0.96 at 14 bit.
+        # Point Grey camera table (AudeLA): 0.24 e- per 16-bit number, so 0.96 at 14 bit.
         gain_e=0.96,
         bits=14,
         # No source; the clamp can be set from 0 to 1023 (Grasshopper3 Technical Reference, "ADC").

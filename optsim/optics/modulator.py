@@ -30,27 +30,28 @@ class Modulator(Part):
     pitch_m : float
         Pixel pitch, m.
     rows, cols : int
-        Pixels of the whole panel.
+        Pixels of the whole panel, of which the camera uses some in the middle.
     field_rate_hz : float
         Patterns a second: one slot lasts one field.
     mirror_reflectivity : float
-        Of the pixels' mirrors.
+        Share of the light that the pixels' mirrors reflect, gaps left out.
     fill_factor : float
         Share of a pitch cell that its mirror covers. The fine grid is too coarse to show the gaps, so
         their loss and their light are spread evenly.
     gap_reflectivity : float
-        Of the gaps between the mirrors. Nothing drives the crystal there, and all states of polarisation
-        come back: as unpolarised light.
+        Share of the light that the gaps between the mirrors reflect. Nothing drives the crystal there, and
+        all states of polarisation come back: as unpolarised light.
     tau_on_s, tau_off_s : float
         Time constants towards larger and smaller retardance, at 25 degrees C.
     temperature_c : float
-        Of the crystal, degrees C: the time constants fall by 3 % a degree (no source, a sensible default).
+        Temperature of the crystal, degrees C, negative in frost: the time constants fall by 3 % a degree (no
+        source, a sensible default).
     half_wave_m : float
         Wavelength at which level 255 is a half wave there and back, the brightest there is: in other light
         its retardance is larger or smaller by the ratio of the two, since the path difference is taken to be
         the same (dispersion of the crystal's birefringence is not modelled). 550 nm has no source.
     drive_exponent : float
-        Exponent of retardance against level.
+        Exponent of retardance against drive level: white times (level / 255) to this power.
     field_drive : tuple of three float
         Relative retardance of the three colour fields, shown in turn; all 1 for a panel without colours.
     polarity_drive : float
@@ -58,7 +59,7 @@ class Modulator(Part):
     delay_s : float
         When the first row of the used panel turns to a slot's level, after the shutter's clock.
     scan_s : float
-        How much later the row after the panel's last one would.
+        How much later than the first the row after the panel's last one would turn; rows go downwards.
     jitter_s : float
         Standard deviation of the delay from frame to frame, at most a quarter of it: a panel that waits for
         the shutter's clock is never early.

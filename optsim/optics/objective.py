@@ -30,15 +30,15 @@ class Objective(LensGroup):
     Parameters
     ----------
     focal_length_m : float
-        m.
+        Focal length of the objective itself, before ``magnification``, m.
     f_number : float
-        Of the objective itself; the cone on the modulator is ``magnification`` times slower.
+        f-number of the objective itself; the cone on the modulator is ``magnification`` times slower.
     magnification : float
-        From the objective's image to the modulator.
+        Magnification from the objective's image to the modulator.
     transmission : float
-        Of the glass; 0.9 has no source, it is a sensible default.
+        Share of the light that the glass passes; 0.9 has no source, it is a sensible default.
     nd_transmission : float
-        Of a neutral density in front: the knob of the light rule.
+        Transmission of a neutral density in front: the light rule sets it.
     aberration_m : float
         Standard deviation of the other aberrations' Gaussian on the modulator; 3 um has no source.
     glare_share : float
@@ -55,7 +55,8 @@ class Objective(LensGroup):
         By how much the focus lies too near, dioptres: 1/m.
     distortion : float
         Relative displacement of what belongs into the corner of the used panel, growing with the square of
-        the distance from the middle; negative is a barrel, as in the relay.
+        the distance from the middle; positive is a pincushion, negative
+        a barrel, as in the relay.
     moving_wing_share : float
         Share of the PSF's energy that moving light gets as its wings, coarser and along straight lines in
         time, and with it its veiling glare (see forward/wings.py); 0 images every instant by itself.

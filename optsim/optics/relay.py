@@ -27,32 +27,34 @@ class Relay(LensGroup):
     Parameters
     ----------
     magnification : float
-        From the panel to the CCD.
+        Magnification from the panel to the CCD, without ``magnification_error``.
     f_number : float
-        Of the fastest cone that it lets onto the CCD.
+        f-number of the fastest cone that it lets onto the CCD.
     transmission : float
-        Of all passes through its lenses.
+        Share of the light that passes its lenses, all passes together.
     defocus_m : float
-        Distance of the CCD from the sharp image; its share in the wavefront is positive as positive curvature
-        is. Without diffraction it blurs by a disc, as in geometrical optics.
+        Distance of the CCD from the sharp image; positive where its share in the wavefront is, as of positive
+        curvature. Without diffraction it blurs by a disc, as in geometrical optics.
     ghost_share : float
         Share of the light that comes back from a face, mirrored through the axis and out of focus.
     ghost_blur_px : float
         Standard deviation of the ghost's blur, panel pixels; no source.
     shift_y_px, shift_x_px : float
-        Shift of the panel's image from the centre of the CCD, CCD pixels.
+        Shift of the panel's image from the centre of the CCD, CCD pixels; positive is down, and to the right.
     rotation_rad : float
-        Rotation of the panel's image, rad.
+        Rotation of the panel's image, rad; positive from the columns' axis x towards the rows' axis y, which
+        is clockwise in a picture whose rows go down.
     magnification_error : float
-        By how much larger than ``magnification`` says the panel's image is, relative.
+        By how much larger than ``magnification`` says the panel's image is, relative; smaller where negative.
     keystone_y, keystone_x : float
-        By how much smaller the last used row, or column, is imaged than the middle one, relative.
+        By how much smaller the last used row, or column, is imaged than the middle one, relative; larger
+        where negative.
     distortion : float
         Relative change of the distance from the centre at the corners of the used panel; positive is a
-        pincushion.
+        pincushion, negative a barrel.
     lateral_colour : float
         Relative growth of the image, about its centre, from light of 450 nm to light of 650 nm, even in
-        wavelength; in 550 nm it is as large as ``magnification`` says.
+        wavelength, smaller where negative; in 550 nm it is as large as ``magnification`` says.
     """
 
     magnification: float = Field(gt=0)

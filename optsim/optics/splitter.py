@@ -49,13 +49,15 @@ class Splitter(Part):
     Parameters
     ----------
     tp, ts : float
-        Transmittance of p and of s at 45 degrees.
+        Transmittance of the coating for p and for s at 45 degrees, towards the panel.
     rs, rp : float
-        Reflectance of s and of p at 45 degrees: with the transmittance at most 1, the rest is absorbed.
+        Reflectance of the coating for s and for p at 45 degrees, towards the CCD: with the transmittance at
+        most 1, the rest is absorbed.
     azimuth_rad : float
-        Of p in the picture: from its rows anticlockwise, as one looks at the upright picture. 0, p along the
-        rows, is how a coating stands whose plane of incidence is along the rows. Other values turn what is
-        analysed, as a half-wave plate in front would, not the angles on the coating.
+        Direction of p in the picture: from its rows, positive anticlockwise, negative clockwise, as one
+        looks at the upright picture. 0, p along the rows, is how a coating stands whose plane of incidence
+        is along the rows. Other values turn what is analysed, as a half-wave plate in front would, not the
+        angles on the coating.
     scene_light : {"auto", "polarised", "unpolarised"}
         Whether the scene is rendered with its polarisation; auto: where any of its materials polarises.
         Unpolarised light stands for a perfect depolariser in front.
@@ -68,7 +70,7 @@ class Splitter(Part):
     collimator_m : float
         Focal length between splitter and panel, for collimated space; no source.
     glass_index : float
-        Refractive index of the cube.
+        Refractive index of the cube's glass; 1.52 is that of common crown glass (no source).
     acceptance_rad : float
         Up to this angle from 45 degrees, in glass, the coating does what it says; beyond, ts and rp grow with
         the square of the angle over it, and take from tp and rs what they gain (about 2 degrees; no source).
@@ -79,9 +81,10 @@ class Splitter(Part):
         Between these the coating is known: the usual range of broadband visible cubes; no data sheet was at
         hand. A design that is flat even from 400 to 700 nm: Appl. Opt. 35(13), 2221 (1996).
     face_transmission : float
-        Of the cube's faces together, both passes.
+        Share of the light that the cube's faces pass, all together, both passes; no source.
     cleanup_transmission : float
-        Of each clean-up polariser, for the light it should pass; no source. 1 with contrast 1: none.
+        Transmission of each clean-up polariser, for the light it should pass; no source. 1 with contrast 1:
+        none.
     cleanup_contrast : float
         Wanted over unwanted transmission of each clean-up polariser; no source.
     """

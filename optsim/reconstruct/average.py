@@ -19,7 +19,7 @@ class Average(Branch):
     Parameters
     ----------
     sparse, mixture : decoder
-        The two.
+        The two decoders, with their keys.
     """
 
     kind: Literal["average"] = "average"

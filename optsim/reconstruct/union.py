@@ -52,7 +52,7 @@ class Union(Part):
     Parameters
     ----------
     static, moving : decoder
-        The two branches.
+        Decoders of the two branches: of what stands still, and of what moves.
     video : {"changed", "coded"}
         Where the video is taken: near what changed, or wherever the code was chosen for it, as in equation
         (1). A merge of one frame, or as the paper has it, knows of no change; then both are the same.

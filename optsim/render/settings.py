@@ -21,11 +21,11 @@ class RenderSettings(Part):
     Parameters
     ----------
     static_error : float
-        Of the light without movers, rendered once.
+        Target of the light without movers, rendered once.
     change_error : float
-        Of what the movers change elsewhere (shadows, bounce light), at each key instant.
+        Target of what the movers change elsewhere (shadows, bounce light), at each key instant.
     moving_error : float
-        On the movers' own pixels in each slot; on the whole picture when the camera moves.
+        Target on the movers' own pixels in each slot; on the whole picture when the camera moves.
     interpolation_error : float
         Bound on what interpolating in time between rendered poses may add, relative like the others: it
         decides how far apart poses and key instants are, from the measured flow.
@@ -40,7 +40,7 @@ class RenderSettings(Part):
         Stop sampling a pixel where the camera couldn't tell: when its Monte-Carlo error is below this share
         of the camera's own noise in a slot there. Unset: sample to the targets alone.
     seed : int
-        Of all random numbers.
+        Seed of all random numbers of the rendering.
     """
 
     static_error: float = Field(0.06, gt=0.0005, le=2)

@@ -41,9 +41,9 @@ class FootageSource(Part):
     white_w_m2_sr : float
         Declared white, the peak of every PSNR, W m^-2 sr^-1.
     linearisation : str
-        ``linear``; ``srgb`` (IEC 61966-2-1); ``gamma`` (signal to the power of ``gamma``).
+        How stored values become light: ``linear``, ``srgb`` (IEC 61966-2-1), ``gamma`` (a power).
     gamma : float, optional
-        Exponent of ``gamma``.
+        Exponent of the curve ``gamma``: radiance goes as the signal to this power.
     full_scale : float, optional
         Stored value that means a signal of 1, 65535 for all of 16 bits; greater ones are errors. Needed for
         integers and for curves; without it, floats are the signal itself.
@@ -56,7 +56,7 @@ class FootageSource(Part):
     axes : str, optional
         Order of an array's axes: t(ime), y, x, c(hannel). Needed for npz, npy and mat.
     first_frame : int
-        Footage frame at time 0.
+        Footage frame, from 0, that is seen at time 0.
     fit : str
         How footage fills the fine grid (``camera.view``): ``exact`` (same size), ``crop`` (its middle, one
         to one) or ``area`` (its middle of the grid's proportions, averaged over each fine sample's area).

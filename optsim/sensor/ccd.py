@@ -64,24 +64,25 @@ class Ccd(Part):
     dark_current_e_s : float
         Electrons a second and pixel at 25 degrees C.
     temperature_c : float
-        Of the chip, degrees C. At its default a data sheet's dark current holds as it stands: sheets seldom
-        say at which temperature it was measured.
+        Temperature of the chip, degrees C, negative in frost. At its default a data sheet's dark
+        current holds as it stands: sheets seldom say at which temperature it was measured.
     dark_doubling_k : float
         Rise of the temperature that doubles the dark current (EMVA 1288, release 4.0 Linear, section 7.2);
         7 K has no source, a sensible default for silicon.
     prnu : float
-        Photo response non-uniformity, relative rms.
+        Photo response non-uniformity: rms over the pixels, relative to their mean response.
     dsnu_e : float
-        Dark signal non-uniformity, rms.
+        Dark signal non-uniformity: rms over the pixels, whatever the exposure.
     gain_e : float
         Electrons per digital number.
     bits : int
-        Of the converter.
+        Bits of the converter's digital numbers, of which ``gain_e`` and ``black_dn`` count.
     black_dn : float
-        Black level.
+        Black level: the digital number of a pixel without a signal.
     finer_bits : int
-        Bits that the converter has beyond ``bits`` for the same range of light, of which ``gain_e`` and
-        ``black_dn`` then tell no more than before; 8 to 16 in all, since frames hold no more.
+        Bits that the converter has beyond ``bits``, fewer where negative, for the same range of light, of
+        which ``gain_e`` and ``black_dn`` then tell no more than before; 8 to 16 in all, since frames hold no
+        more.
     bend_at_full_well : float
         Share of the signal that is missing at the full well; grows with the fifth power of the signal up to
         there and stays beyond, where smear may take it.
