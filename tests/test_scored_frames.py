@@ -110,3 +110,24 @@ def test_the_window_ratio_is_of_the_brightest_outside_and_the_darkest_inside() -
     found = scorer(experiment, radiance).window_ratio(glare=False)
     # Diffraction blurs the steps a little.
     assert found == pytest.approx(expected, rel=0.05)
+
+
+def test_stated_errors_are_judged_on_the_pixels_that_all_methods_hold_valid() -> None:
+    """Half of the picture is wrong, and one method gives it up: neither is judged there."""
+    judge = scorer(small(n_frames=1), by_frame([0.1]))
+    light = judge.reference(0)
+    spread = np.full_like(light, 0.1 * light.mean())
+    wrong = light + spread
+    wrong[:, : ROWS // 2] += 9 * spread[:, : ROWS // 2]
+    lower = EVERYWHERE.copy()
+    lower[: ROWS // 2] = False
+    judge.add(
+        {
+            name: Reconstruction(0, wrong, valid, NOWHERE, NOWHERE, spread)
+            for name, valid in (("bold", EVERYWHERE), ("timid", lower))
+        }
+    )
+    for record in judge.results()["uncertainty"]:
+        if record["region"] == "all":
+            assert record["n"] == 36 * ROWS // 2 * COLS
+            assert record["rms"] == pytest.approx(1, rel=1e-4)
