@@ -79,6 +79,21 @@ def test_a_slot_holds_its_mean_radiance_and_the_passes_of_its_middle(experiment,
     assert said["versions"]["mitsuba"]
 
 
+def test_the_noise_of_a_slot_is_that_slots_own(experiment, folder) -> None:
+    """The mean square of half the difference of the two halves over an object's samples in 5 x 5, by hand."""
+    channels, _ = read_exr(folder / "slot000008.exr")
+    half = render_truth(experiment).half_difference
+    segment = half.load(8 // half.slots_per_segment)
+    n, first = half.instants_per_slot, 8 % half.slots_per_segment * half.instants_per_slot
+    noise = np.mean([segment.instant(first + k) for k in range(n)], axis=0, dtype=np.float64)
+    rows, cols = noise.shape
+    for y, x in ((0, 0), (5, 40), (36, 48), (50, 20), (rows - 1, cols - 1)):
+        around = np.s_[max(y - 2, 0) : y + 3, max(x - 2, 0) : x + 3]
+        mine = channels["id"][around] == channels["id"][y, x]
+        expected = np.sqrt(np.mean(noise[around][mine] ** 2))
+        assert channels["Y.sigma"][y, x] == pytest.approx(expected, rel=1e-4, abs=1e-9)
+
+
 def test_the_round_trip_is_exact_and_half_keeps_its_promise(experiment, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     slot_s = experiment.timing.slot_s
