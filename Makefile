@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test setup bench figure4 imperfections validate lint types architecture requirements clean help
+.PHONY: force demo test setup bench claims figure4 imperfections validate lint types architecture requirements clean help
 
 force:
 
@@ -26,6 +26,9 @@ test: setup ## is the code right? (minutes)
 
 bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
+
+claims: setup ## the registered claims over seeds and phases of motion; writes reports/claims.md (90 minutes)
+	$(BIN)/python validation/claims.py
 
 figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (about an hour)
 	$(BIN)/python validation/figure4.py

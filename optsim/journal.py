@@ -19,7 +19,7 @@ import numpy as np
 from optsim.cache import hash_of
 from optsim.evidence import hash_files
 from optsim.experiment import Experiment
-from optsim.metrics import FrameTally, UncertaintyTally
+from optsim.metrics import FrameTally, PairTally, UncertaintyTally
 from optsim.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.reconstruct.checkpoint import Checkpoint
 from optsim.scene.footage_truth import content_hash
@@ -27,9 +27,9 @@ from optsim.truth import truth_content
 
 Shot = tuple[CodedFrame, PanelState]
 _SHOT = ("dn", "negative_light", "retardance_rad", "levels", "slots_shown")
-_TALLY, _SPREAD = (
+_TALLY, _SPREAD, _PAIR = (
     tuple(f.name for f in fields(kind) if f.name not in ("method", "index"))
-    for kind in (FrameTally, UncertaintyTally)
+    for kind in (FrameTally, UncertaintyTally, PairTally)
 )
 
 
@@ -43,10 +43,13 @@ class FrameScores:
         One a method.
     spreads : list of UncertaintyTally or None
         One a method, None for those that state no uncertainty.
+    pairs : list of PairTally or None
+        One a method, None for those that aren't set beside the adaptive one.
     """
 
     tallies: list[FrameTally]
     spreads: list[UncertaintyTally | None]
+    pairs: list[PairTally | None]
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,12 @@ class Journal:
     def keep_scores(self, index: int, scores: FrameScores) -> None:
         """Keep what a coded frame of all methods scored."""
         arrays: dict[str, Any] = {}
-        for place, (tally, spread) in enumerate(zip(scores.tallies, scores.spreads, strict=True)):
+        of_methods = zip(scores.tallies, scores.spreads, scores.pairs, strict=True)
+        for place, (tally, spread, pair) in enumerate(of_methods):
             arrays |= {f"{place}.tally.{name}": getattr(tally, name) for name in _TALLY}
             # Empty stands for none, so that all frames hold the same names.
             arrays |= {f"{place}.spread.{name}": getattr(spread, name, np.empty(0)) for name in _SPREAD}
+            arrays |= {f"{place}.pair.{name}": getattr(pair, name, np.empty(0)) for name in _PAIR}
         self._page("scores", index).write(index, **arrays)
 
     def scores(self, methods: Sequence[str]) -> list[FrameScores]:
@@ -107,17 +112,19 @@ class Journal:
         return found
 
     def _scores(self, index: int, methods: Sequence[str]) -> FrameScores | None:
-        kinds, places = (("tally", _TALLY), ("spread", _SPREAD)), range(len(methods))
+        kinds = (("tally", _TALLY), ("spread", _SPREAD), ("pair", _PAIR))
+        places = range(len(methods))
         names = [f"{place}.{kind}.{name}" for place in places for kind, each in kinds for name in each]
         kept = self._page("scores", index).read(*names)
         if kept is None:
             return None
-        found, arrays = FrameScores([], []), iter(kept[1])
+        found, arrays = FrameScores([], [], []), iter(kept[1])
         for method in methods:
-            tally, spread = (list(islice(arrays, len(each))) for _, each in kinds)
+            tally, spread, pair = (list(islice(arrays, len(each))) for _, each in kinds)
             found.tallies.append(FrameTally(method, index, *tally))
-            stated = all(array.size for array in spread)
+            stated, paired = (all(array.size for array in each) for each in (spread, pair))
             found.spreads.append(UncertaintyTally(method, index, *spread) if stated else None)
+            found.pairs.append(PairTally(method, index, *pair) if paired else None)
         return found
 
     def close(self) -> None:

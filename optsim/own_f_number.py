@@ -36,11 +36,10 @@ from optsim.loop import (
     set_light,
 )
 from optsim.metrics import FrameTally
-from optsim.metrics.hypothesis import Verdict
 from optsim.metrics.scoring import ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import CodedFrame, RadianceVideo
-from optsim.scoring import Scorer, verdicts
+from optsim.scoring import Scorer
 
 # From f/1.4, as such lenses can be set; the project's has no data sheet. Slower ones than f/16 nobody shares.
 THIRD_STOPS = tuple(2 ** (k / 6) for k in range(3, 25))
@@ -64,8 +63,6 @@ class OwnLight:
         Method name -> share of saturation that the interior's percentile reaches under its fullest exposure.
     scores : list of ScoreRecord
         Of all methods, as at one f-number for all.
-    verdicts : list of Verdict
-        On the registered claims, which are of one f-number for all.
     """
 
     f_numbers: dict[str, float]
@@ -73,7 +70,6 @@ class OwnLight:
     mean_e: dict[str, float]
     filled: dict[str, float]
     scores: list[ScoreRecord]
-    verdicts: list[Verdict]
 
 
 def open_share(frames: Iterable[CodedFrame], calibration: Calibration) -> float:
@@ -205,5 +201,4 @@ def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progre
         {row["method"]: row["mean_e"] for row in photons},
         {name: each.filled * share for each in taken for name, share in each.open_shares.items()},
         scores,
-        verdicts(experiment, scores),
     )

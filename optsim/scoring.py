@@ -17,7 +17,6 @@ from optsim.forward.readings import brightest, mean_reading
 from optsim.journal import FrameScores
 from optsim.known_calibration import true_calibration
 from optsim.loop import Frames, Result
-from optsim.metrics.hypothesis import Verdict
 from optsim.metrics.scoring import PHASES, ScoreRecord
 from optsim.progress import Progress, silent
 from optsim.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
@@ -50,7 +49,9 @@ class Scorer:
     spreads: list[metrics.UncertaintyTally] = field(
         default_factory=list[metrics.UncertaintyTally], init=False
     )
+    pairs: list[metrics.PairTally] = field(default_factory=list[metrics.PairTally], init=False)
     _references: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
+    _noise: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
     _moving: dict[int, Bools] = field(default_factory=dict[int, Bools], init=False)
 
     def __post_init__(self) -> None:
@@ -66,6 +67,14 @@ class Scorer:
             coded_slots=self.camera.coded_slots,
         )
         self._ideal_pixel = true_calibration(self.camera, alone=True)
+        halves = self.radiance.half_difference
+        self._half_difference = None if halves is None else self.camera.form_image(halves)
+        outside, step = self.radiance.outside, self.truth.samples_per_pitch
+        self._window = (
+            np.zeros(self.truth.panel_shape, np.bool_)
+            if outside is None
+            else cell_means(outside.astype(np.float32), step) > 0
+        )
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance of each slot and pitch cell, array (slot, v, u), W m^-2, shading divided out."""
@@ -80,8 +89,21 @@ class Scorer:
             # In this order: only the last two are held.
             previous = self.reference(index - 1) if index else None
             reference = self.reference(index)
-            self._moving[index] = metrics.oracle_moving(reference, previous, self._slot_sigma(reference))
+            frames = [index] if previous is None else [index, index - 1]
+            halves = [] if self._half_difference is None else [self._truth_noise(k) for k in frames]
+            sigma = self._slot_sigma(reference)
+            self._moving[index] = metrics.oracle_moving(reference, previous, sigma, halves)
         return self._moving[index]
+
+    def _truth_noise(self, index: int) -> Floats:
+        """Half the difference of the truth's two halves, as the reference: (slot, v, u), W m^-2."""
+        if index not in self._noise:
+            assert self._half_difference is not None
+            self._noise = {k: v for k, v in self._noise.items() if k == index - 1}
+            slots = self.experiment.timing.slots_per_frame
+            noise = slot_means(self._half_difference, index * slots, slots) / self.truth.shading
+            self._noise[index] = noise.astype(np.float32)
+        return self._noise[index]
 
     def _slot_sigma(self, reference: Floats) -> Floats:
         """Predicted noise of one slot's irradiance at weight 1: shot and read noise, W m^-2, (v, u)."""
@@ -94,7 +116,7 @@ class Scorer:
         """Score one coded frame of all methods, on the pixels that all of them hold valid."""
         scored = np.logical_and.reduce([video.valid for video in videos.values()])
         slots = self.camera.coded_slots
-        found = FrameScores([], [])
+        found = FrameScores([], [], self._pairs(videos))
         for method, video in videos.items():
             reference, moving = self.reference(video.index), self.moving(video.index)
             found.tallies.append(self.board.tally(method, video, reference, moving, scored))
@@ -102,41 +124,65 @@ class Scorer:
         self.recall(found)
         return found
 
+    def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally | None]:
+        """Set each method beside the adaptive one, in the steady phase, which claims are about."""
+        nothing: list[metrics.PairTally | None] = [None] * len(videos)
+        if metrics.ADAPTIVE not in videos:
+            return nothing
+        index = videos[metrics.ADAPTIVE].index
+        if self.board.phase(index) != "steady":
+            return nothing
+        reference, moving, slots = self.reference(index), self.moving(index), self.camera.coded_slots
+        errors = {
+            name: metrics.pixel_errors(
+                metrics.ALL, self.scale, video.irradiance_w_m2, reference, video.valid, slots
+            )
+            for name, video in videos.items()
+        }
+        ours = errors[metrics.ADAPTIVE]
+        return [
+            None
+            if name == metrics.ADAPTIVE
+            else metrics.tally_pair(name, index, ours, theirs, moving, self._window)
+            for name, theirs in errors.items()
+        ]
+
     def recall(self, scores: FrameScores) -> None:
         """Let a coded frame count that was scored before."""
         self.tallies += scores.tallies
         self.spreads += [spread for spread in scores.spreads if spread is not None]
+        self.pairs += [pair for pair in scores.pairs if pair is not None]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
-        if self.radiance.half_difference is None:
+        if self._half_difference is None:
             return []
-        half = self.camera.form_image(self.radiance.half_difference)
-        slots = self.experiment.timing.slots_per_frame
         steady = [k for k in range(self.experiment.n_frames) if self.board.phase(k) == "steady"]
         chosen = sorted({steady[0], steady[-1]}) if steady else [self.experiment.n_frames - 1]
         tallies: list[metrics.FrameTally] = []
         for done, index in enumerate(chosen):
-            noise = slot_means(half, index * slots, slots) / self.truth.shading
-            tallies.append(
-                self.board.tally_noise(
-                    index, self.reference(index), noise.astype(np.float32), self.moving(index)
-                )
-            )
+            reference, moving = self.reference(index), self.moving(index)
+            tallies.append(self.board.tally_noise(index, reference, self._truth_noise(index), moving))
             progress("noise ceiling", done + 1, len(chosen))
         return self.board.records(tallies)
 
     def results(self) -> dict[str, Any]:
         """Scores, coverage and series of everything added, as results.json holds them."""
-        scores = self.board.records(self.tallies)
+        pairs = self.pair_records()
         return {
-            "scores": scores,
+            "scores": self.board.records(self.tallies),
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
             "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
-            "hypothesis": verdicts(self.experiment, scores),
+            "pairs": pairs,
+            "claims": metrics.judge_claims([pairs], no_rivals(self.experiment)),
         }
+
+    def pair_records(self) -> list[metrics.PairRecord]:
+        """Scores of the adaptive method beside each other one: of their own pixels, steady phase."""
+        latency = self.camera.latency_frames
+        return metrics.pair_records(metrics.ALL, self.pairs, self.camera.coded_slots, latency)
 
     def masks(self, frames: Frames, objects: Bools | None = None) -> dict[str, Any]:
         """Agreement of each adaptive method's mask, and of movers, with the oracle: by frame and by phase.
@@ -199,13 +245,15 @@ class Scorer:
         return float(np.percentile(window, 95)) / dark if window.size and dark > 0 else None
 
 
-def verdicts(experiment: Experiment, scores: Sequence[ScoreRecord]) -> list[Verdict]:
-    """Judge the registered claims by an experiment's scores."""
-    adaptive = [m.name for m in experiment.methods if m.scheme.kind == "motion_adaptive"]
-    # Claims compare schemes, so they leave out who knows the camera by a calibration of its own.
-    apart = [m.name for m in experiment.methods if experiment.known_to(m) != experiment.known]
-    judged = [each for each in scores if each["method"] not in apart]
-    return metrics.judge_hypothesis(judged, no_rivals=adaptive)
+def no_rivals(experiment: Experiment) -> list[str]:
+    """Methods that claims leave out: they code as the adaptive one does, or know another camera than it."""
+    by_name = {m.name: m for m in experiment.methods}
+    ours = experiment.known_to(by_name[metrics.ADAPTIVE]) if metrics.ADAPTIVE in by_name else experiment.known
+    return [
+        m.name
+        for m in experiment.methods
+        if m.scheme.kind == "motion_adaptive" or experiment.known_to(m) != ours
+    ]
 
 
 def score(result: Result) -> list[ScoreRecord]:
@@ -221,10 +269,16 @@ def score(result: Result) -> list[ScoreRecord]:
     list of dict
         One record a method, metric, region and phase; the metric's parameters are in its name.
     """
+    scorer = scorer_of(result)
+    return scorer.board.records(scorer.tallies)
+
+
+def scorer_of(result: Result) -> Scorer:
+    """Let a scorer add up a run held in memory: its scores, pairs and masks."""
     scorer = Scorer(result.experiment, result.camera, result.truth, result.radiance)
     for index in range(result.experiment.n_frames):
         scorer.add({name: video[index] for name, video in result.reconstructions.items()})
-    return scorer.board.records(scorer.tallies)
+    return scorer
 
 
 def score_table_html(result: Result) -> str:

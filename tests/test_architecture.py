@@ -48,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "coding": {"forward", "calibrate"},
     "reconstruct": {"forward", "calibrate"},
     "metrics": {"forward"},
-    "report": set(),
+    "report": {"metrics"},
     "evidence": set(),
     "knowledge": set(),
     "doctor": {"render", "scene"},

@@ -14,7 +14,7 @@ from optsim.camera import CodedCamera
 from optsim.experiment import Experiment, experiment_path, load_experiment
 from optsim.files import read_exr, read_json
 from optsim.journal import FrameScores, Journal, run_key
-from optsim.metrics import FrameTally, UncertaintyTally
+from optsim.metrics import FrameTally, PairTally, UncertaintyTally
 from optsim.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.reconstruct import GaussianMixture
 
@@ -190,15 +190,24 @@ def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
         counts = rng.integers(0, 9, 2)
         return UncertaintyTally(method, index, rng.random(2), rng.integers(0, 9, (2, 2)), counts)
 
+    def pair(method: str, index: int) -> PairTally:
+        return PairTally(method, index, rng.random((2, 2, 3, 2, 2)), rng.integers(0, 9, (2, 2, 2)))
+
     book = Journal(tmp_path, "key")
-    kept = [FrameScores([tally("one", k), tally("other", k)], [None, spread("other", k)]) for k in range(3)]
+    kept = [
+        FrameScores(
+            [tally("one", k), tally("other", k)], [None, spread("other", k)], [None, pair("other", k)]
+        )
+        for k in range(3)
+    ]
     for index in (0, 1, 2):
         book.keep_scores(index, kept[index])
     found = book.scores(["one", "other"])
     assert len(found) == 3
     for index, (one, other) in enumerate(zip(found, kept, strict=True)):
-        assert one.spreads[0] is None
-        for a, b in [*zip(one.tallies, other.tallies, strict=True), (one.spreads[1], other.spreads[1])]:
+        assert one.spreads[0] is one.pairs[0] is None
+        stated = [(one.spreads[1], other.spreads[1]), (one.pairs[1], other.pairs[1])]
+        for a, b in [*zip(one.tallies, other.tallies, strict=True), *stated]:
             assert a is not None
             assert (a.method, a.index) == (b.method, index)
             for name, array in vars(b).items():

@@ -1,9 +1,10 @@
-"""Oracle mask, mask agreement, the score board and the registered hypothesis."""
+"""Oracle mask, mask agreement, the score board, pairs and the registered claims."""
 
 from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,17 @@ from optsim.metrics import (
     Psnr,
     Pu21Psnr,
     ScoreBoard,
-    judge_hypothesis,
+    judge_claims,
     mask_agreement,
+    measured,
     oracle_moving,
+    pair_records,
+    pixel_errors,
     pooled_mask_records,
+    tally_pair,
 )
+from optsim.metrics.claims import CLAIMS, Verdict
+from optsim.metrics.pairs import PixelErrors, advantage
 from optsim.quantities import Reconstruction
 
 SLOTS, ROWS, COLS = 4, 6, 8
@@ -71,6 +78,43 @@ def test_oracle_refuses_what_it_cannot_compare() -> None:
         oracle_moving(still(), still()[:, 1:], 0.0)
     with pytest.raises(ValueCheckError, match="noise of a slot"):
         oracle_moving(still(), None, float("nan"))
+    with pytest.raises(ValueCheckError, match="half differences"):
+        oracle_moving(still(), still(), 0.0, (still(),))
+
+
+def rendered(rng: np.random.Generator, keys: int, sigma: float, change: float = 0.0) -> tuple[Any, Any]:
+    """Mean of two halves of a still truth that is interpolated between noisy key poses, and (A - B) / 2."""
+    halves = 1 + sigma * np.sqrt(2) * rng.normal(size=(2, keys, 60, 80))
+    at = np.linspace(0, keys - 1, 72)
+    before = np.minimum(at.astype(int), keys - 2)
+    share = (at - before)[:, None, None]
+    a, b = ((1 - share) * half[before] + share * half[before + 1] for half in halves)
+    a[36:], b[36:] = a[36:] + change, b[36:] + change
+    return ((a + b) / 2).astype(np.float32), ((a - b) / 2).astype(np.float32)
+
+
+@pytest.mark.parametrize("keys", [2, 3, 9, 72])
+def test_noise_of_the_truth_is_no_motion(keys: int) -> None:
+    """At most one pixel in 1000; 4 standard deviations of that count more occur once in 30 000 tests."""
+    rng, marked = np.random.default_rng(keys), 0
+    for _ in range(10):
+        light, half = rendered(rng, keys, sigma=0.1)
+        marked += np.count_nonzero(oracle_moving(light[36:], light[:36], 0.0, (half[36:], half[:36])))
+        # Its range alone would pass for motion nearly everywhere.
+        assert oracle_moving(light[36:], light[:36], 0.0).mean() > 0.8
+    assert marked <= 48 + 4 * np.sqrt(48)
+
+
+@pytest.mark.parametrize("keys", [2, 9, 72])
+def test_motion_beyond_the_noise_of_the_truth_is_found(keys: int) -> None:
+    light, half = rendered(np.random.default_rng(keys), keys, sigma=0.01, change=0.15)
+    assert oracle_moving(light[36:], light[:36], 0.0, (half[36:], half[:36])).mean() > 0.99
+
+
+def test_a_truth_without_noise_is_judged_as_footage_is() -> None:
+    frame, none = still(), np.zeros((SLOTS, ROWS, COLS), np.float32)
+    frame[2, 3, 4] += 0.0215
+    assert (oracle_moving(frame, None, 0.0, (none,)) == oracle_moving(frame, None, 0.0)).all()
 
 
 def test_mask_agreement_counts() -> None:
@@ -264,46 +308,122 @@ def test_noise_ceiling_is_the_variance_of_the_half_difference() -> None:
         assert value == pytest.approx(expected, abs=0.01)  # float32 light: 1e-7 of 1e-2 against 1e-4
 
 
-# --- hypothesis -----------------------------------------------------------------------------------
+# --- pairs and claims ----------------------------------------------------------------------------
 
 
-def contest(values: dict[str, tuple[float, float, float]], phase: str = "steady") -> list[Any]:
-    """Records: PU21 moving, PU21 static, log error overall of each method."""
-    cells = ((Pu21Psnr(), "moving"), (Pu21Psnr(), "static"), (LogRmse(), "all"))
+def test_a_pair_is_scored_on_its_own_pixels_window_and_room_apart() -> None:
+    """Errors of 1 and 2 PU21 steps; what one of both gives up counts beside, not in the pair."""
+    metric = Pu21Psnr()
+    valid = np.ones((2, 4), bool)
+    gives_up = valid.copy()
+    gives_up[0, 0] = False
+    window = np.zeros((2, 4), bool)
+    window[1] = True
+    moving = np.zeros((2, 4), bool)
+    moving[:, :2] = True
+    ours, theirs = np.full((1, 2, 4), 36.0), np.full((1, 2, 4), 36.0 * 4)
+    ours[0, 0, 0] = 1e6  # where the rival holds nothing
+    theirs[0, 1] = 36.0
+    tally = tally_pair("random", 5, PixelErrors(ours, valid), PixelErrors(theirs, gives_up), moving, window)
+    found = {(r["area"], r["region"]): r for r in pair_records([metric], [tally], 36, latency_frames=1)}
+    room, outside = found["room", "moving"], found["window", "moving"]
+    assert room["ours"] == pytest.approx(20 * math.log10(256))
+    assert advantage(room) == pytest.approx(20 * math.log10(2))
+    assert room["excluded"] == pytest.approx(1 / 2)
+    assert room["ours_of_all"] == pytest.approx(10 * math.log10(256**2 / ((1e6 + 36) / 72)))
+    assert advantage(outside) == pytest.approx(0)
+    assert outside["excluded"] == 0
+    assert found["room", "all"]["excluded"] == pytest.approx(1 / 4)
+    early = replace(tally, index=4)
+    assert pair_records([metric], [early], 36, latency_frames=1) == []
+
+
+def test_pixel_errors_add_up_to_the_scores() -> None:
+    b = board()
+    reconstruction, reference, moving = frame(0)
+    tally = b.tally("x", reconstruction, reference, moving)
+    errors = pixel_errors(
+        b.metrics, SCALE, reconstruction.irradiance_w_m2, reference, reconstruction.valid, SLOTS
+    )
+    for r, region in enumerate((moving, ~moving)):
+        where = region & reconstruction.valid
+        assert errors.sums[:, where].sum(axis=1) == pytest.approx(tally.sums[:, r].sum(axis=1), rel=1e-5)
+
+
+def draws(*advantages: float, rival: str = "random", claim: int = 0, area: str = "room") -> list[list[Any]]:
+    """Runs in which the adaptive method is ahead of a rival by so much, in the metric of a claim."""
+    of = CLAIMS[claim]
     return [
-        {"method": m, "metric": metric.name, "region": region, "phase": phase, "value": v}
-        for m, row in values.items()
-        for (metric, region), v in zip(cells, row, strict=True)
+        [
+            {
+                "rival": rival,
+                "metric": of.metric,
+                "unit": of.unit,
+                "higher_is_better": of.unit == "dB",
+                "area": area,
+                "region": of.region,
+                "ours": 20.0 + (value if of.unit == "dB" else -value),
+                "theirs": 20.0,
+                "excluded": 0.1,
+                "ours_of_all": 19.0,
+                "theirs_of_all": 18.0,
+            }
+        ]
+        for value in advantages
     ]
 
 
+SPREAD = np.array([-1.0, -0.5, 0.5, 1.0, -1.2, 1.2])  # mean 0, SD 1.0392
+
+
 @pytest.mark.parametrize(
-    ("adaptive", "passed"),
-    [
-        ((29.71, 39.71, 0.19), [True, True, True]),
-        ((29.69, 39.71, 0.19), [False, True, True]),
-        ((35.0, 39.69, 0.21), [True, False, False]),
-        ((30.0, 40.0, 0.20), [True, True, False]),
-    ],
+    ("mean", "sd", "verdict"),
+    [(0.0, 0.1, "holds"), (-0.29, 0.1, "undecided"), (-0.25, 0.04, "holds"), (-0.5, 0.1, "fails")],
 )
-def test_hypothesis_bounds(adaptive: tuple[float, float, float], passed: list[bool]) -> None:
-    rivals = {"random": (30.0, 35.0, 0.3), "hdr_mosaic": (20.0, 40.0, 0.2), TRUTH_NOISE: (90.0, 90.0, 0.0)}
-    verdicts = judge_hypothesis(contest({"adaptive": adaptive, **rivals}))
-    assert [v["passed"] for v in verdicts] == passed
-    assert verdicts[0]["margin"] == pytest.approx(adaptive[0] - 29.7)
-    assert [v["region"] for v in verdicts] == ["moving", "static", "all"]
+def test_a_claim_is_judged_by_its_interval(mean: float, sd: float, verdict: str) -> None:
+    values = mean + sd * SPREAD / SPREAD.std(ddof=1)
+    found = judge_claims(draws(*values))[0]
+    assert found["verdict"] == verdict
+    half = 2.570582 * sd / math.sqrt(6)  # Student's t, 5 degrees of freedom, 97.5 %
+    assert found["advantage"] == pytest.approx(mean)
+    assert (found["low"], found["high"]) == (pytest.approx(mean - half), pytest.approx(mean + half))
+    assert found["advantage_of_all"] == pytest.approx(1.0)
+    assert f"{mean:+.2f} dB over random" in measured(found)
+
+
+def test_fewer_than_six_draws_decide_nothing() -> None:
+    assert judge_claims(draws(3.0, 3.1, 3.0, 3.1, 3.0))[0]["verdict"] == "undecided"
+    alone = judge_claims(draws(3.0))[0]
+    assert (alone["verdict"], alone["low"], alone["draws"]) == ("undecided", None, 1)
+    assert "one draw" in measured(alone)
+    nothing = judge_claims([[]])
+    assert [v["verdict"] for v in nothing] == ["undecided"] * 3
+    assert all("not measured" in measured(v) for v in nothing)
+
+
+def test_the_third_claim_is_against_every_rival_with_a_tie_band_and_a_correction() -> None:
+    def judged(near: float, far: float, sd: float) -> Verdict:
+        jitter = sd * SPREAD / SPREAD.std(ddof=1)
+        both = zip(
+            draws(*(near + jitter), claim=2), draws(*(far + jitter), claim=2, rival="hdr_mosaic"), strict=True
+        )
+        return judge_claims([[*a, *b] for a, b in both])[2]
+
+    assert judged(0.1, 0.2, 0.001)["rival"] == "random"
+    assert judged(-0.005, 0.2, 0.001)["verdict"] == "holds"  # a tie
+    assert judged(-0.02, 0.2, 0.001)["verdict"] == "fails"
+    assert judged(0.0, 0.2, 0.05)["verdict"] == "undecided"
+    # Bonferroni: for two rivals Student's t of 98.75 % at 5 degrees of freedom, 3.163381.
+    assert judged(0.1, 0.2, 0.01)["low"] == pytest.approx(0.1 - 3.163381 * 0.01 / math.sqrt(6))
+
+
+def test_window_and_room_are_judged_apart() -> None:
+    room, window = draws(*(0.1 * SPREAD)), draws(*(-2 + 0.1 * SPREAD), area="window")
+    found = judge_claims([[*a, *b] for a, b in zip(room, window, strict=True)])
+    assert [(v["area"], v["verdict"]) for v in found[:2]] == [("room", "holds"), ("window", "fails")]
 
 
 def test_the_adaptive_scheme_need_not_beat_itself_under_another_decoder() -> None:
-    values = {"adaptive": (1, 1, 0.2), "adaptive_mean": (1, 1, 0.1), "hdr_mosaic": (1, 1, 0.3)}
-    assert judge_hypothesis(contest(values))[2]["passed"] is False
-    verdict = judge_hypothesis(contest(values), no_rivals=["adaptive", "adaptive_mean"])[2]
-    assert verdict["passed"] is True
-    assert verdict["margin"] == pytest.approx(0.1)
-    assert "hdr_mosaic" in verdict["measured"]
-
-
-def test_hypothesis_is_not_judged_without_a_steady_phase() -> None:
-    verdicts = judge_hypothesis(contest({"adaptive": (1, 1, 1), "random": (1, 1, 2)}, phase="merging"))
-    assert [v["passed"] for v in verdicts] == [None, None, None]
-    assert all("not measured" in v["measured"] for v in verdicts)
+    rival = draws(*(-1 + 0.001 * SPREAD), claim=2, rival="adaptive_mean")
+    assert judge_claims(rival)[2]["verdict"] == "fails"
+    assert judge_claims(rival, no_rivals=["adaptive_mean"])[2]["advantage"] is None

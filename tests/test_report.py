@@ -20,10 +20,13 @@ from optsim.metrics import (
     MaskTally,
     PhotometricScale,
     ScoreBoard,
-    judge_hypothesis,
+    judge_claims,
     mask_agreement,
     oracle_moving,
+    pair_records,
+    pixel_errors,
     pooled_mask_records,
+    tally_pair,
 )
 from optsim.quantities import Reconstruction
 from optsim.report import headline, plots, words
@@ -72,7 +75,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
     rng = np.random.default_rng(7)
     scale = PhotometricScale(white_w_m2_sr=0.5, irradiance_per_radiance=0.02)
     board = ScoreBoard(metrics.ALL, scale, 1, SLOTS)
-    tallies, ceiling, masks, marked, shots, pairs = [], [], [], [], {}, []
+    tallies, ceiling, masks, marked, shots, pairs, rivals = [], [], [], [], {}, [], []
     previous = None
     for index in range(n_frames):
         reference, outside = truth_frame(index, rows, cols)
@@ -80,6 +83,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
         previous = reference
         half = (reference * rng.normal(0, 0.004, reference.shape)).astype(np.float32)
         ceiling.append(board.tally_noise(index, reference, half, moving))
+        errors = {}
         for name in METHODS:
             sigma = np.where(moving, *NOISE[name]) * (1.5 if index < 2 else 1)
             estimate = np.maximum(reference * (1 + sigma * rng.normal(size=reference.shape)), 0)
@@ -90,6 +94,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             mask = moving if name != "adaptive" else np.roll(moving, 2, axis=1)
             r = Reconstruction(index, estimate.astype(np.float32), valid, ~valid, mask & (name == "adaptive"))
             tallies.append(board.tally(name, r, reference, moving))
+            errors[name] = pixel_errors(metrics.ALL, scale, r.irradiance_w_m2, reference, valid, SLOTS)
             if name == "adaptive":
                 agreement = mask_agreement(r.moving, moving)
                 marked.append(MaskTally(name, index, agreement))
@@ -114,6 +119,12 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
                 dn.astype(np.uint16),
                 np.full_like(levels, 255) if name == "normal" else levels,
             )
+        rivals += [
+            tally_pair(name, index, errors["adaptive"], errors[name], moving, outside)
+            for name in METHODS
+            if name != "adaptive"
+        ]
+    beside = pair_records(metrics.ALL, rivals, SLOTS, 1)
     luminance = scale.luminance_cd_m2(reference)
     tone = report.tone_curve_for(luminance)
     crops = report.choose_crops(luminance[5], moving, outside, size=(rows // 4, cols // 4))
@@ -122,7 +133,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
     pictures.append(report.animate(folder, pairs, tone, method="adaptive", instant_s=1 / 180))
     scores = board.records(tallies)
     return {
-        "schema_version": 1,
+        "schema_version": 2,
         "title": "A made-up run <of & for> tests",
         "experiment": {
             "name": "synthetic",
@@ -231,7 +242,8 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
         "masks": masks,
         "pooled_masks": pooled_mask_records(marked, latency_frames=1),
         "noise_ceiling": board.records(ceiling),
-        "hypothesis": judge_hypothesis(scores),
+        "pairs": beside,
+        "claims": judge_claims([beside]),
         "evidence": [
             {
                 "effect": "pu21",
@@ -467,10 +479,10 @@ def test_masks_are_told_by_phase_and_a_dash_where_they_have_no_meaning(
 
 
 def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, Any]) -> None:
-    """Short footage run: no steady phase, no noise ceiling, no masks, no pictures, no hypothesis."""
+    """Short footage run: no steady phase, no noise ceiling, no masks, no pictures, no claims."""
     bare = copy.deepcopy(results)
     bare["scores"] = [s for s in bare["scores"] if s["phase"] == "warm-up"]
-    for key in ("pictures", "masks", "noise_ceiling", "hypothesis", "slot_series", "photons", "ledgers"):
+    for key in ("pictures", "masks", "noise_ceiling", "claims", "pairs", "slot_series", "photons", "ledgers"):
         bare[key] = []
     bare["scores"][0]["value"], bare["scores"][0]["flag"] = None, "empty"
     page = report.write_report(tmp_path, bare).read_text()

@@ -1,18 +1,18 @@
 """The glue between truth, camera and scores, on footage: light rule, states of the loop, scorer."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from optsim import metrics
 from optsim.experiment import Experiment, load_experiment
 from optsim.loop import calibrate, calibrate_all, capture, set_light, stream
 from optsim.metrics import luminous_efficacy_lm_w
 from optsim.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
 from optsim.reconstruct import HdrMerge
 from optsim.scene.footage import footage, still
-from optsim.scoring import Scorer
+from optsim.scoring import Scorer, no_rivals
 
 ROWS, COLS = 24, 32
 
@@ -208,14 +208,38 @@ def test_all_methods_are_scored_on_the_pixels_that_all_hold_valid() -> None:
     assert held == {"bold": 1.0, "timid": pytest.approx(1 - 4 / ROWS)}
 
 
-def test_other_decoders_of_the_adaptive_scheme_are_no_rivals_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = small(preset="figure4")
-    asked: dict[str, object] = {}
+def test_other_decoders_of_the_adaptive_scheme_are_no_rivals() -> None:
+    assert no_rivals(small(preset="figure4")) == ["adaptive", "adaptive_mean"]
 
-    def judge(_: object, **names: object) -> list[object]:
-        asked.update(names)
-        return []
 
-    monkeypatch.setattr(metrics, "judge_hypothesis", judge)
-    scorer(experiment, flat(experiment, 0.1)).results()
-    assert asked == {"no_rivals": ["adaptive", "adaptive_mean"]}
+def test_rivals_know_what_the_adaptive_method_knows() -> None:
+    assert no_rivals(small("methods.random.calibration=ideal")) == ["adaptive", "random"]
+    others = ["adaptive", "normal", "hdr_mosaic", "random"]
+    assert no_rivals(small("methods.adaptive.calibration=ideal")) == others
+
+
+def test_a_run_sets_each_method_beside_the_adaptive_one() -> None:
+    """Steady frames only: 5 and 6 at a latency of one frame; half of the picture is outside."""
+    experiment = small(n_frames=7)
+    outside = np.zeros((3 * ROWS, 3 * COLS), np.bool_)
+    outside[:, : 3 * (COLS // 2)] = True
+    judge = scorer(experiment, replace(flat(experiment, 0.1), outside=outside))
+    yes = np.ones((ROWS, COLS), np.bool_)
+    for index in range(7):
+        truth = judge.reference(index)
+        bad = truth * np.float32(1.1)
+        bad[:, :, : COLS // 2] = truth[:, :, : COLS // 2] * np.float32(1.3)
+        kept = judge.add(
+            {
+                "adaptive": Reconstruction(index, truth * np.float32(1.05), yes, ~yes, ~yes),
+                "random": Reconstruction(index, bad, yes, ~yes, ~yes),
+            }
+        )
+        assert [pair is not None for pair in kept.pairs] == [False, index >= 5]
+    found = judge.results()
+    stops = {r["area"]: r for r in found["pairs"] if r["unit"] == "stops" and r["region"] == "all"}
+    assert stops["room"]["theirs"] == pytest.approx(math.log2(1.1), rel=0.02)
+    assert stops["window"]["theirs"] == pytest.approx(math.log2(1.3), rel=0.02)
+    assert stops["room"]["ours"] == pytest.approx(math.log2(1.05), rel=0.02)
+    assert {v["verdict"] for v in found["claims"]} == {"undecided"}
+    assert {v["area"] for v in found["claims"]} == {"room", "window"}

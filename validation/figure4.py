@@ -3,9 +3,8 @@
 ``make figure4`` runs the preset ``figure4`` on each scene (about an hour on two cores, half of it when the
 truth is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its
 own (:mod:`optsim.own_f_number`). Stopped, the same command goes on: what a scene gave is kept until the code
-changes. Nothing is asserted: what was registered before measuring (:mod:`optsim.metrics.hypothesis`) is
-printed with its verdict, whichever it is. The priors were trained on none of these scenes; ``half_moving``
-shares some textures with the training scene, the others do not but for stripes.
+changes. Nothing is judged: one draw decides no claim (``make claims``). The priors were trained on none of
+these scenes; ``half_moving`` shares some textures with the training scene, the others do not but for stripes.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from optsim.job import execute, run_folder
 from optsim.own_f_number import OwnLight, compare
 from optsim.report.headline import Row, table
 from optsim.report.markdown import markdown_table
-from optsim.report.schema import Phase, Results, Score, Verdict
+from optsim.report.schema import Phase, Results, Score
 from optsim.truth import render_truth
 
 SCENES = ("window_room", "half_moving", "night_street")
@@ -70,8 +69,6 @@ def section(results: Results) -> str:
     for phase, words in _PHASES:
         cells = _cells(results["scores"], list(results["methods"]), phase)
         lines += [f"**{words}**", "", *markdown_table(("method", *_HEADS), _named(cells)), ""]
-    lines += ["What was registered before measuring:", ""]
-    lines += [_judged(verdict) for verdict in results["hypothesis"]]
     return "\n".join([*lines, ""])
 
 
@@ -95,10 +92,6 @@ def own_section(own: OwnLight) -> str:
             "**Steady**",
             "",
             *markdown_table(heads, _named({name: facts[name] + scores[name] for name in facts})),
-            "",
-            "The claims were registered for one f-number; with these they read:",
-            "",
-            *(_judged(verdict) for verdict in own.verdicts),
             "",
         ]
     )
@@ -125,11 +118,6 @@ def _cell(row: Row, place: int) -> str:
         return "-"
     text = f"{score['value']:.2f}"
     return f"**{text}**" if score["value"] == row.best else text
-
-
-def _judged(verdict: Verdict) -> str:
-    word = {True: "holds", False: "fails", None: "not measured"}[verdict["passed"]]
-    return f"- {verdict['claim']}: **{word}**, {verdict['measured']}."
 
 
 def _say(stage: str, done: int, total: int) -> None:

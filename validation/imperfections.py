@@ -13,14 +13,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from kept import kept
 
 from optsim.effects import ALL
 from optsim.experiment import Experiment, load_experiment
 from optsim.files import write_text
-from optsim.loop import run
+from optsim.loop import Result, run
+from optsim.metrics.scoring import ScoreRecord
 from optsim.report.markdown import markdown_table
-from optsim.scoring import score
+from optsim.scoring import Scorer, score
 from optsim.truth import render_truth
 
 OUT = Path("reports") / "imperfections.md"
@@ -28,14 +30,22 @@ KEPT = Path("reports") / "runs" / "imperfections"
 METHODS = ("adaptive", "hdr_mosaic", "random")
 REGIONS = ("all", "moving", "static")
 _DB, _STOPS = "PU21-PSNR", "log-RMSE"
+# Relative rms below which two targets count as the same: far below any score here.
+_SAME = 1e-3
 
 
 @dataclass(frozen=True)
 class Found:
-    """Steady scores of one camera: method, region -> dB, and stops of all pixels by method."""
+    """Steady scores of one camera: method, region -> dB, and stops of all pixels by method.
+
+    ``scene_db`` is of all pixels against one target for all rows, the scene before any lens;
+    ``target_change`` is the relative rms by which the camera's own target differs from the nominal one's.
+    """
 
     db: dict[str, dict[str, float]]
     stops: dict[str, float]
+    scene_db: dict[str, float]
+    target_change: float
 
 
 def main() -> None:
@@ -68,30 +78,55 @@ def _found(name: str, experiment: Experiment) -> Found:
 
 
 def _measure(experiment: Experiment) -> dict[str, Any]:
-    records = score(run(experiment, render_truth(experiment)))
-    steady = [r for r in records if r["phase"] == "steady"]
+    result = run(experiment, render_truth(experiment))
+    records, of_scene = score(result), _against_the_scene(result)
 
-    def of(metric: str, method: str, region: str) -> float:
+    def of(metric: str, method: str, region: str, records: list[ScoreRecord] = records) -> float:
         return next(
             float(r["value"])
-            for r in steady
-            if r["metric"].startswith(metric) and (r["method"], r["region"]) == (method, region)
+            for r in records
+            if r["phase"] == "steady" and r["metric"].startswith(metric) and r["value"] is not None
+            if (r["method"], r["region"]) == (method, region)
         )
 
     return {
         "db": {m: {region: of(_DB, m, region) for region in REGIONS} for m in METHODS},
         "stops": {m: of(_STOPS, m, "all") for m in METHODS},
+        "scene_db": {m: of(_DB, m, "all", of_scene) for m in METHODS},
+        "target_change": _target_change(result),
     }
+
+
+def _judge(result: Result, *switches: str) -> Scorer:
+    """Return a scorer whose target is what another objective would show, behind the same density."""
+    camera = _demo(*switches).camera.with_nd(result.camera.objective.nd_transmission)
+    return Scorer(result.experiment, camera, camera.form_image(result.radiance), result.radiance)
+
+
+def _against_the_scene(result: Result) -> list[ScoreRecord]:
+    judge = _judge(result, "camera.effects.objective_blur=ideal", "camera.effects.objective_glare=ideal")
+    for index in range(result.experiment.n_frames):
+        judge.add({name: video[index] for name, video in result.reconstructions.items()})
+    return judge.board.records(judge.tallies)
+
+
+def _target_change(result: Result) -> float:
+    own, nominal = result.reference(0), _judge(result).reference(0)
+    return float(np.sqrt(np.mean((own / nominal - 1) ** 2, where=nominal > 0, dtype=np.float64)))
 
 
 def _page(base: Found, rows: list[tuple[str, str, Found]]) -> str:
     heads = ["switched", "state", *(f"{m}, {r}" for m in METHODS for r in REGIONS), "adaptive, stops"]
+    heads += [*(f"{m}, all, of the scene" for m in METHODS), "target"]
     measured = [f"{base.db[m][r]:.2f}" for m in METHODS for r in REGIONS]
-    cells = [["nothing", "nominal", *measured, f"{base.stops['adaptive']:.3f}"]]
+    of_scene = [f"{base.scene_db[m]:.2f}" for m in METHODS]
+    cells = [["nothing", "nominal", *measured, f"{base.stops['adaptive']:.3f}", *of_scene, "its own"]]
     for name, state, found in sorted(rows, key=lambda row: -abs(_gain(row[2], base, "adaptive", "all"))):
         gains = [f"{_gain(found, base, m, r):+.2f}" for m in METHODS for r in REGIONS]
         less = f"{found.stops['adaptive'] - base.stops['adaptive']:+.3f}"
-        cells.append([f"`{name}`" if name in ALL else name, state, *gains, less])
+        of_scene = [f"{found.scene_db[m] - base.scene_db[m]:+.2f}" for m in METHODS]
+        target = f"**other**, {found.target_change:.1%}" if found.target_change > _SAME else "same"
+        cells.append([f"`{name}`" if name in ALL else name, state, *gains, less, *of_scene, target])
     return _HEAD + "\n".join(markdown_table(heads, cells)) + "\n"
 
 
@@ -104,9 +139,14 @@ _HEAD = """# What each imperfection costs
 Written by `make imperfections`. The demo's scene through the nominal camera, steady phase: PU21-PSNR in dB,
 of all pixels, where the truth moves and where it doesn't; error of the adaptive scheme in stops. First row:
 as it is. Others: the change when one effect is switched off, or, where the nominal camera has none of it,
-made pessimistic; each camera is calibrated by its own bench, and light follows the rule. Scores are against
-the light on the panel, so what the objective does to the scene counts only through what it makes of the
-rest (its shading is divided out). Pixels are those that all methods hold valid, which an effect may change.
+made pessimistic; each camera is calibrated by its own bench, and light follows the rule. Pixels are those
+that all methods hold valid, which an effect may change.
+
+Scores are against the light on the panel (the objective's shading divided out). An objective without blur or
+glare puts other light there: such rows have another target, by so much rms, and their scores don't compare
+with the first row's. The columns "of the scene" score every row against one target, the scene before any
+lens.
+
 Noise has the same seeds, but another camera is calibrated anew and its masks are others: two tables, of
 models that differ by far less, are 0.13 dB rms apart in the first column (0.22 where static), 0.10 for the
 mosaic where static, 0.02 to 0.04 elsewhere. Less than twice that says nothing.

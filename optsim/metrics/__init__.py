@@ -4,7 +4,7 @@ Every metric takes luminance in cd/m^2, (slot, v, u), float32, and streams: ``su
 ``finish`` at the end. To add one, write its file and name an instance in :data:`ALL`.
 """
 
-from optsim.metrics.hypothesis import judge_hypothesis
+from optsim.metrics.claims import ADAPTIVE, Verdict, judge_claims, measured
 from optsim.metrics.log_error import LogRmse
 from optsim.metrics.metric import Metric
 from optsim.metrics.oracle import (
@@ -15,6 +15,7 @@ from optsim.metrics.oracle import (
     pooled_agreement,
     pooled_mask_records,
 )
+from optsim.metrics.pairs import PairRecord, PairTally, pair_records, pixel_errors, tally_pair
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
@@ -24,6 +25,7 @@ from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, unce
 ALL: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
 
 __all__ = [
+    "ADAPTIVE",
     "ALL",
     "TRUTH_NOISE",
     "FrameTally",
@@ -31,19 +33,26 @@ __all__ = [
     "MaskAgreement",
     "MaskTally",
     "Metric",
+    "PairRecord",
+    "PairTally",
     "PhotometricScale",
     "Psnr",
     "Pu21Psnr",
     "ScoreBoard",
     "UncertaintyTally",
+    "Verdict",
     "first_steady",
-    "judge_hypothesis",
+    "judge_claims",
     "luminous_efficacy_lm_w",
     "mask_agreement",
+    "measured",
     "oracle_moving",
+    "pair_records",
     "phase_of",
+    "pixel_errors",
     "pooled_agreement",
     "pooled_mask_records",
+    "tally_pair",
     "tally_uncertainty",
     "uncertainty_records",
 ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypedDict, cast
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from optsim.errors import ValueCheckError
 from optsim.metrics.scoring import Phase, by_method_and_phase
@@ -14,16 +15,28 @@ from optsim.quantities import Bools, Floats, checked
 
 SIGMAS = 2.0
 RELATIVE_CHANGE = 0.02
+# Standard deviations of the truth's own noise that a change must exceed in both halves: of noise alone fewer
+# than one pixel in 1000 does so, however many poses were rendered (tests/test_metrics_scoring.py).
+_TRUTH_SIGMAS = 3.0
+# Pixels to a side over which the truth's noise is averaged: one pixel has few independent poses.
+_POOLED_PX = 5
+# Pixels beyond which the objective's blur doesn't carry noise.
+_APART_PX = 4
 
 
 def oracle_moving(
-    reference_w_m2: Floats, previous_w_m2: Floats | None, slot_sigma_w_m2: Floats | float
+    reference_w_m2: Floats,
+    previous_w_m2: Floats | None,
+    slot_sigma_w_m2: Floats | float,
+    half_differences_w_m2: Sequence[Floats] = (),
 ) -> Bools:
     """Pixels whose slot irradiance changes within a coded frame or since the previous one.
 
     A change is a range (largest less smallest slot) above max(2 sigma of a slot's predicted noise,
     2 % of the mid-range); moving shadows and bounce light count. The thresholds are this project's
-    definition, without outside source.
+    definition, without outside source. A rendered truth has noise of its own, whose range would pass for
+    motion: there the slots are chosen by one half of the samples and the change is read from the other, and
+    both ways round it must exceed the threshold and 3 standard deviations of that noise.
 
     Parameters
     ----------
@@ -33,6 +46,9 @@ def oracle_moving(
         Truth during the frame before; None for the first.
     slot_sigma_w_m2 : ndarray of shape (v, u) or float
         Predicted noise of a slot, W/m^2.
+    half_differences_w_m2 : sequence of ndarray of shape (slot, v, u), float32
+        (half A - half B) / 2 of the truth during the frame, and during the one before if that is given,
+        W/m^2; empty for a truth without Monte-Carlo noise.
 
     Returns
     -------
@@ -45,7 +61,7 @@ def oracle_moving(
         For values that are not finite, or frames of different panels.
     """
     frames = [reference_w_m2] if previous_w_m2 is None else [reference_w_m2, previous_w_m2]
-    for frame in frames:
+    for frame in (*frames, *half_differences_w_m2):
         checked(
             "reference",
             frame,
@@ -60,12 +76,31 @@ def oracle_moving(
         raise ValueCheckError(
             f"oracle mask: frames {[f.shape for f in frames]} and noise {sigma.shape} are of different panels"
         )
+    if half_differences_w_m2 and [h.shape for h in half_differences_w_m2] != [f.shape for f in frames]:
+        raise ValueCheckError(
+            f"oracle mask: half differences {[h.shape for h in half_differences_w_m2]}, expected those of "
+            f"the frames, {[f.shape for f in frames]}"
+        )
     if not (np.isfinite(sigma).all() and (sigma >= 0).all()):
         raise ValueCheckError("oracle mask: the noise of a slot must be finite and not negative")
-    low = np.minimum.reduce([cast("Floats", frame.min(axis=0)) for frame in frames])
-    high = np.maximum.reduce([cast("Floats", frame.max(axis=0)) for frame in frames])
+    light = np.concatenate(frames)
+    low, high = light.min(axis=0), light.max(axis=0)
     threshold = np.maximum(SIGMAS * sigma, RELATIVE_CHANGE * np.abs(high + low) / 2)
-    return cast("Bools", high - low > threshold)
+    if not half_differences_w_m2:
+        return cast("Bools", high - low > threshold)
+    half = np.concatenate(half_differences_w_m2)
+    first, second = light + half, light - half
+    change = np.minimum(_change(second, first), _change(first, second))
+    # Between slots that another pixel's noise has chosen; one half has twice the variance of the mean.
+    by_chance = _change(half, np.roll(first, _APART_PX, axis=1))
+    noise = np.sqrt(2 * uniform_filter(by_chance**2, _POOLED_PX))
+    return cast("Bools", change > np.maximum(threshold, _TRUTH_SIGMAS * noise))
+
+
+def _change(light: Floats, chosen_by: Floats) -> Floats:
+    """Change of light between the slots at which another video is darkest and brightest, (v, u)."""
+    darkest, brightest = (np.expand_dims(find(chosen_by, axis=0), 0) for find in (np.argmin, np.argmax))
+    return (np.take_along_axis(light, brightest, 0) - np.take_along_axis(light, darkest, 0))[0]
 
 
 class MaskShares(TypedDict):

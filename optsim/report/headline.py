@@ -89,8 +89,8 @@ def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list
 
 
 def cards(results: Results, phase: Phase) -> list[Card]:
-    """One card a region, each with the metric that the registered hypothesis uses there."""
-    wanted = {verdict["region"]: verdict["metric"] for verdict in results["hypothesis"]}
+    """One card a region, each with the metric that the registered claims use there."""
+    wanted = {verdict["region"]: verdict["metric"] for verdict in results["claims"]}
     rows = table(results["scores"], results["methods"], phase)
     chosen: list[Card] = []
     for region, where in REGIONS:

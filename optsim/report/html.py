@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from optsim.errors import StorageError
 from optsim.files import write_text
+from optsim.metrics.claims import measured
 from optsim.report import headline, plots, words
 from optsim.report.schema import Picture, Results, Section, Series, check_results
 
@@ -101,6 +102,7 @@ def _context(results: Results) -> dict[str, object]:
         "flat": _flat(results["experiment"]),
         "drift": _flat(results["experiment"].get("drift", {})),
         "known": _known(results),
+        "measured": measured,
     }
 
 

@@ -1,4 +1,4 @@
-"""What results.json holds: the single source of every number in a report (``schema_version`` 1).
+"""What results.json holds: the single source of every number in a report (``schema_version`` 2).
 
 A missing number is null, never NaN or infinity. Shares are 0..1; times, lengths and light are SI with the
 unit in the name. Sections that a run cannot fill are empty lists or null, and the report says so.
@@ -12,8 +12,10 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from optsim.errors import ValueCheckError
+from optsim.metrics.claims import Verdict
+from optsim.metrics.pairs import PairRecord
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Scalar = str | int | float | bool | None
@@ -202,19 +204,6 @@ class PooledMask(TypedDict):
 
 
 @with_config(_STRICT)
-class Verdict(TypedDict):
-    """One registered claim and how it came out."""
-
-    claim: str
-    metric: str
-    region: Region
-    measured: str
-    margin: float | None
-    unit: str
-    passed: bool | None
-
-
-@with_config(_STRICT)
 class EvidenceRow(TypedDict):
     """State of one modelled effect, as ``optsim.evidence.status`` gives it."""
 
@@ -267,7 +256,7 @@ class Picture(TypedDict):
 class Results(TypedDict):
     """Everything a report is made of."""
 
-    schema_version: Literal[1]
+    schema_version: Literal[2]
     title: str
     experiment: dict[str, Any]
     command: str
@@ -293,7 +282,8 @@ class Results(TypedDict):
     masks: list[MaskScore]
     pooled_masks: NotRequired[list[PooledMask]]
     noise_ceiling: list[Score]
-    hypothesis: list[Verdict]
+    pairs: list[PairRecord]
+    claims: list[Verdict]
     plan: Plan
     evidence: list[EvidenceRow]
     not_modelled: list[str]

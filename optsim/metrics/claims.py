@@ -1,0 +1,202 @@
+"""The claims registered before they were measured, and what several draws say of them.
+
+Registered 2026-11-28, in place of an older form that judged one draw on pixels that all methods hold valid:
+
+1. Where it moves the adaptive scheme is at most 0.3 dB behind full random exposure.
+2. Where it stands still it is at most 0.3 dB behind the HDR mosaic.
+3. No rival has a smaller error of the logarithm, over everything, by more than 0.01 stops (the tie band).
+
+Each is judged on the steady phase of the pixels that both methods of its own pair hold valid, for the room
+and for the bright outside apart. A draw is a run with its own seed (bench, codes, photons) at its own phase
+of the motion. From at least six draws a Student interval of 95 % is made, divided among the rivals of claim
+3 (Bonferroni). A claim *holds* when the whole interval keeps the bound, *fails* when the whole interval
+breaks it, and is *undecided* otherwise. A failure is published, not tuned away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import t as student
+from typing_extensions import TypedDict
+
+from optsim.metrics.log_error import LogRmse
+from optsim.metrics.pairs import AREAS, Area, PairRecord, advantage
+from optsim.metrics.pu21 import Pu21Psnr
+from optsim.metrics.scoring import Region
+
+ADAPTIVE = "adaptive"
+"""Name of the method that the claims are about."""
+LEAST_DRAWS = 6
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The adaptive scheme is at most ``margin`` (in the metric's unit) behind a rival, or any where None."""
+
+    words: str
+    metric: str
+    unit: str
+    region: Region
+    rival: str | None
+    margin: float
+
+
+CLAIMS = (
+    Claim(
+        "adaptive is within 0.3 dB of full random exposure where it moves",
+        Pu21Psnr().name,
+        "dB",
+        "moving",
+        "random",
+        0.3,
+    ),
+    Claim(
+        "adaptive is within 0.3 dB of the HDR mosaic where it is static",
+        Pu21Psnr().name,
+        "dB",
+        "static",
+        "hdr_mosaic",
+        0.3,
+    ),
+    Claim("no rival has a smaller error, in stops", LogRmse().name, "stops", "all", None, 0.01),
+)
+
+
+class Verdict(TypedDict):
+    """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
+
+    ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. ``excluded``
+    is the share of pixels that one of the pair gives up; ``advantage_of_all`` is the same on all pixels.
+    """
+
+    claim: str
+    metric: str
+    unit: str
+    region: Region
+    area: Area
+    rival: str | None
+    verdict: Literal["holds", "fails", "undecided"]
+    advantage: float | None
+    low: float | None
+    high: float | None
+    margin: float
+    draws: int
+    excluded: float | None
+    advantage_of_all: float | None
+
+
+@dataclass(frozen=True)
+class _Rival:
+    """What draws say of one rival."""
+
+    name: str
+    mean: float
+    low: float | None
+    high: float | None
+    draws: int
+    excluded: float
+    mean_of_all: float | None
+
+
+def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[str] = ()) -> list[Verdict]:
+    """Judge the registered claims from the pairs of several independent runs.
+
+    Parameters
+    ----------
+    draws : sequence of sequence of PairRecord
+        Of each run, from :func:`optsim.metrics.pair_records`.
+    no_rivals : collection of str
+        Methods that code as the adaptive one does and decode otherwise, or know another camera.
+
+    Returns
+    -------
+    list of dict
+        A verdict for each claim and area that any draw has pixels of.
+    """
+    areas = [area for area in AREAS if any(r["area"] == area for draw in draws for r in draw)]
+    return [_judge(claim, area, draws, no_rivals) for claim in CLAIMS for area in areas or AREAS[:1]]
+
+
+def _judge(
+    claim: Claim, area: Area, draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[str]
+) -> Verdict:
+    of_claim = [
+        [
+            r
+            for r in draw
+            if (r["metric"], r["region"], r["area"]) == (claim.metric, claim.region, area)
+            and r["rival"] not in no_rivals
+            and claim.rival in (None, r["rival"])
+        ]
+        for draw in draws
+    ]
+    names = list(dict.fromkeys(r["rival"] for draw in of_claim for r in draw))
+    rivals = [
+        rival
+        for name in names
+        if (rival := _rival(name, [r for draw in of_claim for r in draw if r["rival"] == name], len(names)))
+    ]
+    nearest = min(rivals, key=lambda rival: rival.mean, default=None)
+    return {
+        "claim": claim.words,
+        "metric": claim.metric,
+        "unit": claim.unit,
+        "region": claim.region,
+        "area": area,
+        "rival": nearest.name if nearest else None,
+        "verdict": _verdict(rivals, claim.margin),
+        "advantage": nearest.mean if nearest else None,
+        "low": nearest.low if nearest else None,
+        "high": nearest.high if nearest else None,
+        "margin": claim.margin,
+        "draws": nearest.draws if nearest else 0,
+        "excluded": nearest.excluded if nearest else None,
+        "advantage_of_all": nearest.mean_of_all if nearest else None,
+    }
+
+
+def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | None:
+    """Mean advantage over a rival and its interval; None where no draw has a score of it."""
+    found = [value for r in records if (value := advantage(r)) is not None]
+    of_all = [value for r in records if (value := advantage(r, of_all=True)) is not None]
+    if not found:
+        return None
+    mean, low, high = float(np.mean(found)), None, None
+    if (n := len(found)) > 1:
+        times = float(student.ppf(1 - (1 - _CONFIDENCE) / 2 / n_rivals, n - 1))
+        half = times * float(np.std(found, ddof=1)) / math.sqrt(n)
+        low, high = mean - half, mean + half
+    excluded = float(np.mean([r["excluded"] for r in records]))
+    return _Rival(name, mean, low, high, n, excluded, float(np.mean(of_all)) if of_all else None)
+
+
+def _verdict(rivals: Sequence[_Rival], margin: float) -> Literal["holds", "fails", "undecided"]:
+    judged = [(r.low, r.high) for r in rivals if r.low is not None and r.high is not None]
+    if not rivals or len(judged) < len(rivals) or min(r.draws for r in rivals) < LEAST_DRAWS:
+        return "undecided"
+    if any(high < -margin for _, high in judged):
+        return "fails"
+    return "holds" if all(low >= -margin for low, _ in judged) else "undecided"
+
+
+def measured(verdict: Verdict) -> str:
+    """Say for people what was measured: the advantage over the nearest rival, its interval, and of what."""
+    if verdict["advantage"] is None:
+        return "not measured: it needs the steady phase of both methods"
+    digits, unit = (2, "dB") if verdict["unit"] == "dB" else (3, verdict["unit"])
+    said = f"{verdict['advantage']:+.{digits}f} {unit} over {verdict['rival']}"
+    if verdict["low"] is not None and verdict["high"] is not None:
+        said += f" ({verdict['low']:+.{digits}f} to {verdict['high']:+.{digits}f}, {verdict['draws']} draws)"
+    else:
+        said += f" in one draw of the {LEAST_DRAWS} that a verdict takes"
+    if verdict["excluded"]:
+        said += f"; without {verdict['excluded']:.1%} of pixels that one of both gives up"
+        if verdict["advantage_of_all"] is not None:
+            said += f", {verdict['advantage_of_all']:+.{digits}f} with them"
+    return said

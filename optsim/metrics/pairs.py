@@ -1,0 +1,195 @@
+"""The adaptive method beside a rival, on the pixels that both hold valid, window and room apart.
+
+Scores of a run are of the pixels that all its methods hold valid, so they depend on who else is in the list.
+A pair depends on nobody else. A bright window's few pixels can hold most of a squared error, so they stand
+apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from typing_extensions import TypedDict
+
+from optsim.metrics.metric import Metric
+from optsim.metrics.photometry import PhotometricScale
+from optsim.metrics.scoring import REGIONS, Region, phase_of, rows_of
+from optsim.quantities import Bools, Doubles, Floats, Ints
+
+Area = Literal["room", "window"]
+AREAS: tuple[Area, ...] = ("room", "window")
+
+
+@dataclass(frozen=True, eq=False)
+class PixelErrors:
+    """Squared errors of one reconstruction in one coded frame, pixel by pixel.
+
+    Parameters
+    ----------
+    sums : ndarray of shape (metric, v, u), float64
+        Sums over the coded slots.
+    valid : ndarray of shape (v, u), bool
+        Pixels that the method holds valid.
+    """
+
+    sums: Doubles
+    valid: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class PairTally:
+    """Errors of the adaptive method and of a rival in one coded frame.
+
+    Parameters
+    ----------
+    method : str
+        The rival.
+    index : int
+        Coded frame.
+    sums : ndarray of shape (scope, side, metric, area, region), float64
+        Sums of squared errors. Scopes are the pixels that both hold valid, and all; sides are the adaptive
+        method and the rival; areas are room and window; region 0 moves, region 1 is static.
+    counts : ndarray of shape (scope, area, region), int64
+        Pixels in them.
+    """
+
+    method: str
+    index: int
+    sums: Doubles
+    counts: Ints
+
+
+class PairRecord(TypedDict):
+    """Scores of a pair in the steady phase; ``excluded`` is the share of pixels that one of both gives up."""
+
+    rival: str
+    metric: str
+    unit: str
+    higher_is_better: bool
+    area: Area
+    region: Region
+    ours: float | None
+    theirs: float | None
+    excluded: float
+    ours_of_all: float | None
+    theirs_of_all: float | None
+
+
+def pixel_errors(
+    metrics: Sequence[Metric],
+    scale: PhotometricScale,
+    irradiance_w_m2: Floats,
+    reference_w_m2: Floats,
+    valid: Bools,
+    coded_slots: int,
+) -> PixelErrors:
+    """Sum squared errors over the coded slots, pixel by pixel.
+
+    Parameters
+    ----------
+    metrics : sequence of Metric
+        In the order of the sums.
+    scale : PhotometricScale
+        The scene's stated scale.
+    irradiance_w_m2, reference_w_m2 : ndarray of shape (slot, v, u), float32
+        Reconstruction and truth, W/m^2.
+    valid : ndarray of shape (v, u), bool
+        Pixels that the method holds valid.
+    coded_slots : int
+        Slots that count, from the first.
+    """
+    sums = np.zeros((len(metrics), *valid.shape))
+    for slot in range(min(coded_slots, reference_w_m2.shape[0])):
+        ours, truth = (
+            scale.luminance_cd_m2(light[slot]).astype(np.float64)
+            for light in (irradiance_w_m2, reference_w_m2)
+        )
+        for m, metric in enumerate(metrics):
+            sums[m] += (metric.encode(ours, scale.white_cd_m2) - metric.encode(truth, scale.white_cd_m2)) ** 2
+    return PixelErrors(sums, valid)
+
+
+def tally_pair(
+    rival: str, index: int, ours: PixelErrors, theirs: PixelErrors, moving: Bools, window: Bools
+) -> PairTally:
+    """Set two methods side by side in one coded frame.
+
+    Parameters
+    ----------
+    rival : str
+        Name of the other method.
+    index : int
+        Coded frame.
+    ours, theirs : PixelErrors
+        Of the adaptive method and of the rival.
+    moving, window : ndarray of shape (v, u), bool
+        The oracle's mask, and pixels that see any of the bright outside.
+    """
+    both = ours.valid & theirs.valid
+    sums = np.zeros((2, 2, ours.sums.shape[0], len(AREAS), 2))
+    counts = np.zeros((2, len(AREAS), 2), np.int64)
+    for s, scope in enumerate((both, np.ones_like(both))):
+        for a, area in enumerate((~window, window)):
+            for r, region in enumerate((moving, ~moving)):
+                where = scope & area & region
+                counts[s, a, r] = np.count_nonzero(where)
+                for side, errors in enumerate((ours, theirs)):
+                    sums[s, side, :, a, r] = errors.sums[:, where].sum(axis=1)
+    return PairTally(rival, index, sums, counts)
+
+
+def pair_records(
+    metrics: Sequence[Metric], tallies: Iterable[PairTally], coded_slots: int, latency_frames: int
+) -> list[PairRecord]:
+    """Pool the steady frames of each pair; areas and regions without pixels are left out."""
+    groups: dict[str, list[PairTally]] = {}
+    for tally in tallies:
+        if phase_of(tally.index, latency_frames) == "steady":
+            groups.setdefault(tally.method, []).append(tally)
+    found: list[PairRecord] = []
+    for rival, group in groups.items():
+        sums, counts = np.stack([t.sums for t in group]), np.stack([t.counts for t in group])
+        for m, metric in enumerate(metrics):
+            for a, area in enumerate(AREAS):
+                for region in REGIONS:
+                    rows = rows_of(region)
+                    n = [int(counts[:, scope, a, rows].sum()) for scope in (0, 1)]
+                    if not n[1]:
+                        continue
+                    ours, theirs, ours_of_all, theirs_of_all = (
+                        metric.finish(
+                            math.fsum(sums[:, scope, side, m, a, rows].flat), n[scope] * coded_slots
+                        )
+                        for scope in (0, 1)
+                        for side in (0, 1)
+                    )
+                    found.append(
+                        {
+                            "rival": rival,
+                            "metric": metric.name,
+                            "unit": metric.unit,
+                            "higher_is_better": metric.higher_is_better,
+                            "area": area,
+                            "region": region,
+                            "ours": ours,
+                            "theirs": theirs,
+                            "excluded": 1 - n[0] / n[1],
+                            "ours_of_all": ours_of_all,
+                            "theirs_of_all": theirs_of_all,
+                        }
+                    )
+    return found
+
+
+def advantage(record: PairRecord, *, of_all: bool = False) -> float | None:
+    """By how much the adaptive method is better than the rival, in the metric's unit; less than 0: worse."""
+    ours, theirs = (
+        (record["ours_of_all"], record["theirs_of_all"]) if of_all else (record["ours"], record["theirs"])
+    )
+    if ours is None or theirs is None:
+        return None
+    return cast("float", (ours - theirs) * (1 if record["higher_is_better"] else -1))
