@@ -18,10 +18,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
-from scipy.stats import t as student
+from scipy import special  # type: ignore[import-untyped]
 from typing_extensions import TypedDict
 
 from optsim.metrics.log_error import LogRmse
@@ -119,8 +119,12 @@ def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[st
     list of dict
         A verdict for each claim and area that any draw has pixels of.
     """
-    areas = [area for area in AREAS if any(r["area"] == area for draw in draws for r in draw)]
-    return [_judge(claim, area, draws, no_rivals) for claim in CLAIMS for area in areas or AREAS[:1]]
+    areas: tuple[Area, ...] = tuple(area for area in AREAS if _seen(area, draws)) or AREAS[:1]
+    return [_judge(claim, area, draws, no_rivals) for claim in CLAIMS for area in areas]
+
+
+def _seen(area: Area, draws: Sequence[Sequence[PairRecord]]) -> bool:
+    return any(r["area"] == area for draw in draws for r in draw)
 
 
 def _judge(
@@ -169,7 +173,8 @@ def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | 
         return None
     mean, low, high = float(np.mean(found)), None, None
     if (n := len(found)) > 1:
-        times = float(student.ppf(1 - (1 - _CONFIDENCE) / 2 / n_rivals, n - 1))
+        # Quantile of Student's distribution.
+        times = float(cast("float", special.stdtrit(n - 1, 1 - (1 - _CONFIDENCE) / 2 / n_rivals)))
         half = times * float(np.std(found, ddof=1)) / math.sqrt(n)
         low, high = mean - half, mean + half
     excluded = float(np.mean([r["excluded"] for r in records]))

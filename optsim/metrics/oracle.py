@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypedDict, cast
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+from scipy import ndimage  # type: ignore[import-untyped]
 
 from optsim.errors import ValueCheckError
 from optsim.metrics.scoring import Phase, by_method_and_phase
@@ -93,13 +93,16 @@ def oracle_moving(
     change = np.minimum(_change(second, first), _change(first, second))
     # Between slots that another pixel's noise has chosen; one half has twice the variance of the mean.
     by_chance = _change(half, np.roll(first, _APART_PX, axis=1))
-    noise = np.sqrt(2 * uniform_filter(by_chance**2, _POOLED_PX))
-    return cast("Bools", change > np.maximum(threshold, _TRUTH_SIGMAS * noise))
+    mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
+    noise = np.sqrt(2 * mean(by_chance**2, _POOLED_PX))
+    return change > np.maximum(threshold, _TRUTH_SIGMAS * noise)
 
 
 def _change(light: Floats, chosen_by: Floats) -> Floats:
     """Change of light between the slots at which another video is darkest and brightest, (v, u)."""
-    darkest, brightest = (np.expand_dims(find(chosen_by, axis=0), 0) for find in (np.argmin, np.argmax))
+    darkest, brightest = (
+        np.expand_dims(at, 0) for at in (chosen_by.argmin(axis=0), chosen_by.argmax(axis=0))
+    )
     return (np.take_along_axis(light, brightest, 0) - np.take_along_axis(light, darkest, 0))[0]
 
 

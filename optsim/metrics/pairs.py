@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from typing_extensions import TypedDict
@@ -192,4 +192,4 @@ def advantage(record: PairRecord, *, of_all: bool = False) -> float | None:
     )
     if ours is None or theirs is None:
         return None
-    return cast("float", (ours - theirs) * (1 if record["higher_is_better"] else -1))
+    return (ours - theirs) * (1 if record["higher_is_better"] else -1)
