@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ideal_camera import film, ideal_calibration, still_light
+from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
 from optsim.calibrate.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography
@@ -25,41 +25,70 @@ def stepped(step: float, *pixels: tuple[int, int]) -> list[np.ndarray]:
     return [still_light(np.full((ROWS, COLS), LIGHT)), still_light(after)]
 
 
-def step_of(sigmas: float, read_e: float) -> float:
-    """Step of so many standard deviations: twice the noise of the mean of both, in the all-open frames."""
+def step_of(sigmas: float, read_e: float, gain: float) -> float:
+    """Step of so many standard deviations: twice the noise of the mean of both, in the all-open frames.
+
+    And each frame's own error of the gain.
+    """
     step = 0.0
     for _ in range(20):
-        electrons = 36 * ELECTRONS_A_SLOT * (LIGHT + step / 2)
-        step = sigmas * np.sqrt(2 * (electrons + read_e**2)) / (36 * ELECTRONS_A_SLOT)
+        noise = 2 * (36 * ELECTRONS_A_SLOT * (LIGHT + step / 2) + read_e**2) / (36 * ELECTRONS_A_SLOT) ** 2
+        step = sigmas * np.sqrt(noise + (gain * LIGHT) ** 2 + (gain * (LIGHT + step)) ** 2)
     return step
 
 
-def mask_after(scheme: MotionAdaptive, lights: list[np.ndarray], read_e: float = READ_E) -> ExposureCode:
+def mask_after(scheme: MotionAdaptive, lights: list[np.ndarray], **camera: float) -> ExposureCode:
     """Code of the frame after all of these, seen by a panel that is always open."""
-    calibration = ideal_calibration(ROWS, COLS, read_noise_dn=read_e)
+    calibration = ideal_calibration(ROWS, COLS, **camera)
     frames = film(calibration, NORMAL, lights, None)
     return scheme.next(len(frames), frames, scheme.init(calibration, np.random.default_rng(0)))[0]
 
 
-@pytest.mark.parametrize(("sigma", "read_e"), [(3.0, READ_E), (4.0, READ_E), (4.0, 90.0)])
+@pytest.mark.parametrize(
+    ("sigma", "read_e", "gain"),
+    [(3.0, READ_E, 0.0), (4.0, READ_E, 0.0), (4.0, 90.0, 0.0), (4.0, READ_E, 0.02)],
+)
 @pytest.mark.parametrize(("share", "moves"), [(0.985, False), (1.015, True)])
 def test_a_pixel_moves_beyond_so_many_standard_deviations(
-    sigma: float, read_e: float, share: float, moves: bool
+    sigma: float, read_e: float, gain: float, share: float, moves: bool
 ) -> None:
     """For the scheme, and for the merge, which then keeps the newest frame alone."""
-    lights = stepped(share * step_of(sigma, read_e), (20, 24))
+    lights = stepped(share * step_of(sigma, read_e, gain), (20, 24))
+    camera = {"read_noise_dn": read_e, "gain_uncertainty": gain}
     # No speck is too small, nothing is dilated, and squares don't count.
     alone = {"speck_px": 1, "dilation_px": 0, "least_change": 1e3}
-    found = mask_after(MotionAdaptive(threshold_sigma=sigma, **alone), lights, read_e).moving
+    found = mask_after(MotionAdaptive(threshold_sigma=sigma, **alone), lights, **camera).moving
     assert found[20, 24] == moves
     assert found.sum() == int(moves)
-    calibration = ideal_calibration(ROWS, COLS, read_noise_dn=read_e)
+    calibration = ideal_calibration(ROWS, COLS, **camera)
     merge = HdrMerge(threshold_sigma=sigma, speck_px=1, neighbours=False)
     *_, layer = merge.layers(film(calibration, NORMAL, lights, None), calibration)
     expected = lights[1][0, 20, 24] if moves else (lights[0] + lights[1])[0, 20, 24] / 2
     # A count is 1e-4; the mean and the newest differ by 2 % and more.
     assert layer.irradiance_w_m2[0, 20, 24] == pytest.approx(expected, rel=2e-3)
     assert layer.moving.sum() == int(moves)
+
+
+@pytest.mark.parametrize(
+    ("least", "step", "moves"), [(0.2, 0.15, False), (0.2, 0.25, True), (0.1, 0.15, True)]
+)
+def test_of_what_is_too_noisy_for_a_pixel_a_square_moves_beyond_the_least_change(
+    least: float, step: float, moves: bool
+) -> None:
+    square = [(v, u) for v in range(16, 25) for u in range(20, 29)]
+    scheme = MotionAdaptive(least_change=least, dilation_px=0)
+    found = mask_after(scheme, stepped(step * LIGHT, *square), read_noise_dn=400.0).moving
+    # Four sigma are half of the light for a pixel, a tenth for 25.
+    assert found[20, 24] == moves
+    assert found.any() == moves
+
+
+def test_all_exposures_of_a_mosaic_see_the_same_mean_time() -> None:
+    """Within half a slot: so that what moves is in one place for all four."""
+    tiles = HdrMosaic().tiles(SLOTS, SLOTS, np.random.default_rng(0))
+    opened = np.moveaxis(tiles == 255, 1, -1).reshape(-1, SLOTS)
+    middle = (opened * (np.arange(SLOTS) + 0.5)).sum(axis=1) / opened.sum(axis=1)
+    np.testing.assert_allclose(middle, SLOTS / 2, atol=0.5)
 
 
 def test_the_mask_reaches_as_far_as_stated_and_the_code_a_patch_further() -> None:
