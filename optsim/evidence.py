@@ -8,11 +8,13 @@ passing record, or whose files have changed since, is *unvalidated*, and every r
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import cast
@@ -110,7 +112,7 @@ class Evidence:
     passed : bool
         Both conditions hold.
     files_hash : str
-        Hash of the files vouched for.
+        Hash of the code vouched for (:func:`hash_code`).
     files : list of str
         Globs of the files vouched for.
     """
@@ -128,7 +130,7 @@ class Evidence:
     files: list[str]
 
 
-def hash_files(globs: Sequence[str]) -> str:
+def hash_files(globs: Sequence[str], read: Callable[[Path], bytes] = Path.read_bytes) -> str:
     """Hash names and contents of the files that repository-relative globs match."""
     digest = hashlib.sha256()
     for glob in sorted(globs):
@@ -137,8 +139,30 @@ def hash_files(globs: Sequence[str]) -> str:
             digest.update(b"missing")
         for path in paths:
             digest.update(path.relative_to(_PACKAGE.parent).as_posix().encode())
-            digest.update(path.read_bytes())
+            digest.update(read(path))
     return digest.hexdigest()[:16]
+
+
+def hash_code(globs: Sequence[str]) -> str:
+    """Hash files as :func:`hash_files`, but no docstring, blank line or line of comment of theirs."""
+    return hash_files(globs, _code_of)
+
+
+@cache
+def _code_of(path: Path) -> bytes:
+    if path.suffix != ".py":
+        return path.read_bytes()
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if ast.get_docstring(node, clean=False) is not None:
+            docstring = node.body[0]
+            end = docstring.end_lineno or docstring.lineno
+            lines[docstring.lineno - 1 : end] = [""] * (end - docstring.lineno + 1)
+    kept = [line.rstrip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    return "\n".join(kept).encode()
 
 
 def records() -> dict[str, Evidence]:
@@ -159,7 +183,7 @@ def status() -> list[dict[str, object]]:
             why = "no validation yet"
         elif not record.passed:
             why = "the last validation failed"
-        elif hash_files(record.files) != record.files_hash:
+        elif hash_code(record.files) != record.files_hash:
             why = "changed since it was validated"
         else:
             why = ""
@@ -211,7 +235,7 @@ def measure(effect: str) -> Evidence:
         tolerance=tolerance,
         reason=check.REASON,
         passed=abs(measured) <= tolerance < abs(perturbed),
-        files_hash=hash_files(vouched),
+        files_hash=hash_code(vouched),
         files=vouched,
     )
 
