@@ -45,7 +45,8 @@ def reading(
     except (FileNotFoundError, NotADirectoryError):
         raise StorageError(f"no such file: {path}") from None
     except OSError as error:
-        raise StorageError(f"{path} cannot be read as {what}: {error.strerror or one_line(error)}") from None
+        why = error.strerror or f"{one_line(error)}; cure: {cure}"
+        raise StorageError(f"{path} cannot be read as {what}: {why}") from None
     except MemoryError:
         raise StorageError(
             f"{path} cannot be read as {what}: it needs more memory than there is; cure: a smaller "

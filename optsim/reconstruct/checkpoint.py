@@ -6,14 +6,15 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optsim import __version__
 from optsim.cache import hash_of
+from optsim.errors import StorageError
 from optsim.files import atomic
+from optsim.foreign.npz import npz_array
 from optsim.quantities import Floats
 
 _STEP, _KEY = "step", "key"
@@ -39,11 +40,13 @@ class Checkpoint:
         if self.path is None:
             return None
         # None yet, or none that can be read: then it is made again, which costs time only.
+        if not self.path.is_file():
+            return None
         try:
-            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                same = str(stored[_KEY]) == self.key
-                return (int(stored[_STEP]), [stored[name] for name in names]) if same else None
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+            if str(npz_array(self.path, _KEY)) != self.key:
+                return None
+            return int(npz_array(self.path, _STEP)), [npz_array(self.path, name) for name in names]
+        except (StorageError, ValueError, TypeError):
             return None
 
     def write(self, step: int, **state: Any) -> None:

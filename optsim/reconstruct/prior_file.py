@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from optsim.calibrate.calibration import Calibration
 from optsim.errors import ConfigError, StorageError
 from optsim.files import atomic
+from optsim.foreign.npz import npz_array
 from optsim.quantities import Floats
 
 
@@ -60,13 +60,14 @@ def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str,
     StorageError
         When the file is missing or is no such prior.
     """
+    if not path.is_file():
+        raise StorageError(f"no such {kind}: {path}; make one with 'optsim train'")
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in names}, json.loads(str(stored["provenance"]))
-    except FileNotFoundError:
-        raise StorageError(f"no such {kind}: {path}; make one with 'optsim train'") from None
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise StorageError(f"{path} is not a {kind}: {error}") from None
+        provenance = json.loads(str(npz_array(path, "provenance")))
+        return {name: npz_array(path, name) for name in names}, provenance
+    except (StorageError, ValueError) as error:
+        why = str(error).removeprefix(f"{path} ")
+        raise StorageError(f"{path} is not a {kind}: {why}") from None
 
 
 PriorT = TypeVar("PriorT", bound=Prior)

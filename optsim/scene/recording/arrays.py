@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
-from optsim.errors import ConfigError, StorageError, ValueCheckError, unknown_name
+from optsim.errors import ConfigError, ValueCheckError, unknown_name
+from optsim.foreign.npz import npy_on_disk, npz_array, npz_names
+from optsim.scene.recording import mat
 from optsim.scene.recording.film import Pixels, Recording, as_recording, with_channels
 
 ARRAYS = (".npz", ".npy", ".mat")
@@ -31,9 +30,11 @@ def film(path: Path, key: str | None, axes: str | None) -> Recording:
             f"'{axes}' says {len(axes)}"
         )
     film = stored.transpose([axes.index(name) for name in ("tyxc" if "c" in axes else "tyx")])
-    return as_recording(
-        (path,), len(film), lambda first: (np.asarray(with_channels(frame)) for frame in film[first:])
-    )
+    return as_recording((path,), len(film), lambda first: (_native(frame) for frame in film[first:]))
+
+
+def _native(frame: Pixels) -> Pixels:
+    return np.asarray(with_channels(frame), frame.dtype.newbyteorder("="))
 
 
 def array_axes(path: Path) -> str | None:
@@ -67,44 +68,23 @@ def array_names(path: Path) -> list[str]:
     StorageError
         When it is missing or cannot be read.
     """
-    from scipy.io import whosmat
-
-    with _reading(path):
-        if path.suffix.lower() == ".mat":
-            return [str(entry[0]) for entry in whosmat(path)]
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return list(archive.files)
+    return mat.names(path) if path.suffix.lower() == ".mat" else npz_names(path)
 
 
 def load_array(path: Path, name: str) -> Pixels:
-    """Load one array of an npz or mat file; errors as of :func:`array_names`."""
-    from scipy.io import loadmat
+    """Load one array of an npz or mat file; errors as of :func:`array_names`.
 
-    with _reading(path):
-        if path.suffix.lower() == ".mat":
-            return np.asarray(loadmat(path, variable_names=[name])[name])
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return archive[name]
-
-
-@contextmanager
-def _reading(path: Path) -> Generator[None, None, None]:
-    """Say which file it is that cannot be read."""
-    from scipy.io.matlab import MatReadError
-
-    kind = "as a MATLAB file" if path.suffix.lower() == ".mat" else "as a numpy array of numbers"
-    try:
-        yield
-    except FileNotFoundError:
-        raise StorageError(f"no such file: {path}") from None
-    except NotImplementedError:
-        raise StorageError(
-            f"{path} is of MATLAB's version 7.3 (HDF5), which is not read here; cure: in MATLAB, "
-            f"save('{path.name}', '-v7'), or for arrays above 2 GB write one TIFF a frame"
-        ) from None
-    except (MatReadError, ValueError, OSError, EOFError, TypeError, BadZipFile) as error:
-        why = "it is none, or it holds Python objects" if "pickle" in str(error) else error
-        raise StorageError(f"{path} cannot be read {kind}: {why}") from None
+    Raises
+    ------
+    ValueCheckError
+        For an array that holds anything but plain real numbers.
+    """
+    stored = mat.load(path, name) if path.suffix.lower() == ".mat" else npz_array(path, name)
+    if stored.dtype.kind not in "buif":
+        raise ValueCheckError(
+            f"{path}: {name} holds {stored.dtype}, expected plain real numbers; cure: convert it"
+        )
+    return stored.astype(stored.dtype.newbyteorder("="), copy=False)
 
 
 def _load(path: Path, key: str | None) -> Pixels:
@@ -112,8 +92,7 @@ def _load(path: Path, key: str | None) -> Pixels:
         return load_array(path, _one_of(path, key, array_names(path)))
     if key is not None:
         raise ConfigError(f"source.footage.key: got {key!r}, but {path.name} is a single array; remove it")
-    with _reading(path):
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+    return npy_on_disk(path)
 
 
 def _one_of(path: Path, key: str | None, names: list[str]) -> str:
