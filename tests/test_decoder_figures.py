@@ -6,6 +6,11 @@ from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
 from optsim.reconstruct import GaussianMixture, HdrMerge, Interpolation, SparseCoding, TotalVariation
+from optsim.reconstruct.coded_images import coded_images
+from optsim.reconstruct.dictionary import shipped_dictionary
+from optsim.reconstruct.patch_codes import PatchCoder
+from optsim.reconstruct.patch_grid import patch_corners
+from optsim.reconstruct.shared_weights import shared_weights
 
 ELECTRONS_A_SLOT = 270.0
 
@@ -63,3 +68,34 @@ def test_a_video_is_neither_early_nor_late(decoder: object, brighter: int) -> No
     assert abs(late.mean()) < 0.25
     # And the growth itself, not its mirror image.
     assert np.polyfit(time[middle], seen[middle], 1)[0] == pytest.approx(brighter * 0.012, rel=0.2)
+
+
+def test_a_patch_is_done_at_the_stated_multiple_of_its_noise() -> None:
+    """With the atoms picked what is left is less, without the last one it is more, by least squares here."""
+    calibration = ideal_calibration(24, 24, leak=0.01)
+    light = np.random.default_rng(3).uniform(0.05, 1.0, (SLOTS, 24, 24)).astype(np.float32)
+    frames = film(calibration, RandomExposure(), [light], np.random.default_rng(4))
+    ((_, image),) = coded_images(frames, calibration, "undone")
+    everywhere = np.ones((24, 24), np.bool_)
+    corners = patch_corners(everywhere, 8, 4)
+    shared = shared_weights(image.weights, everywhere, corners, 8, 0.02)
+    coder, gain, cap = PatchCoder.of(shipped_dictionary()), 1.1, 40
+    support, _ = coder.encode(image, corners, shared, cap=cap, noise_gain=gain)
+    atoms = coder.atoms.astype(np.float64)
+    seen = 0
+    for (v, u), picked in zip(corners, support, strict=True):
+        patch = np.s_[v : v + 8, u : u + 8]
+        chosen = picked[picked >= 0]
+        matrix = (atoms[chosen] * image.weights[patch]).sum(axis=3).reshape(len(chosen), -1).T
+        signal = image.signal[patch].ravel().astype(np.float64)
+
+        def left(n: int, matrix: np.ndarray = matrix, signal: np.ndarray = signal) -> float:
+            fit = np.linalg.lstsq(matrix[:, :n], signal)[0]
+            return float(np.square(signal - matrix[:, :n] @ fit).sum())
+
+        enough = gain**2 * float(image.variance[patch].sum(dtype=np.float64))
+        if 0 < len(chosen) < cap:
+            seen += 1
+            assert left(len(chosen)) <= enough * 1.001
+            assert left(len(chosen) - 1) > enough * 0.999
+    assert seen > 10

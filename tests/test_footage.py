@@ -282,6 +282,30 @@ def test_images_are_read_once_and_a_changed_one_again(
     assert video.load(5).instant(0) == pytest.approx(SCALE * 0.25, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"scale_w_m2_sr": 2 * SCALE},
+        {"first_frame": 1},
+        {"frame_rate_hz": 200},
+        {"full_scale": 60000.0},
+        {"black_level": 100.0},
+        {"linearisation": "srgb"},
+    ],
+    ids=lambda each: next(iter(each)),
+)
+def test_what_is_stated_otherwise_never_comes_from_an_earlier_import(
+    tmp_path: Path, other: dict[str, object]
+) -> None:
+    np.save(tmp_path / "film.npy", np.round(signal(2 * N) * 50000 + 200).astype(np.uint16))
+    stated = {"axes": "tyx", "full_scale": 65535.0}
+    first = slots(truth(tmp_path / "film.npy", **stated), tmp_path)
+    again = slots(truth(tmp_path / "film.npy", **stated | other), tmp_path)
+    fresh = slots(truth(tmp_path / "film.npy", **stated | other), tmp_path / "fresh")
+    np.testing.assert_array_equal(again, fresh)
+    assert np.abs(again - first).mean() > 1e-3
+
+
 def test_footage_has_no_ceiling(tmp_path: Path) -> None:
     np.save(tmp_path / "film.npy", signal())
     video = truth(tmp_path / "film.npy", axes="tyx").radiance(Cache(tmp_path / "cache"))

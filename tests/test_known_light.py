@@ -37,6 +37,8 @@ def test_even_light_reads_as_what_it_is(known: type, side: int) -> None:
     # 768 pixels of 11 400 electrons: 0.03 %; five of these, and the cone's exact solid angle.
     assert found.mean() == pytest.approx(1, abs=3e-3)
     assert found.std() == pytest.approx(1 / np.sqrt(11_435) / side, rel=0.15)
+    # And so it says, to a percent.
+    assert np.median(seen.variance / seen.signal**2) == pytest.approx(1 / 11_435 / side**2, rel=0.01)
     assert not seen.saturated.any()
 
 
@@ -46,7 +48,7 @@ def test_a_dark_frame_reads_as_dark() -> None:
     assert experiment.camera.dark_e > 1
     calibration = true_calibration(experiment.camera)
     frame, _ = taken(experiment, 0.0)
-    raw = frame.dn[calibration.pick_row, calibration.pick_col] - calibration.black_dn
+    raw = calibration.observe(frame).signal * calibration.responsivity_dn
     noise = np.sqrt(experiment.camera.dark_e) / experiment.camera.sensor.step_e
     assert raw.mean() == pytest.approx(0, abs=5 * noise / np.sqrt(raw.size))
 
