@@ -131,3 +131,30 @@ def test_stated_errors_are_judged_on_the_pixels_that_all_methods_hold_valid() ->
         if record["region"] == "all":
             assert record["n"] == 36 * ROWS // 2 * COLS
             assert record["rms"] == pytest.approx(1, rel=1e-4)
+
+
+def test_pairs_are_of_each_rival_of_coded_slots_and_of_any_pixel_that_sees_the_window() -> None:
+    """Wrong in closed slots alone, the rivals have no error; a fine sample of window makes a window pixel."""
+    experiment = small("camera.overlap=false", n_frames=7)
+    coded = experiment.camera.coded_slots
+    outside = np.zeros((3 * ROWS, 3 * COLS), np.bool_)
+    # Of ten columns of panel pixels, the last by one of its three samples.
+    outside[:, :28] = True
+    judge = scorer(experiment, replace(by_frame([0.1] * 7), outside=outside))
+    rivals = ("random", "normal")
+    for index in range(7):
+        light = judge.reference(index)
+        late = light.copy()
+        late[coded:] *= 2
+        videos = {"adaptive": light, **dict.fromkeys(rivals, late)}
+        judge.add(
+            {name: Reconstruction(index, each, EVERYWHERE, NOWHERE, NOWHERE) for name, each in videos.items()}
+        )
+    steady = [k for k in range(7) if judge.board.phase(k) == "steady"]
+    assert steady
+    assert [(pair.method, pair.index) for pair in judge.pairs] == [
+        (name, k) for k in steady for name in rivals
+    ]
+    for pair in judge.pairs:
+        assert not pair.sums.any()
+        np.testing.assert_array_equal(pair.counts.sum(axis=2), [[ROWS * (COLS - 10), ROWS * 10]] * 2)
