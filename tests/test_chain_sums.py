@@ -176,3 +176,55 @@ def test_raw_frames_have_the_sensors_own_dark_signal():
     slope = np.polyfit(pattern.ravel(), electrons.ravel(), 1)[0]
     # 832 pixels, each of 64 frames with 47 electrons of noise: 0.005 of the slope.
     assert slope == pytest.approx(1, abs=0.03)
+
+
+def test_weights_of_two_frames_are_those_of_a_rate_equation_in_small_steps():
+    """Warm panel, unequal fields, greys, pixels that stand still, and what the frame before left open."""
+    made = camera()
+    slow = {
+        "tau_on_s": 1.0e-3,
+        "tau_off_s": 2.0e-3,
+        "temperature_c": 35.0,
+        "field_drive": (1.04, 1.0, 0.93),
+        "polarity_drive": 0.03,
+        "stuck_share": 0.2,
+    }
+    made = made.model_copy(
+        update={"modulator": made.modulator.model_copy(update=slow), "splitter": demo().splitter}
+    )
+    rng = np.random.default_rng(6)
+    levels = rng.choice([0, 90, 160, 255], (2, SLOTS, V, U)).astype(np.uint8)
+    stuck, stands = made.modulator.stuck(V, U, made.serial_number)
+    assert 0 < stuck.sum() < stuck.size
+    assert len(np.unique(stands[stuck])) == 2
+    told = levels.copy()
+    told[:, CODED:] = 0
+    told[:, :, stuck] = stands[stuck]
+    told = np.concatenate([np.zeros((1, V, U)), told.reshape(-1, V, U)])
+    drive = np.tile([1.04, 1.0, 0.93], 2) * (1 + 0.03 * np.array([1, -1] * 3))
+    # The field before the first slot is the last of six.
+    ask = np.array([drive[(slot - 1) % 6] for slot in range(len(told))])[:, None, None]
+    targets = ask * np.pi * (told / 255) ** 1.2
+    steps, warmer = 1200, np.exp(-0.03 * 10)
+    first = (TOTAL_ROWS - V) // 2
+    turn = (DELAY + SCAN * (first + np.arange(V) + 0.5) / TOTAL_ROWS)[:, None]
+    gamma, light = targets[0].copy(), np.zeros((2 * SLOTS, N_SUB, V, U))
+    for slot, step in np.ndindex(2 * SLOTS, steps):
+        target = np.where((step + 0.5) / steps < turn, targets[slot], targets[slot + 1])
+        tau_s = np.where(target > gamma, 1.0e-3, 2.0e-3) * warmer
+        after = target + (gamma - target) * np.exp(-made.slot_s / steps / tau_s)
+        light[slot, step * N_SUB // steps] += np.sin((gamma + after) / 4) ** 2 * N_SUB / steps
+        gamma = after
+    leak = 1 / made.contrast
+    expected = (leak + (1 - leak) * light).reshape(2, SLOTS, N_SUB, V, U)
+    expected[:, CODED:] = 0
+    panel = made.panel_at_rest()
+    assert 50 < made.contrast < 200
+    for index in (0, 1):
+        code = ExposureCode(levels[index], np.zeros((V, U), bool))
+        shutter, panel = made.shutter(code, panel, N_SUB)
+        # A step is 1/300 of an instant, in which a row may turn early or late.
+        np.testing.assert_allclose(shutter.weights, expected[index].reshape(-1, V, U), atol=4e-3)
+        np.testing.assert_allclose(
+            shutter.weights.mean(axis=(1, 2)), expected[index].mean(axis=(2, 3)).ravel(), atol=1e-3
+        )
