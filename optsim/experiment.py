@@ -19,7 +19,7 @@ from optsim.coding import Scheme
 from optsim.config import Part, Table, build, merged, override, read_toml
 from optsim.effects import drifted
 from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
-from optsim.knowledge import Known, Operator, ReadingPx, widest_reading
+from optsim.knowledge import Known, Operator, ReadingPx, find_kept, widest_reading
 from optsim.quantities import Timing
 from optsim.reconstruct import Decoder
 from optsim.render import RenderSettings
@@ -142,8 +142,10 @@ class Experiment(Part):
         noise; 0 models everything (see :mod:`optsim.camera_plan`).
     calibration
         What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
-        (the simulator's own parameters) or ``ideal`` (the paper's equations). The light rule goes by it, and
-        so do all methods but those with a ``calibration`` of their own.
+        (the simulator's own parameters), ``ideal`` (the paper's equations), or the path of a
+        ``calibration.npz``, of a run folder that holds one, or of a bench folder (of this very camera). The
+        light rule goes by it, and so do all methods but those with a ``calibration`` of their own. Paths in a
+        TOML file begin at its folder.
     reading_px
         CCD pixels to a side of the square that is read for a panel pixel: 1 for the pixel at its centre, as
         in the paper, 3 for all nine where a panel pixel covers about 3 x 3.
@@ -339,7 +341,9 @@ def load_experiment(
     if isinstance(assignments, str):
         raise ConfigError(f"assignments: got {assignments!r}, expected a list of such texts; put it in []")
     path = experiment_path(name_or_path)
-    table = override(read_toml(path), list(assignments))
+    table = read_toml(path)
+    find_kept(table, path.parent)
+    table = override(table, list(assignments))
     if seed is not None:
         table["seed"] = seed
     where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name

@@ -36,7 +36,7 @@ from optsim.files import (
 )
 from optsim.gallery import MOVING_FRAMES, Gallery
 from optsim.journal import Journal, run_key
-from optsim.known_calibration import ideal_calibration
+from optsim.known_calibration import check_kept, ideal_calibration
 from optsim.laboratory import check_panel
 from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
 from optsim.object_masks import object_masks
@@ -44,6 +44,7 @@ from optsim.progress import Progress, silent
 from optsim.quantities import Floats, RadianceVideo, Reconstruction
 from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
+from optsim.run_calibrations import keep_calibrations
 from optsim.scoring import Scorer
 from optsim.stopwatch import Stopwatch
 from optsim.truth import check_truth, describe_truth, render_truth, renderer, scene_light
@@ -94,6 +95,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     check_truth(experiment)
     if any(known.operator == "bench" for known in experiment.all_known):
         check_panel(experiment.camera)
+    check_kept(experiment.all_known, experiment.camera)
     experiment.check_methods(
         {known: ideal_calibration(experiment.camera, known.reading_px) for known in experiment.all_known}
     )
@@ -189,6 +191,7 @@ def _execute(
         progress("laboratory", 1, 1)
     experiment.check_methods(known)
     with _stated(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
+        kept = keep_calibrations(experiment, folder, known)
         radiance = render_truth(experiment, backend=backend, progress=progress)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
@@ -261,6 +264,7 @@ def _execute(
             for m in experiment.methods
         },
         "calibrations": {m.name: str(experiment.known_to(m)) for m in experiment.methods},
+        "calibration_files": kept,
         **scorer.results(),
         "plan": plan_record(plan),
         **scorer.masks(frames, objects),

@@ -19,6 +19,7 @@ import numpy as np
 from optsim.cache import hash_of
 from optsim.evidence import hash_files
 from optsim.experiment import Experiment
+from optsim.knowledge import BENCH_FILE
 from optsim.metrics import FrameTally, PairTally, UncertaintyTally
 from optsim.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.reconstruct.checkpoint import Checkpoint
@@ -168,5 +169,7 @@ def _named_files(value: object) -> list[str]:
         # Most strings are no names of files, and some cannot be.
         with suppress(OSError, RuntimeError, ValueError):
             named = Path(value).expanduser()
-            return [content_hash(named)] if named.is_file() else []
+            # The record of a bench stands for the images beside it.
+            files = sorted(named.parent.iterdir()) if named.name == BENCH_FILE else [named]
+            return [content_hash(each) for each in files if each.is_file()]
     return []

@@ -1,21 +1,27 @@
-"""Calibrations that no bench measured: the true one, copied from the parts, and the paper's equations."""
+"""Calibrations that no bench of now measures: the true one, the paper's equations, those kept in files."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from optsim.calibrate import Calibration, Glare
+from optsim.calibrate import Bench, Calibration, Glare, calibrate_from, read_calibration
 from optsim.calibrate.glare import ring_strengths
 from optsim.calibrate.sensor_noise import SensorNoise
 from optsim.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.errors import ConfigError
 from optsim.forward.crosstalk import REACH, crosstalk_kernels, seen_at_picks, true_dots
 from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.panel import PanelResponse
 from optsim.forward.readings import mean_reading
 from optsim.forward.relay import RelayOperator
+from optsim.knowledge import BENCH_FILE, Known, kept_file
 from optsim.quantities import Bools, Doubles, Floats, Ints
+
+_SAME_TIME = 1e-6  # relative difference of slots that is rounding
 
 
 def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = False) -> Calibration:
@@ -142,6 +148,7 @@ def _known(
         slot_s=camera.slot_s,
         slots_per_frame=camera.slots_per_frame,
         coded_slots=camera.coded_slots,
+        ccd_shape=(sensor.rows, sensor.cols),
         response=response,
         pick_row=row,
         pick_col=col,
@@ -158,3 +165,58 @@ def _known(
         glare=glare,
         reading_px=reading_px,
     )
+
+
+def check_kept(all_known: Iterable[Known], camera: CodedCamera) -> None:
+    """Refuse, before long work, what is kept of another camera or is no calibration: :func:`read_kept`."""
+    for known in all_known:
+        if known.file is not None:
+            read_kept(known, camera)
+
+
+def kept_calibration(known: Known, camera: CodedCamera) -> Calibration:
+    """Calibration that a file holds, or that a bench folder's images give; errors of :func:`read_kept`."""
+    found = read_kept(known, camera)
+    return calibrate_from(found, known.reading_px) if isinstance(found, Bench) else found
+
+
+def read_kept(known: Known, camera: CodedCamera) -> Calibration | Bench:
+    """Read what is kept of a camera, whole, and refuse that of another one.
+
+    Raises
+    ------
+    StorageError, BenchError
+        When the file is missing, damaged, or is no calibration.
+    ConfigError
+        When it is of another panel, CCD, timing or reading than the experiment's.
+    """
+    file = kept_file(Path(known.operator))
+    if file.name == BENCH_FILE:
+        found = Bench.read(file.parent)
+        panel, ccd, reading_px = found.panel_shape, found.darks.shape[1:], known.reading_px
+    else:
+        found = read_calibration(file)
+        panel, ccd, reading_px = found.shape, found.ccd_shape, found.reading_px
+    where = f"calibration {file}"
+    for what, got, expected in (
+        ("panel pixels (rows, columns)", panel, (camera.panel_rows, camera.panel_cols)),
+        ("CCD pixels (rows, columns)", ccd, (camera.sensor.rows, camera.sensor.cols)),
+        ("slots a frame", found.slots_per_frame, camera.slots_per_frame),
+        ("slots with the shutter open", found.coded_slots, camera.coded_slots),
+    ):
+        if got != expected:
+            raise ConfigError(
+                f"{where}: got {got} {what}, expected {expected} as the experiment's camera has; cure: name "
+                "a calibration of this camera, or correct camera"
+            )
+    if abs(found.slot_s / camera.slot_s - 1) > _SAME_TIME:
+        raise ConfigError(
+            f"{where}: got slots of {found.slot_s:g} s, expected {camera.slot_s:g} s as the experiment's "
+            "camera has; cure: name a calibration of this camera, or correct camera"
+        )
+    if reading_px != known.reading_px:
+        raise ConfigError(
+            f"reading_px: got {known.reading_px}, expected {reading_px} as {where} is of; set reading_px = "
+            f"{reading_px}, or name another calibration"
+        )
+    return found

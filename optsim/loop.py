@@ -24,7 +24,7 @@ from optsim.experiment import Experiment, Method
 from optsim.forward.integrate import cell_means
 from optsim.journal import NOTHING_KEPT, Journal
 from optsim.knowledge import Known
-from optsim.known_calibration import ideal_calibration, true_calibration
+from optsim.known_calibration import ideal_calibration, kept_calibration, true_calibration
 from optsim.laboratory import measure_bench
 from optsim.progress import Progress, silent
 from optsim.quantities import (
@@ -114,7 +114,7 @@ def set_light(
 
 
 def calibrate(experiment: Experiment, known: Known | None = None) -> Calibration:
-    """Make what will be known of the camera: from the bench, or the true or ideal operator.
+    """Make what will be known of the camera: from the bench, the true or ideal operator, or a file.
 
     Parameters
     ----------
@@ -139,6 +139,8 @@ def _calibrations(experiment: Experiment, wanted: Sequence[Known]) -> list[Calib
         return measure_bench(camera, stream(experiment.seed, "laboratory"))
 
     def make(known: Known) -> Calibration:
+        if known.file is not None:
+            return kept_calibration(known, camera)
         if known.operator == "true":
             return true_calibration(camera, known.reading_px)
         if known.operator == "ideal":

@@ -30,6 +30,7 @@ def ideal_calibration(
         "slot_s": 1 / 180,
         "slots_per_frame": SLOTS,
         "coded_slots": SLOTS,
+        "ccd_shape": (rows, cols),
         "response": PanelResponse(tau_on_s=tau_s, tau_off_s=2 * tau_s, leak=leak),
         "pick_row": row,
         "pick_col": col,

@@ -63,6 +63,8 @@ class Calibration:
         Duration of a slot, s.
     slots_per_frame, coded_slots : int
         Slots in a frame's period, and those at its start in which the shutter is open.
+    ccd_shape : tuple of int
+        CCD pixels (rows, columns) of a frame.
     response : PanelResponse
         Temporal response, contrast and grey curve of the panel.
     pick_row, pick_col : ndarray of shape (v, u), int64
@@ -96,6 +98,7 @@ class Calibration:
     slot_s: float
     slots_per_frame: int
     coded_slots: int
+    ccd_shape: tuple[int, int]
     response: PanelResponse
     pick_row: Ints
     pick_col: Ints
@@ -126,6 +129,14 @@ class Calibration:
                 raise ValueCheckError(
                     f"calibration.{name} has shape {getattr(self, name).shape}, valid has {self.valid.shape}"
                 )
+        self._check_numbers()
+        rows, cols = self.ccd_shape
+        for name, pick, size in (("row", self.pick_row, rows), ("col", self.pick_col, cols)):
+            if int(pick.min()) < 0 or int(pick.max()) >= size:
+                raise ValueCheckError(
+                    f"calibration.pick_{name}: got CCD pixels {int(pick.min())} to {int(pick.max())}, "
+                    f"expected some of the {size} of a frame of {self.ccd_shape} pixels"
+                )
         if float(self.responsivity_dn.min()) <= 0:
             raise ValueCheckError("calibration.responsivity_dn: got a value <= 0, expected > 0 everywhere")
         kernel = self.crosstalk
@@ -148,6 +159,20 @@ class Calibration:
                 f"calibration.crosstalk: got shape {kernel.shape} and sums up to {off:.3g} off 1, expected "
                 f"{(*self.valid.shape, 'k', 'k')} with odd k and sums of 1"
             )
+
+    def _check_numbers(self) -> None:
+        """Refuse numbers that no camera has."""
+        for name, fine, expected in (
+            ("slot_s", self.slot_s > 0, "more than 0"),
+            ("slots_per_frame", self.slots_per_frame >= 1, "at least 1"),
+            ("coded_slots", 1 <= self.coded_slots <= self.slots_per_frame, "1 to all slots of a frame"),
+            ("ccd_shape", len(self.ccd_shape) == 2, "rows and columns"),
+            ("read_noise_dn", self.read_noise_dn >= 0, "at least 0"),
+            ("dn_per_e", self.dn_per_e >= 0, "at least 0"),
+            ("reading_px", self.reading_px >= 1 and self.reading_px % 2 == 1, "an odd number"),
+        ):
+            if not fine:
+                raise ValueCheckError(f"calibration.{name}: got {getattr(self, name)}, expected {expected}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -210,24 +235,25 @@ class Calibration:
     def mix_near(self, light: Floats) -> Floats:
         """Find the part of :meth:`mix` that the crosstalk kernel brings."""
         near = self.spread(light[None])[0]
-        return near if self._direct_share is None else self._direct_share * near
+        return near if self._glareless else self.direct_share * near
 
     def mix_far(self, light: Floats) -> Floats:
         """Find the part of :meth:`mix` that glare brings: a few percent of bright light, smooth."""
-        if self._direct_share is None:
-            return np.zeros_like(light)
-        return self._glare(light)
+        return np.zeros_like(light) if self._glareless else self._glare(light)
 
     def _glare(self, light: Floats) -> Floats:
         arrived = light * self.responsivity_dn
         return (self.glare.light(arrived, self.reach) / self.responsivity_dn).astype(np.float32)
 
     @cached_property
-    def _direct_share(self) -> Floats | None:
-        """What of a flat is no glare: the responsivity holds both. None without glare."""
-        if self.glare.share(self.reach) == 0:
-            return None
-        return 1 - self._glare(np.ones(self.shape, np.float32))
+    def direct_share(self) -> Floats:
+        """What of a flat is no glare, (v, u): the responsivity holds both."""
+        flat = np.ones(self.shape, np.float32)
+        return flat if self._glareless else 1 - self._glare(flat)
+
+    @cached_property
+    def _glareless(self) -> bool:
+        return self.glare.share(self.reach) == 0
 
     def spread(self, stack: Floats) -> Floats:
         """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
@@ -266,7 +292,18 @@ class Calibration:
         return squared
 
     def observe(self, frame: CodedFrame) -> Observation:
-        """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted."""
+        """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted.
+
+        Raises
+        ------
+        ValueCheckError
+            When the frame is of another CCD.
+        """
+        if frame.dn.shape != self.ccd_shape:
+            raise ValueCheckError(
+                f"frame {frame.index}: got {frame.dn.shape} pixels, expected {self.ccd_shape}, those of the "
+                "CCD that was calibrated; cure: whole frames, or a calibration of this CCD"
+            )
         square = self.pick_row, self.pick_col, self.reading_px
         saturated = brightest(frame.dn, *square) >= self.saturation_dn
         raw: Floats = mean_reading(frame.dn, *square)

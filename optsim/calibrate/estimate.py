@@ -87,6 +87,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
         slot_s=bench.slot_s,
         slots_per_frame=bench.slots_per_frame,
         coded_slots=bench.coded_slots,
+        ccd_shape=(height, width),
         response=response,
         pick_row=row,
         pick_col=col,

@@ -11,9 +11,10 @@ import numpy as np
 
 from optsim.errors import BenchError, StorageError
 from optsim.files import read_png16
+from optsim.knowledge import BENCH_FILE
 from optsim.quantities import Words
 
-RECORD = "bench.json"
+RECORD = BENCH_FILE
 
 
 @dataclass(frozen=True)

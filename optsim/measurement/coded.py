@@ -382,6 +382,7 @@ def _calibration(
         slot_s=sensor.slot_s,
         slots_per_frame=levels.shape[1],
         coded_slots=_opened(levels),
+        ccd_shape=(valid.shape[0], valid.shape[1]),
         response=_OPEN_OR_SHUT,
         pick_row=own[0],
         pick_col=own[1],

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from optsim.calibrate import Bench, calibrate_from
+from optsim.calibrate import Bench, calibrate_from, read_calibration
 from optsim.config import Part, build, override, read_toml
 from optsim.errors import ConfigError, OptsimError, ValueCheckError
 from optsim.files import read_exr
-from optsim.knowledge import ReadingPx
+from optsim.knowledge import BENCH_FILE, CALIBRATION_FILE, ReadingPx, kept_file
 from optsim.measurement.coded import (
     Measurement,
     Sensor,
@@ -44,6 +44,7 @@ _NAMES: dict[_Role, tuple[str, ...]] = {
     "moving": ("moving",),
 }
 _ARRAYS = (".npz", ".mat")
+_OF_CAMERA = ("bench", "calibration")
 _READ = (*IMAGES, ".json")  # what is read of a folder, of a bench too
 
 
@@ -83,12 +84,13 @@ class MeasurementFiles(DecoderChoice):
         all.
     slots : int or None
         Slots of a coded image, where the code's files hold those of all coded images one after the other.
-    bench : str or None
-        Folder of a calibration bench, of a camera whose image of the code is not pixel by pixel.
+    bench, calibration : str or None
+        What is known of a camera whose image of the code is not pixel by pixel, one of both: the folder of a
+        calibration bench; or a ``calibration.npz``, the folder of a run that holds one, or that of a bench.
     reading_px : int
         With a bench: sensor pixels to a side of the square that is read for a pixel of the code, odd.
     sensor : Sensor
-        What is known of the sensor; not with a bench, which says it.
+        What is known of the sensor; not with a bench or a calibration, which says it.
     """
 
     image: str
@@ -97,6 +99,7 @@ class MeasurementFiles(DecoderChoice):
     moving: str | None = None
     slots: int | None = Field(default=None, ge=1)
     bench: str | None = None
+    calibration: str | None = None
     reading_px: ReadingPx = 1
     sensor: Sensor = Sensor()
 
@@ -138,7 +141,7 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
     else:
         table, folder = read_toml(path), path.parent
     table = override(table, assignments)
-    for key in (*_NAMES, "bench"):
+    for key in (*_NAMES, *_OF_CAMERA):
         if isinstance(table.get(key), str):
             table[key] = str(folder / table[key])
     return build(MeasurementFiles, table, where=str(path))
@@ -163,7 +166,9 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
         codes = codes.reshape(-1, files.slots, *codes.shape[1:])
     truth = None if files.truth is None else _read(files.truth, "truth")
     moving = None if files.moving is None else _read(files.moving, "moving")
-    if files.bench is None:
+    if files.bench is not None and files.calibration is not None:
+        raise ConfigError("calibration, bench: got both, expected one of them; remove one")
+    if files.bench is None and files.calibration is None:
         if files.reading_px > 1:
             raise ConfigError(
                 f"reading_px: got {files.reading_px} without a bench, which says where a code's pixels are; "
@@ -171,9 +176,10 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
             )
         found = coded_measurement(images, codes, sensor=files.sensor, moving=moving, truth=truth)
     elif files.sensor != Sensor():
-        raise ConfigError("sensor: got one and a bench, which says all of it; remove one of them")
+        raise ConfigError("sensor: got one and a bench or a calibration, which says all of it; remove one")
     else:
-        found = _on_a_bench(Path(files.bench), files.reading_px, images, codes, moving, truth)
+        file = Path(files.bench) / BENCH_FILE if files.bench else kept_file(Path(files.calibration or ""))
+        found = _on_a_camera(file, files.reading_px, images, codes, moving, truth)
     return replace(found, origin=_origin(files))
 
 
@@ -181,45 +187,54 @@ def _origin(files: MeasurementFiles) -> dict[str, object]:
     """Say what was stated of a measurement, and the SHA-256 of each of its files."""
     said = files.model_dump(mode="json", exclude={"decoder"}, exclude_none=True)
     hashes: dict[str, str] = {}
-    for path in (Path(said[key]) for key in (*_NAMES, "bench") if key in said):
+    for key in (each for each in (*_NAMES, *_OF_CAMERA) if each in said):
+        path = Path(said[key])
         there = path.iterdir() if path.is_dir() else path.parent.glob(path.name)
         inside = {each for each in there if each.suffix.lower() in _READ and each.is_file()}
+        if key == "calibration" and (path / CALIBRATION_FILE).is_file():
+            inside = {path / CALIBRATION_FILE}
         for each in sorted({path} if path.is_file() else inside):
             with each.open("rb") as stream:
                 hashes[str(each)] = hashlib.file_digest(stream, "sha256").hexdigest()
     return {**said, "sha256": hashes}
 
 
-def _on_a_bench(
-    folder: Path,
+def _on_a_camera(
+    file: Path,
     reading_px: int,
     images: NDArray[Any],
     codes: NDArray[Any],
     moving: NDArray[Any] | None,
     truth: NDArray[Any] | None,
 ) -> Measurement:
-    """Measurement of a camera that a bench calibrated: its codes are drive levels."""
-    bench = Bench.read(folder)
+    """Measurement of a camera that was calibrated, by its file or its bench's: codes are drive levels."""
     images, codes = stacked(images, codes)
     if images.dtype != np.uint16:
         raise ValueCheckError(f"image: got {images.dtype}, expected the sensor's own numbers of 16 bits")
-    if images.shape[1:] != bench.darks.shape[1:]:
+    if file.name == BENCH_FILE:
+        known = Bench.read(file.parent)
+        ccd, panel, where = known.darks.shape[1:], known.panel_shape, f"the bench {file.parent}"
+    else:
+        known = read_calibration(file)
+        ccd, panel, where = known.ccd_shape, known.shape, f"the calibration {file}"
+        if reading_px not in (1, known.reading_px):
+            raise ConfigError(
+                f"reading_px: got {reading_px}, but {where} is of {known.reading_px}; remove reading_px"
+            )
+    if images.shape[1:] != ccd:
         raise ValueCheckError(
-            f"image: got {images.shape[1:]} pixels, expected {bench.darks.shape[1:]}, the whole sensor as on "
-            f"the bench {folder}"
+            f"image: got {images.shape[1:]} pixels, expected {ccd}, the whole sensor as of {where}"
         )
-    if codes.shape[1:] != (bench.slots_per_frame, *bench.panel_shape):
-        raise ValueCheckError(
-            f"code: got {codes.shape[1:]}, expected {(bench.slots_per_frame, *bench.panel_shape)} as on the "
-            f"bench {folder}: (slot, v, u)"
-        )
+    expected = (known.slots_per_frame, *panel)
+    if codes.shape[1:] != expected:
+        raise ValueCheckError(f"code: got {codes.shape[1:]}, expected {expected} as of {where}: (slot, v, u)")
     least, most = float(codes.min()), float(codes.max())
     if not (least >= 0 and most <= 255):
         raise ValueCheckError(
             f"code: got values from {least:g} to {most:g}, expected drive levels from 0 to 255, or weights "
             "from 0 to 1 of them"
         )
-    calibration = calibrate_from(bench, reading_px)
+    calibration = calibrate_from(known, reading_px) if isinstance(known, Bench) else known
     as_shown = codes if most > 1 else codes * 255
     levels = np.rint(as_shown).astype(np.uint8)
     return Measurement(

@@ -17,6 +17,7 @@ from optsim.loop import calibrate, planned
 from optsim.measurement.coded import Measurement
 from optsim.quantities import CodedFrame, ExposureCode
 from optsim.reconstruct import Decoder
+from optsim.run_calibrations import calibration_of_run
 
 RECORD = "experiment.json"
 
@@ -27,7 +28,9 @@ def decoder_of_run(folder: Path, method: str | None) -> Decoder:
 
 
 def read_run(folder: Path, method: str | None) -> Measurement:
-    """Read the frames of one of a run's methods, with what its decoder knew of the camera: a bench made anew.
+    """Read the frames of one of a run's methods, with what its decoder knew of the camera.
+
+    A run that kept no calibration, as earlier versions did, is calibrated anew.
 
     Parameters
     ----------
@@ -49,12 +52,15 @@ def read_run(folder: Path, method: str | None) -> Measurement:
             "cure: optsim run with --out, which goes on where it stopped"
         )
     frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
-    calibration = calibrate(planned(experiment)[0], experiment.known_to(chosen))
+    known = experiment.known_to(chosen)
+    calibration = calibration_of_run(experiment, folder, known)
+    if calibration is None:
+        calibration = calibrate(planned(experiment)[0], known)
     origin = {
         "run": str(folder),
         "method": chosen.name,
         "fingerprint": experiment.fingerprint(),
-        "calibration": str(experiment.known_to(chosen)),
+        "calibration": str(known),
     }
     return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0, origin)
 

@@ -253,6 +253,16 @@ class Picture(TypedDict):
 
 
 @with_config(_STRICT)
+class CalibrationFile(TypedDict):
+    """File of the run's folder that joins the frames of some methods (CCD) with their codes (panel)."""
+
+    calibration: str
+    file: str
+    sha256: str
+    methods: list[str]
+
+
+@with_config(_STRICT)
 class Results(TypedDict):
     """Everything a report is made of."""
 
@@ -274,6 +284,7 @@ class Results(TypedDict):
     scene: SceneFacts
     methods: dict[str, str]
     calibrations: NotRequired[dict[str, str]]
+    calibration_files: NotRequired[list[CalibrationFile]]
     scores: list[Score]
     coverage: list[Coverage]
     frame_series: list[Series]

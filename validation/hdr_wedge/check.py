@@ -107,6 +107,7 @@ def _calibration(leak: float) -> Calibration:
         slot_s=1 / 180,
         slots_per_frame=_SLOTS,
         coded_slots=_SLOTS,
+        ccd_shape=(_ROWS, _COLS),
         response=PanelResponse(tau_on_s=0.0, tau_off_s=0.0, leak=leak),
         pick_row=rows,
         pick_col=cols,

@@ -158,6 +158,7 @@ def _calibration(ratio: int, saturation_dn: float = _LARGEST_DN - 4 * _NOISE_DN)
         slot_s=1 / 180,
         slots_per_frame=ratio**3,
         coded_slots=ratio**3,
+        ccd_shape=(_ROWS, _COLS),
         response=PanelResponse(tau_on_s=0.0, tau_off_s=0.0, leak=0.0),
         pick_row=rows,
         pick_col=cols,
