@@ -29,6 +29,8 @@ CONVENTIONS = {
     "x/z and y/z were multiplied by 1 + radial_k1 ((x/z)^2 + (y/z)^2)",
     "camera_to_world": "camera frame -> world, m, at each of times_s",
     "object_poses": "rigid movers: world at time 0 -> world at each of times_s; null for movers that deform",
+    "noise": "where nothing moves the noise of Y is frozen: what stands still is rendered once, and "
+    "all slots share its noise, which is no texture; only a moving camera has every slot rendered anew",
     "Y.sigma": f"standard deviation of the Monte-Carlo noise of Y, from the two halves of the render, over "
     f"{_NOISE_SIDE} x {_NOISE_SIDE} samples of the same object",
 }
