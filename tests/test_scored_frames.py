@@ -158,3 +158,13 @@ def test_pairs_are_of_each_rival_of_coded_slots_and_of_any_pixel_that_sees_the_w
     for pair in judge.pairs:
         assert not pair.sums.any()
         np.testing.assert_array_equal(pair.counts.sum(axis=2), [[ROWS * (COLS - 10), ROWS * 10]] * 2)
+
+
+def test_the_oracle_takes_each_frames_own_noise_of_the_truth() -> None:
+    """A change since the frame before that one half has the other way round; then noise that stays."""
+    experiment = small("camera.objective.glare_share=0", n_frames=2)
+    light = by_frame([0.3, 0.2])
+    for noise, moves in (([0.15, 0.0], False), ([0.15, 0.15], True)):
+        judge = scorer(experiment, replace(light, half_difference=by_frame(noise)))
+        assert judge.moving(1).all() == moves
+        assert judge.moving(1).any() == moves

@@ -1,0 +1,33 @@
+"""Figures that README and reports quote are those of the files that a measurement wrote."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+_SPEC = importlib.util.spec_from_file_location("quoted", ROOT / "validation" / "quoted.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+quoted = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(quoted)
+
+
+@pytest.mark.parametrize("name", quoted.PROSE)
+def test_quoted_figures_are_those_of_their_files(name: str) -> None:
+    prose = (ROOT / name).read_text(encoding="utf-8")
+    assert "<!--= " in prose
+    assert quoted.filled(prose) == prose
+
+
+def test_a_figure_that_differs_is_seen_and_put_right() -> None:
+    prose = (ROOT / "README.md").read_text(encoding="utf-8")
+    changed = re.sub(r"(<!--= .*? -->).*?(<!--/-->)", r"\g<1>another\g<2>", prose, count=1)
+    assert changed != prose
+    assert quoted.filled(changed) == prose
+
+
+def test_a_figure_that_no_file_has_is_named() -> None:
+    with pytest.raises(KeyError, match="no 'nowhere'"):
+        quoted.filled("<!--= claims.nowhere:+.2f -->1<!--/-->")
