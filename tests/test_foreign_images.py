@@ -354,7 +354,9 @@ def test_png_numbers_that_mean_something_else_are_refused(
             read(path)
 
 
-@pytest.mark.parametrize("how", ["no pixels", "few pixels", "huge", "byte", "cut", "text", "empty"])
+@pytest.mark.parametrize(
+    "how", ["no pixels", "few pixels", "huge", "byte", "checksum", "cut", "text", "empty"]
+)
 def test_png_damage_is_an_error(how: str, tmp_path: Path) -> None:
     path = png(tmp_path / "a.png", pixels=b"\0" * 40 if how == "few pixels" else None)
     content = bytearray(path.read_bytes())
@@ -367,6 +369,8 @@ def test_png_damage_is_an_error(how: str, tmp_path: Path) -> None:
         content = bytearray(path.read_bytes())
     elif how == "byte":
         content[at + 20] ^= 255
+    elif how == "checksum":
+        content[-13] ^= 255  # the last byte before IEND, whose 12 bytes are the end
     elif how == "cut":
         content = content[:-20]
     elif how in ("text", "empty"):
