@@ -268,7 +268,9 @@ def test_the_ratio_of_a_camera_is_that_of_its_picks():
     calibration = ideal_calibration(ROWS, COLS)
     assert calibration.ratio == 1
     row, col = (np.floor(2.88 * (pick + 0.5)).astype(np.int64) for pick in np.mgrid[:ROWS, :COLS])
-    assert replace(calibration, pick_row=row, pick_col=col).ratio == pytest.approx(2.88, rel=0.01)
+    size = (3 * ROWS, 3 * COLS)
+    wide = replace(calibration, pick_row=row, pick_col=col, ccd_shape=size)
+    assert wide.ratio == pytest.approx(2.88, rel=0.01)
 
 
 def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
@@ -280,7 +282,8 @@ def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
     row, col = (3 * pick + 1 for pick in (calibration.pick_row, calibration.pick_col))
     wide = [CodedFrame(f.index, f.dn.repeat(3, axis=0).repeat(3, axis=1), f.code) for f in frames]
     *_, plain = HdrMerge().layers(frames, calibration)
-    *_, narrow = HdrMerge().layers(wide, replace(calibration, pick_row=row, pick_col=col))
+    size = (3 * ROWS, 3 * COLS)
+    *_, narrow = HdrMerge().layers(wide, replace(calibration, pick_row=row, pick_col=col, ccd_shape=size))
     np.testing.assert_array_equal(plain.irradiance_w_m2, narrow.irradiance_w_m2)
     off = missed(plain.irradiance_w_m2[0], plain.uncertainty_w_m2[0] ** 2, 3.0)
     np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, off), rtol=1e-4)

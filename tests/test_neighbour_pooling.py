@@ -187,3 +187,24 @@ def test_any_light_and_any_noise_give_light(seed):
         assert np.isfinite(each).all()
         assert (each >= 0).all()
     assert (light >= least).all()
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.15, 0.3])
+def test_texture_above_its_noise_is_not_averaged_away(noise):
+    """White texture of a third of its light, dark beside nothing: neighbours know nothing of it."""
+    rng = np.random.default_rng(6)
+    light = rng.uniform(0.4, 1.6, (80, 80)).astype(np.float32)
+    noisy = (light + noise * rng.normal(size=light.shape)).astype(np.float32)
+    everywhere, nowhere = np.ones(light.shape, np.bool_), np.zeros_like(light)
+    found, _ = pooled(noisy, lambda x: np.full_like(x, noise**2), everywhere, nowhere, 0.05)
+    assert rms(found - light) < 1.005 * rms(noisy - light)
+
+
+def test_noise_on_even_light_is_averaged():
+    """Of nine pixels with the weights of the neighbours at most 1 / 4 of the variance is left."""
+    rng = np.random.default_rng(7)
+    noisy = (1 + 0.1 * rng.normal(size=(80, 80))).astype(np.float32)
+    everywhere, nowhere = np.ones(noisy.shape, np.bool_), np.zeros_like(noisy)
+    found, variance = pooled(noisy, lambda x: np.full_like(x, 0.01), everywhere, nowhere, 0.05)
+    assert rms(found - 1) < 0.65 * 0.1
+    assert variance.mean() < 0.5 * 0.01

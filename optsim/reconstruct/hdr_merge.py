@@ -62,8 +62,8 @@ class HdrMerge(Branch):
     neighbours : bool
         Whether pixels are averaged with their neighbours.
     contrast : float
-        How much neighbours' light differs, over the light; twice as much costs 0.2 dB on ``night_street``,
-        0.6 with a fixed mosaic (no source).
+        How much neighbours' light differs from a pixel's that was not measured, over the light; a sensible
+        default (no source). Between measured pixels the picture itself tells.
     paper_literal : bool
         Equation (7) as printed, divided by 4: the mean of I / S over the frames, without a test for
         saturation or for change, with row-summed weights, each pixel by itself; for comparison.

@@ -23,12 +23,14 @@ from optsim.hardware import demo
 from optsim.quantities import CodedFrame, Floats
 from optsim.reconstruct import HdrMerge
 from validation.static_hdr.nominal import LIGHT, calibrations, centres, see
+from validation.static_hdr.photographs import PHOTOGRAPHS, photograph
 from validation.static_hdr.pictures import DARK_ROOMS, WINDOWS, picture
 
 CLAIM = (
     "with ideal weights and no panel, the HDR merge of four mosaic frames at ratio 4 scores at least 50 dB "
     "PSNR in the mu-law domain, mean of eight made pictures, and each pixel by itself, without neighbours, "
-    "on each of them and two darker rooms at most 0.2 dB less than the noise allows"
+    "on each of them and two darker rooms at most 0.2 dB less than the noise allows; on none of twelve sharp "
+    "photographs of four decades do neighbours cost more than 0.1 dB, at ratios 4 and 2"
 )
 ORACLE = (
     "the pictures themselves; frames made here with numpy: exposures 4^-3 to 1, 99.5 % of pixels below "
@@ -45,7 +47,7 @@ TOLERANCE = 1.0
 REASON = (
     "In units of what is allowed: the greater of the rms error over that of 50 dB, and over the bound's "
     "with 0.2 dB more (2 % of the rms of 43 000 pixels, whose standard error is 0.3 %; so this one is "
-    "always near 1)."
+    "always near 1), and over that of each pixel by itself with 0.1 dB more."
 )
 FILES = (
     "optsim/reconstruct/frame_merge.py",
@@ -71,7 +73,7 @@ _RATIO = 4
 _WELL_E, _READ_E, _LARGEST_DN = 10_000.0, 4.0, 255
 _DN_PER_E = _LARGEST_DN / _WELL_E
 _NOISE_DN = float(np.hypot(_READ_E * _DN_PER_E, 12**-0.5))
-_LEAST_DB, _BELOW_BOUND_DB = 50.0, 0.2
+_LEAST_DB, _BELOW_BOUND_DB, _LOST_DB = 50.0, 0.2, 0.1
 _MU = 5000.0
 _FAILED = 100.0
 
@@ -99,7 +101,21 @@ def _worst(saturation_dn: float) -> float:
         allowed = psnr_mu(_as_noise_allows(truth, _RATIO), truth)
         below.append(allowed - psnr_mu(alone.irradiance_w_m2[0], truth))
     short = _LEAST_DB - float(np.mean(scores[: len(WINDOWS)]))
-    return 10 ** (max(short, max(below) - _BELOW_BOUND_DB) / 20)
+    lost = max(-gain for ratio in (4, 2) for gain in neighbours_gain(ratio, saturation_dn).values())
+    return 10 ** (max(short, max(below) - _BELOW_BOUND_DB, lost - _LOST_DB) / 20)
+
+
+def neighbours_gain(ratio: int, saturation_dn: float = _LARGEST_DN - 4 * _NOISE_DN) -> dict[str, float]:
+    """Gain of averaging neighbours on each photograph, dB."""
+    found: dict[str, float] = {}
+    for name in PHOTOGRAPHS:
+        truth = scaled(photograph(name, _ROWS, _COLS))
+        frames, calibration = _mosaic(truth, ratio), _calibration(ratio, saturation_dn)
+        *_, together = HdrMerge().decode(frames, calibration)
+        *_, alone = HdrMerge(neighbours=False).decode(frames, calibration)
+        scores = [psnr_mu(each.irradiance_w_m2[0], truth) for each in (together, alone)]
+        found[name] = scores[0] - scores[1]
+    return found
 
 
 def scaled(radiance: np.ndarray) -> np.ndarray:
@@ -260,6 +276,12 @@ def _print_ideal() -> None:
         )
 
 
+def _print_photographs() -> None:
+    print("Photographs of four decades: what neighbours gain, dB, at ratios 4 and 2")
+    for name, *gains in zip(PHOTOGRAPHS, *(neighbours_gain(r).values() for r in (4, 2)), strict=True):
+        print(f"  {name:24}" + "".join(f"{gain:8.2f}" for gain in gains))
+
+
 def _print_nominal() -> None:
     print(
         f"Nominal camera (demo, 14 bits, 1 : 3 : 11 : 36) at {LIGHT:g} of that light: PSNR-mu, dB, of valid "
@@ -286,4 +308,5 @@ def _print_nominal() -> None:
 if __name__ == "__main__":
     print(f"measured {measure():.3f}, perturbed {perturbed():.3f}")
     _print_ideal()
+    _print_photographs()
     _print_nominal()
