@@ -10,7 +10,7 @@ from optsim.config import Part
 from optsim.errors import ConfigError, ValueCheckError
 from optsim.forward.fringing import border_shares, whole_cells
 from optsim.forward.integrate import Shutter, integrate_exposure, slot_means
-from optsim.forward.panel import PanelResponse, first_panel, settled_panel, slot_weights
+from optsim.forward.panel import PanelResponse, first_panel, settled_panel, slot_weights, turned_to
 from optsim.forward.radiometry import MONO_WAVELENGTH_M, photons_per_joule
 from optsim.forward.relay import RelayGeometry, RelayOperator
 from optsim.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
@@ -116,7 +116,6 @@ class CodedCamera(Part):
         """Slots of a period in which the shutter is open: whole slots that the readout leaves free."""
         if self.overlap:
             return self.slots_per_frame
-        # A readout of 39.1 ms is 7.04 fields, so 8 are lost.
         return self.slots_per_frame - int(np.ceil(self.sensor.frame_readout_s / self.slot_s - 1e-9))
 
     @property
@@ -247,10 +246,11 @@ class CodedCamera(Part):
     ) -> tuple[Shutter, PanelState]:
         """Return what the panel lets through in a frame, fully on as 1, and the panel after it."""
         levels, panel, response = self._shown(code, panel)
-        answer = panel, response, self.slot_s, n_sub, self.column_leaks
-        weights, after = slot_weights(levels, *answer)
+        answer = response, self.slot_s, n_sub, self.column_leaks
+        weights, after = slot_weights(levels, panel, *answer)
         weights[self.coded_slots * n_sub :] = 0
-        rims = self.modulator.rims(levels[: self.coded_slots], *answer, pitch)
+        turned, begin = turned_to(levels, panel, response)
+        rims = self.modulator.rims(turned[: self.coded_slots], begin, *answer, pitch)
         return Shutter(weights, border_shares(self.modulator.fringing_px, pitch), rims), after
 
     def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:

@@ -81,7 +81,7 @@ ALL: dict[str, Effect] = {
         {"modulator": {"scan_s": 1.7e-3}},
     ),
     "sync": Effect(
-        "a panel that is late on the shutter's clock, with jitter",
+        "a panel that is late on the shutter's clock, or early, with jitter",
         {"modulator": {"delay_s": 0.0, "jitter_s": 0.0}},
         {"modulator": {"delay_s": 0.5e-3, "jitter_s": 0.12e-3}},
     ),

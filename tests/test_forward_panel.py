@@ -139,10 +139,32 @@ def test_late_rows_and_unequal_fields_agree_with_an_ode_solver_and_are_remembere
     assert np.abs(prompt - whole).max() > 0.1
 
 
-def test_a_turn_after_the_slot_is_refused():
-    late = PanelResponse(delay_s=4e-3, scan_s=2e-3)
+@pytest.mark.parametrize("change", [{"delay_s": 4e-3, "scan_s": 2e-3}, {"delay_s": -SLOT_S}])
+def test_a_turn_more_than_a_slot_off_is_refused(change):
+    off = PanelResponse(**change)
     with pytest.raises(ValueCheckError, match="delay_s"):
-        slot_weights(np.zeros((1, 2, 2), np.uint8), panel(np.zeros((2, 2), np.float32)), late, SLOT_S)
+        slot_weights(np.zeros((1, 2, 2), np.uint8), panel(np.zeros((2, 2), np.float32)), off, SLOT_S)
+
+
+def test_a_panel_early_by_a_time_is_late_by_the_rest_of_a_slot_with_the_code_a_slot_before():
+    levels = np.random.default_rng(8).choice([0, 100, 255], (6, 3, 4)).astype(np.uint8)
+    early_s, fields = 0.7e-3, (1.0, 0.9, 1.04)
+    gamma = np.random.default_rng(9).uniform(0, 3, (3, 4)).astype(np.float32)
+    early = PanelResponse(leak=0.01, delay_s=-early_s, field_drive=fields)
+    late = PanelResponse(leak=0.01, delay_s=SLOT_S - early_s, field_drive=fields)
+    found, after = slot_weights(levels, PanelState(gamma, levels[2], 6), early, SLOT_S, 4)
+    # The panel shows the first slot already when the frame begins, whatever it showed before.
+    begun = PanelState(gamma, levels[0], 7)
+    expected, end = slot_weights(np.roll(levels, -1, axis=0), begun, late, SLOT_S, 4)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(after.retardance_rad, end.retardance_rad)
+    np.testing.assert_array_equal(after.levels, levels[0])
+    assert after.slots_shown == 12
+    # Repeated, it has the light of one that is on time, shifted: twelve instants of a frame of 24 later.
+    on_time = PanelResponse(leak=0.01, delay_s=0.0)
+    moved = PanelResponse(leak=0.01, delay_s=-SLOT_S / 4)
+    whole, cycled = (slot_weights(levels, None, each, SLOT_S, 4)[0] for each in (on_time, moved))
+    np.testing.assert_allclose(cycled[:-1], whole[1:], atol=2e-6)
 
 
 def test_a_leak_of_its_own_for_each_column():

@@ -84,6 +84,14 @@ def test_panel(camera: CodedCamera, found: Calibration) -> None:
     assert found.response.row_delays_s(48).max() < 0.01 * camera.slot_s
 
 
+def test_a_panel_that_is_early_is_found() -> None:
+    panel = prototype().modulator.model_copy(update={"stuck_share": 0.0, "delay_s": -0.5e-3})
+    camera = small(modulator=panel)
+    found = calibrate_from(measure_bench(camera, np.random.default_rng(12))).response
+    # A twentieth of a flash.
+    np.testing.assert_allclose(found.row_delays_s(48), -0.5e-3, atol=0.005 * camera.slot_s)
+
+
 def test_rows_that_turn_late_are_found() -> None:
     panel = prototype().modulator.model_copy(
         update={"stuck_share": 0.0, "delay_s": 0.3e-3, "scan_s": 2e-3, "rows": 48}

@@ -26,6 +26,7 @@ def both(monkeypatch, module, work):
         ({}, 1),
         ({"tau_on_s": 0.0, "tau_off_s": 0.0}, 1),
         ({"delay_s": 1e-3, "scan_s": 2e-3}, 3),
+        ({"delay_s": -1e-3, "scan_s": 2e-3, "field_drive": (1.03, 1.0, 0.97)}, 3),
         ({"tau_on_s": 0.0, "delay_s": 2e-3}, 2),
         ({"field_drive": (1.03, 1.0, 0.97), "tau_off_s": 4e-3}, 1),
     ],

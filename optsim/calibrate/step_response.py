@@ -27,6 +27,8 @@ from optsim.quantities import Bools, Bytes, Doubles, Ints
 
 # Bounds and start of the fit as shares of a slot; below the lower one a panel counts as instantaneous.
 _LEAST, _FIRST, _MOST = 1e-4, 0.15, 5.0
+# Flashes look for a panel that is early from half a slot before a step on.
+_EARLIEST = 0.45
 _LIT = 0.5
 _BANDS = 48
 _LEAST_SPAN = 0.25
@@ -131,7 +133,7 @@ def response_times(
         energy = (weights * signal / sigma**2).sum(axis=0) / ((weights / sigma) ** 2).sum(axis=0)
         return ((energy * weights - signal) / sigma).ravel()
 
-    start, low = [_FIRST, _FIRST, 0.01, 0.01], [_LEAST, _LEAST, 0.0, 0.0]
+    start, low = [_FIRST, _FIRST, 0.01, 0.01], [_LEAST, _LEAST, -_EARLIEST, 0.0]
     return response(least_squares(misfit, start, bounds=(low, [_MOST, _MOST, 0.5, 0.49]), x_scale="jac").x)
 
 

@@ -8,9 +8,11 @@ with one time constant towards larger and another towards smaller retardance. A 
 has a slot of a few such constants, so each slot carries some of the one before.
 
 The panel is not told everything at once: its rows are written one after the other, all of them some time
-after the shutter's clock, and until its turn a row goes on towards the level of the slot before. A colour-
-sequential panel drives its three fields differently and turns the sign of its voltage from field to field;
-neither is quite balanced, so the retardance that a level asks for repeats only after some slots.
+after the shutter's clock, and until its turn a row goes on towards the level of the slot before. A row that
+is early turns before a slot begins, and so shows the next slot's level at the end of each. At the end of the
+last slot that is the level of the first again: the next frame's code is not known when a frame is taken. A
+colour- sequential panel drives its three fields differently and turns the sign of its voltage from field to
+field; neither is quite balanced, so the retardance that a level asks for repeats only after some slots.
 
 The mean over an interval is closed form. With D = Gamma(0) - Gamma_inf and d = D exp(-dt / tau),
 
@@ -55,7 +57,7 @@ class PanelResponse(Part):
         Relative retardance of successive slots, repeated; (1,) for a panel that drives all alike.
     delay_s, scan_s : float
         When the first row turns to a slot's level, after the slot has begun, and how much later the row
-        after the last one would; together less than a slot.
+        after the last one would; together less than a slot. A negative delay is early, by less than a slot.
     """
 
     tau_on_s: float = Field(default=0.5e-3, ge=0)
@@ -64,7 +66,7 @@ class PanelResponse(Part):
     white_rad: float = Field(default=np.pi, gt=0, lt=2 * np.pi)
     drive_exponent: float = Field(default=1.2, gt=0)
     field_drive: tuple[float, ...] = (1.0,)
-    delay_s: float = Field(default=0.0, ge=0)
+    delay_s: float = 0.0
     scan_s: float = Field(default=0.0, ge=0)
 
     @property
@@ -73,7 +75,7 @@ class PanelResponse(Part):
         return float(np.sin(self.white_rad / 2) ** 2)
 
     def row_delays_s(self, rows: int) -> Doubles:
-        """When each row of the panel turns to a slot's level, after the slot has begun, s."""
+        """When each row of the panel turns to a slot's level, after the slot has begun, s; early below 0."""
         return self.delay_s + self.scan_s * (np.arange(rows) + 0.5) / rows
 
 
@@ -99,17 +101,38 @@ def first_panel(levels: Bytes, response: PanelResponse, slot_s: float) -> PanelS
 
 
 def drive_targets(response: PanelResponse, slots_shown: int, n_slots: int) -> Doubles:
-    """Retardance that each level asks for in the slot before the first, and in each slot, (slot + 1, 256)."""
+    """Retardance that each level asks for, from the slot before the first to that after the last.
+
+    Array (slot + 2, 256).
+    """
     n_fields = len(response.field_drive)
-    drive = [response.field_drive[(slots_shown + k) % n_fields] for k in range(-1, n_slots)]
+    drive = [response.field_drive[(slots_shown + k) % n_fields] for k in range(-1, n_slots + 1)]
     return np.array(drive)[:, None] * _curve(response)
 
 
-def row_turns(response: PanelResponse, rows: int, instant_s: float) -> tuple[Ints, Doubles]:
-    """Instant of a slot in which each row turns to the slot's level, and how long after its start, s."""
-    delays_s = response.row_delays_s(rows)
+def early_rows(response: PanelResponse, rows: int) -> int:
+    """Rows, from the first on, that turn before a slot begins."""
+    return int(np.count_nonzero(response.row_delays_s(rows) < 0))
+
+
+def row_turns(response: PanelResponse, rows: int, instant_s: float, slot_s: float) -> tuple[Ints, Doubles]:
+    """Instant of a slot in which each row turns (early ones to the next slot's), and how long after it."""
+    delays_s = response.row_delays_s(rows) % slot_s
     turn = np.floor(delays_s / instant_s).astype(np.int64)
     return turn, delays_s - turn * instant_s
+
+
+def turned_to(levels: Bytes, panel: PanelState, response: PanelResponse) -> tuple[Bytes, PanelState]:
+    """Level that each row turns to within each slot, and the panel as it is when the first slot begins.
+
+    A late row turns to the slot's own level. An early one shows that already, and turns to the next slot's.
+    """
+    early = slice(0, early_rows(response, levels.shape[1]))
+    if not early.stop:
+        return levels, panel
+    shown, turned = panel.levels.copy(), levels.copy()
+    shown[early], turned[:, early] = levels[0, early], np.roll(levels[:, early], -1, axis=0)
+    return turned, PanelState(panel.retardance_rad, shown, panel.slots_shown)
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
@@ -195,10 +218,10 @@ def slot_weights(
             "expected (slot, v, u) and (v, u)"
         )
     n_slots, rows, cols = levels.shape
-    if response.delay_s + response.scan_s >= slot_s:
+    if response.delay_s + response.scan_s >= slot_s or response.delay_s <= -slot_s:
         raise ValueCheckError(
-            f"delay_s + scan_s: got {response.delay_s + response.scan_s:g} s, expected less than the slot of "
-            f"{slot_s:g} s"
+            f"delay_s + scan_s: got {response.delay_s:g} + {response.scan_s:g} s, expected less than the "
+            f"slot of {slot_s:g} s, and delay_s more than minus a slot"
         )
     if (most_rad := response.white_rad * max(response.field_drive)) > 2 * np.pi:
         raise ValueCheckError(
@@ -206,14 +229,21 @@ def slot_weights(
         )
     targets = drive_targets(response, panel.slots_shown, n_slots)
     instant_s = slot_s / instants_per_slot
-    turn, early_s = row_turns(response, rows, instant_s)
+    turn, early_s = row_turns(response, rows, instant_s, slot_s)
+    levels, panel = turned_to(levels, panel, response)
     taus = np.array([response.tau_on_s, response.tau_off_s])
     leaks = np.full(cols, response.leak) if leak is None else np.asarray(leak, np.float64)
     spans = (1 - leaks) / response.white
     weights = np.empty((n_slots * instants_per_slot, rows, cols), np.float32)
     retardance, shown = panel.retardance_rad.copy(), panel.levels.copy()
 
-    walk(levels, retardance, shown, targets, taus, turn, early_s, instant_s, leaks, spans, weights)
+    n_early = early_rows(response, rows)
+    for part, ahead in ((slice(0, n_early), 1), (slice(n_early, rows), 0)):
+        if part.start < part.stop:
+            walk(
+                levels[:, part], retardance[part], shown[part], targets[ahead : ahead + n_slots + 1], taus,
+                turn[part], early_s[part], instant_s, leaks, spans, weights[:, part],
+            )  # fmt: skip
     return weights, PanelState(retardance, shown, panel.slots_shown + n_slots)
 
 

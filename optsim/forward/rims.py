@@ -31,7 +31,7 @@ from scipy.special import ndtr
 from optsim.forward.bands import in_bands
 from optsim.forward.compiled import FEW
 from optsim.forward.fringing import border_shares, fine_image
-from optsim.forward.panel import PanelResponse, drive_targets, row_turns
+from optsim.forward.panel import PanelResponse, drive_targets, early_rows, row_turns
 from optsim.forward.radau import middles, moment_weights, radau
 from optsim.forward.relaxation import SETTLED_RAD, paces
 from optsim.forward.rim_loops import Light, Looks, Points, Times, Turns, fill_cells
@@ -54,9 +54,9 @@ class Rims:
     Parameters
     ----------
     levels : ndarray of shape (slot, v, u), uint8
-        Drive levels while the shutter is open.
+        Drive levels that rows turn to while the shutter is open.
     start : PanelState
-        The panel when the first slot begins.
+        The panel when the first slot begins. Both as :func:`optsim.forward.panel.turned_to` has them.
     response : PanelResponse
         How it answers.
     slot_s : float
@@ -95,7 +95,7 @@ class Rims:
 
     @cached_property
     def targets(self) -> Floats:
-        """Retardance that each level asks for in the slot before the first, and in each slot, rad."""
+        """Retardance that each level asks for, from the slot before the first to that after the last, rad."""
         return drive_targets(self.response, self.start.slots_shown, len(self.levels)).astype(np.float32)
 
     @property
@@ -182,8 +182,8 @@ def fine_weights(
     levels = rims.levels[first : first + n_slots]
     after = PanelState(panel.retardance_rad.copy(), panel.levels.copy(), panel.slots_shown + n_slots)
     _, n_rows, n_cols = weights.shape
-    turn, early_s = row_turns(rims.response, n_rows, rims.instant_s)
-    targets = rims.targets[first : first + n_slots + 1]
+    turn, early_s = row_turns(rims.response, n_rows, rims.instant_s, rims.slot_s)
+    n_early = early_rows(rims.response, n_rows)
     looks = rims.looks
     # Where all pixels do the same there are no rims.
     once = looks._replace(times=Times(np.ones(1), np.zeros(1)))
@@ -195,12 +195,18 @@ def fine_weights(
         # The last band has fewer rows. All arrays lie whole in memory: one layout, one compiled loop.
         most = height * rims.pitch * n_cols * rims.pitch
         rooms = [np.empty(n * most, np.float32) for n in (len(keys), len(weights))]
-        for row in range(top, bottom, height):
-            end = min(row + height, bottom)
+        end = top
+        while end < bottom:
+            # Rows that are early, and those that aren't, apart.
+            row, ahead = end, int(end < n_early)
+            end = min(row + height, bottom, n_early if ahead else bottom)
             # Beyond the panel's edge the nearest pixel counts.
             around = np.clip(np.arange(row - 1, end + 1), 0, n_rows - 1)
             shown, gamma, driven = panel.levels[around], panel.retardance_rad[around], levels.take(around, 1)
             turns = Turns(turn[around], early_s[around], rims.instant_s)
+            for each in np.flatnonzero((around < n_early) != ahead).tolist():
+                _turn_between(each, ahead, driven, shown, turns, rims.instants_per_slot)
+            targets = rims.targets[first + ahead : first + ahead + n_slots + 1]
             even = all(
                 (each == each.flat[0]).all() for each in (shown, gamma, turns.instant, turns.early_s, *driven)
             )
@@ -218,6 +224,20 @@ def fine_weights(
 
     in_bands(n_rows, band)
     return after
+
+
+def _turn_between(row: int, ahead: int, levels: Bytes, shown: Bytes, turns: Turns, n_sub: int) -> None:
+    """Let a neighbour that is late turn as late as early rows may, or one that is early as soon as late ones.
+
+    So it turns just as slots begin, off by less than the time from one row's turn to the next one's.
+    """
+    turns.early_s[row] = 0
+    if ahead:
+        turns.instant[row], shown[row] = n_sub, levels[0, row]
+        levels[:-1, row] = levels[1:, row].copy()
+    else:
+        turns.instant[row] = 0
+        levels[1:, row], levels[0, row] = levels[:-1, row].copy(), shown[row].copy()
 
 
 def _runs(wanted: Bools) -> Ints:
@@ -238,13 +258,15 @@ def _spread(n: int, shares: Floats) -> Floats:
 def relaxed(rims: Rims, panel: PanelState, first: int, last: int) -> PanelState:
     """Panel after the slots of an exposure from the first to before the last, without a look at it."""
     delay_s = rims.response.row_delays_s(len(panel.levels))[:, None]
+    ahead = (delay_s < 0).astype(np.int64)
+    delay_s = delay_s % rims.slot_s
     gamma, shown = panel.retardance_rad, panel.levels
     for slot in range(first, last):
         for at, level, length_s in (
             (slot, shown, delay_s),
             (slot + 1, rims.levels[slot], rims.slot_s - delay_s),
         ):
-            target = rims.targets[at, level]
+            target = rims.targets[at + ahead, level]
             step = _way(gamma, target)
             gamma = (target + step * np.exp(-paces(step, length_s, rims.taus))).astype(np.float32)
         shown = rims.levels[slot]

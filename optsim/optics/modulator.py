@@ -57,12 +57,12 @@ class Modulator(Part):
     polarity_drive : float
         Relative change of the retardance with the sign of the voltage, which turns from slot to slot.
     delay_s : float
-        When the first row of the used panel turns to a slot's level, after the shutter's clock.
+        When the first row of the used panel turns to a slot's level, after the shutter's clock; negative is
+        early. The last slot of a frame then ends with the level of its first: the next code isn't known yet.
     scan_s : float
         How much later than the first the row after the panel's last one would turn; rows go downwards.
     jitter_s : float
-        Standard deviation of the delay from frame to frame, at most a quarter of it: a panel that waits for
-        the shutter's clock is never early.
+        Standard deviation of the delay from frame to frame, which is never more than four of these off.
     fringing_px : float
         Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
     rim_model : {"fine", "coarse", "mixed"}
@@ -90,7 +90,7 @@ class Modulator(Part):
     drive_exponent: float = Field(gt=0)
     field_drive: tuple[_Drive, _Drive, _Drive] = (1.0, 1.0, 1.0)
     polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
-    delay_s: float = Field(default=0.0, ge=0)
+    delay_s: float = 0.0
     scan_s: float = Field(default=0.0, ge=0)
     jitter_s: float = Field(default=0.0, ge=0)
     fringing_px: float = Field(default=0.0, ge=0, le=0.25)
@@ -107,10 +107,11 @@ class Modulator(Part):
                 f"delay_s + scan_s + {_FARTHEST:g} jitter_s: got {latest_s:g} s, "
                 f"expected less than a slot of {1 / self.field_rate_hz:g} s; lower one of them"
             )
-        if _FARTHEST * self.jitter_s > self.delay_s:
+        earliest_s = self.delay_s - _FARTHEST * self.jitter_s
+        if earliest_s <= -1 / self.field_rate_hz:
             raise ValueError(
-                f"jitter_s: got {self.jitter_s:g} s, expected at most a quarter of "
-                f"delay_s = {self.delay_s:g} s, since a panel is never early; lower it, or raise delay_s"
+                f"delay_s - {_FARTHEST:g} jitter_s: got {earliest_s:g} s, expected more than minus a slot of "
+                f"{1 / self.field_rate_hz:g} s; raise delay_s, or lower jitter_s"
             )
         return self
 

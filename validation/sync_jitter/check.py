@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from scipy.stats import chi2, norm
 
@@ -12,9 +14,9 @@ from optsim.quantities import Doubles, ExposureCode, PanelState
 from optsim.scene.footage import footage
 
 CLAIM = (
-    "a slot of an instantaneous panel lasts from its delay to that of the next, row by row: its weights and "
-    "the electrons of its light are shared exactly by time; the delay varies from frame to frame with the "
-    "stated standard deviation, about the stated mean, independently"
+    "a slot of an instantaneous panel lasts from its delay, late or early, to that of the next, row by row: "
+    "its weights and the electrons of its light are shared exactly by time; the delay varies from frame to "
+    "frame with the stated standard deviation, about the stated mean, independently"
 )
 ORACLE = (
     "overlap of two stretches of time on a piece of paper; scipy's quantiles of normal and chi-square laws"
@@ -76,7 +78,9 @@ def _open(starts_s: Doubles, length_s: float, late_s: Doubles | float) -> Double
 def _weights(sign: int) -> float:
     """By row and instant, for several delays, scans and lengths of an instant."""
     worst = 0.0
-    for delay_s, scan_s in ((0.0, 0.0), (1e-3, 0.0), (0.0, 3e-3), (0.7e-3, 1.7e-3), (2.5e-3, 3e-3)):
+    for delay_s, scan_s in (
+        (0.0, 0.0), (1e-3, 0.0), (0.0, 3e-3), (0.7e-3, 1.7e-3), (2.5e-3, 3e-3), (-1e-3, 0.0), (-1e-3, 2e-3)
+    ):  # fmt: skip
         for n_sub in (1, 3, 7):
             camera = _camera(delay_s, scan_s)
             found, _ = camera.panel_weights(_bump(), camera.panel_at_rest(), n_sub)
@@ -92,17 +96,17 @@ def _weights(sign: int) -> float:
 def _electrons(sign: int) -> float:
     """Electrons of light that falls in one slot only, that of the bump or beside it, over those of all-on."""
     worst = 0.0
-    for lit in (_LIT - 1, _LIT, _LIT + 1):
+    for lit, delay_s in product((_LIT - 1, _LIT, _LIT + 1), (1.3e-3, -0.4e-3)):
         frames = np.zeros((_SLOTS, 3 * _ROWS, 3 * _COLS), np.float32)
         frames[lit] = 1
-        camera = _camera(1.3e-3)
+        camera = _camera(delay_s)
         truth = camera.form_image(footage(frames, slot_s=_SLOT_S, samples_per_pitch=3))
         always = ExposureCode(np.full((_SLOTS, _ROWS, _COLS), 255, np.uint8), _bump().moving)
         found, whole = (
             camera.expected_electrons(truth, 0, code, panel)[0].sum()
             for code, panel in ((_bump(), camera.panel_at_rest()), (always, None))
         )
-        expected = _open(np.array(lit * _SLOT_S), _SLOT_S, sign * 1.3e-3)
+        expected = _open(np.array(lit * _SLOT_S), _SLOT_S, sign * delay_s)
         worst = max(worst, float(found / whole - expected), key=abs)
     return worst / _EXACT
 
