@@ -51,7 +51,7 @@ def main(names: list[str]) -> None:
             "draws": draws,
         }
         write_text(OUT, page(found))
-        write_json(FIGURES, found)
+        write_json(FIGURES, {scene: figures(each) for scene, each in found.items()})
     print(f"page: {OUT}")
 
 
@@ -95,6 +95,16 @@ def excerpt(video: RadianceVideo, first_frame: int, n_slots: int, experiment: Ex
         load=lambda index: video.load(first + index),
         half_difference=None if half is None else excerpt(half, first_frame, n_slots, experiment),
     )
+
+
+def figures(scene: dict[str, Any]) -> dict[str, Any]:
+    """Arrange a scene's verdicts by region and area, for prose to quote."""
+    of_region: dict[str, Any] = {}
+    for verdict in cast("list[Verdict]", scene["verdicts"]):
+        said = {**verdict, "behind": -(verdict["advantage"] or 0.0), "measured": measured(verdict)}
+        of_region.setdefault(verdict["region"], {})[verdict["area"]] = said
+    moves = [draw["moves"] for draw in scene["draws"]]
+    return {**of_region, "moves": sum(moves) / len(moves), "draws": len(moves)}
 
 
 def page(found: dict[str, Any]) -> str:

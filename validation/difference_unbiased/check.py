@@ -145,7 +145,7 @@ def _plain(name: str) -> tuple[Doubles, Doubles]:
 def _truth(scene: Scene) -> tuple[Doubles, Doubles]:
     """Mean over all slots of the truth and of half the difference of its halves, per fine sample."""
     settings = RenderSettings(
-        static_error=0.03,
+        static_error=0.01,
         change_error=0.1,
         moving_error=0.15,
         interpolation_error=0.03,

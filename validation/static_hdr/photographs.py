@@ -1,7 +1,7 @@
-"""Sharp HDR pictures: photographs of the scikit-image wheel, spread over four decades.
+"""Sharp HDR pictures: photographs of the scikit-image wheel, spread over decades.
 
-Taken for the logarithm of radiance, a photograph's tones give pictures whose dark parts are as detailed as their
-bright ones, which made scenes rarely are.
+Taken for the logarithm of radiance, a photograph's tones give pictures whose dark parts are as detailed as
+their bright ones, which made scenes rarely are.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ PHOTOGRAPHS = (
     "motorcycle_left.png",
     "rocket.jpg",
 )
-_DECADES = 4
 _SHRINK = 2  # photographs are sharper at half their size
 
 
-def photograph(name: str, rows: int, cols: int) -> np.ndarray:
+def photograph(name: str, rows: int, cols: int, decades: float) -> np.ndarray:
     """Radiance, (rows, cols), up to 1: the middle of a photograph at half its size, or as it fits."""
     with Image.open(str(files("skimage.data") / name)) as opened:
         grey = opened.convert("L")
@@ -38,4 +37,4 @@ def photograph(name: str, rows: int, cols: int) -> np.ndarray:
     size = max(round(width * scale), cols), max(round(height * scale), rows)
     tones = np.asarray(grey.resize(size, Image.Resampling.BOX), float) / 255
     top, left = (tones.shape[0] - rows) // 2, (tones.shape[1] - cols) // 2
-    return 10.0 ** (_DECADES * (tones[top : top + rows, left : left + cols] - 1))
+    return 10.0 ** (decades * (tones[top : top + rows, left : left + cols] - 1))
