@@ -15,7 +15,6 @@ import json
 import os
 import shutil
 import tempfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -26,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.errors import ConfigError, StorageError
+from optsim.files import sum_of
 
 DEFAULT_CAP_GB = 20.0
 _LIST = "files.json"
-_BLOCK = 1 << 20  # bytes read at a time for a checksum
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -179,7 +178,7 @@ class Cache:
         try:
             for name, array in arrays.items():
                 np.save(temporary / f"{name}.npy", np.ascontiguousarray(array))
-            listed = {path.name: _sum_of(path) for path in temporary.iterdir()}
+            listed = {path.name: sum_of(path) for path in temporary.iterdir()}
             (temporary / _LIST).write_text(json.dumps(listed), encoding="utf-8")
             temporary.chmod(0o755)
             if key not in self:
@@ -231,25 +230,10 @@ def _files_of(entry: Path) -> list[Path] | None:
     try:
         listed = json.loads((entry / _LIST).read_bytes())
         paths = [entry / name for name in listed]
-        whole = all(_sum_of(path) == listed[path.name] for path in paths)
+        whole = all(list(sum_of(path)) == listed[path.name] for path in paths)
     except (OSError, ValueError, TypeError):
         return None
     return paths if whole else None
-
-
-def _sum_of(path: Path) -> list[int]:
-    """Size and checksum of a file, worked out once for each of its states."""
-    state = path.stat()
-    return [state.st_size, _checksum(path, state.st_ino, state.st_size, state.st_mtime_ns)]
-
-
-@lru_cache(maxsize=100_000)
-def _checksum(path: Path, *state: int) -> int:
-    found = 0
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            found = zlib.crc32(block, found)
-    return found
 
 
 @lru_cache(maxsize=1000)

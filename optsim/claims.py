@@ -102,7 +102,7 @@ def _made(folder: Path) -> Generator[None, None, None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise StorageError(f"{folder} is a file; expected a folder; choose another place") from None
+        raise StorageError(f"{folder} is a file, expected a folder; choose another place") from None
     except OSError as error:
         raise _cannot_write(folder, error) from None
     try:

@@ -13,7 +13,9 @@ import contextlib
 import json
 import os
 import tempfile
+import zlib
 from collections.abc import Collection, Generator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +27,7 @@ from optsim.foreign.exr import only_part
 from optsim.foreign.png import png_head, png_pixels
 
 _HALF_MAX = 65504.0
+_BLOCK = 1 << 20  # bytes read at a time for a checksum
 CLAIM = ".claim"
 """Hidden file of a folder that a process writes into, or has been killed in."""
 
@@ -141,6 +144,21 @@ def read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise StorageError(f"{path}: got {type(record).__name__}, expected a JSON object")
     return cast("dict[str, Any]", record)
+
+
+def sum_of(path: Path) -> tuple[int, int]:
+    """Size and CRC-32 of a file's content, worked out once for each of its states."""
+    state = path.stat()
+    return state.st_size, _crc_of(path, state.st_ino, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=100_000)
+def _crc_of(path: Path, *state: int) -> int:
+    found = 0
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            found = zlib.crc32(block, found)
+    return found
 
 
 def write_exr(

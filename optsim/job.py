@@ -25,26 +25,19 @@ from optsim.claims import claimed
 from optsim.errors import OptsimError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
-from optsim.files import (
-    holds_nothing,
-    read_record,
-    writable_folder,
-    write_exr,
-    write_json,
-    write_png8,
-    write_png16,
-)
+from optsim.files import holds_nothing, read_record, writable_folder, write_exr, write_json
 from optsim.gallery import MOVING_FRAMES, Gallery
 from optsim.journal import Journal, run_key
 from optsim.known_calibration import check_kept, ideal_calibration
 from optsim.laboratory import check_panel
-from optsim.loop import Frames, LightLevel, calibrate_all, capture, decode, planned, set_light
+from optsim.loop import LightLevel, calibrate_all, capture, decode, planned, set_light
 from optsim.object_masks import object_masks
 from optsim.progress import Progress, silent
-from optsim.quantities import Floats, RadianceVideo, Reconstruction
+from optsim.quantities import RadianceVideo, Reconstruction
 from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
 from optsim.run_calibrations import keep_calibrations
+from optsim.run_frames import write_frames
 from optsim.scoring import Scorer
 from optsim.stopwatch import Stopwatch
 from optsim.truth import check_truth, describe_truth, render_truth, renderer, scene_light
@@ -204,7 +197,7 @@ def _execute(
         camera, light = set_light(experiment, radiance, known[experiment.known])
         truth = camera.form_image(radiance)
         frames = capture(experiment, camera, truth, known, progress, journal)
-        _write_frames(folder, frames)
+        write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
     saturation_dn = float(np.median(known[experiment.known].saturation_dn))
     gallery = Gallery(experiment, scorer, saturation_dn)
@@ -333,21 +326,6 @@ def export_radiance(
             attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": seen_nm},
         )
         progress("export truth", index + 1, experiment.n_frames)
-
-
-def _write_frames(folder: Path, frames: Frames) -> None:
-    for name, taken in frames.items():
-        for frame in taken:
-            stem = f"{frame.index:06d}"
-            write_png16(folder / "frames" / name / f"{stem}.png", frame.dn)
-            write_png8(folder / "masks" / name / f"{stem}.png", frame.code.moving.astype(np.uint8) * 255)
-            levels: Floats = frame.code.levels.astype(np.float32)
-            write_exr(
-                folder / "codes" / name / f"{stem}.exr",
-                {f"slot{slot:02d}": levels[slot] for slot in range(len(levels))},
-                attributes={"unit": "drive level 0..255", "axes": "slot, v, u", "frame": frame.index},
-                half=True,
-            )
 
 
 def _write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:

@@ -49,6 +49,7 @@ ALLOWED: dict[str, set[str]] = {
     "reconstruct": {"forward", "calibrate"},
     "metrics": {"forward"},
     "report": {"metrics"},
+    "run_frames": set(),
     "evidence": set(),
     "knowledge": set(),
     "doctor": {"render", "scene"},

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optsim.errors import ValueCheckError
 from optsim.quantities import Ints
 
 
@@ -26,9 +27,20 @@ def places(image: NDArray[Any], row: Ints, col: Ints, side: int) -> Iterator[NDA
     Yields
     ------
     ndarray of shape (..., v, u)
-        Beyond the CCD's border the nearest pixel's.
+        Of squares that reach beyond the CCD's border the nearest pixel's.
+
+    Raises
+    ------
+    ValueCheckError
+        When a square's middle is off the image: it is of another CCD.
     """
     height, width = image.shape[-2:]
+    last = int(row.max()), int(col.max())
+    if min(int(row.min()), int(col.min())) < 0 or last[0] >= height or last[1] >= width:
+        raise ValueCheckError(
+            f"frame: got {height} x {width} CCD pixels, expected at least {last[0] + 1} x {last[1] + 1}, by "
+            "the pixels that the calibration reads; cure: take that of this camera and readout window"
+        )
     for down in range(-(side // 2), side // 2 + 1):
         for right in range(-(side // 2), side // 2 + 1):
             yield image[..., (row + down).clip(0, height - 1), (col + right).clip(0, width - 1)]

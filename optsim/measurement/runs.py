@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """The frames of a finished run as a measurement, to be decoded again in another way."""
 
 from __future__ import annotations
@@ -6,18 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import cast
 
-import numpy as np
-from skimage.io import imread
-
 from optsim.config import Table, build
 from optsim.errors import ConfigError, StorageError, unknown_name
 from optsim.experiment import Experiment, Method
-from optsim.files import read_exr, read_png16, read_record
+from optsim.files import read_record
 from optsim.loop import calibrate, planned
 from optsim.measurement.coded import Measurement
-from optsim.quantities import CodedFrame, ExposureCode
 from optsim.reconstruct import Decoder
 from optsim.run_calibrations import calibration_of_run
+from optsim.run_frames import read_frames
 
 RECORD = "experiment.json"
 
@@ -45,13 +41,10 @@ def read_run(folder: Path, method: str | None) -> Measurement:
         For an unknown method, or a folder that is no whole run.
     """
     experiment, chosen = _method_of_run(folder, method)
-    paths = sorted((folder / "frames" / chosen.name).glob("*.png"))
-    if len(paths) != experiment.n_frames:
-        raise StorageError(
-            f"{folder}: got {len(paths)} frames of {chosen.name!r}, expected {experiment.n_frames}; "
-            "cure: optsim run with --out, which goes on where it stopped"
-        )
-    frames = [_frame(folder, chosen.name, index) for index in range(experiment.n_frames)]
+    camera = experiment.camera
+    ccd = camera.sensor.rows, camera.sensor.cols
+    code = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
+    frames = read_frames(folder, chosen.name, experiment.n_frames, ccd, code)
     known = experiment.known_to(chosen)
     calibration = calibration_of_run(experiment, folder, known)
     if calibration is None:
@@ -66,10 +59,16 @@ def read_run(folder: Path, method: str | None) -> Measurement:
 
 
 def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method]:
-    stated = read_record(folder / RECORD).get("experiment")
+    record = read_record(folder / RECORD)
+    stated = record.get("experiment")
     if not isinstance(stated, dict):
         raise StorageError(f"{folder / RECORD}: got no experiment in it, expected what 'optsim run' writes")
     experiment = build(Experiment, cast("Table", stated), where=str(folder / RECORD))
+    if record.get("fingerprint") != experiment.fingerprint():
+        raise StorageError(
+            f"{folder / RECORD}: its fingerprint is not that of the experiment in it, which was edited or "
+            "is of another version of optsim; cure: decode it with that version, or run the experiment again"
+        )
     names = [each.name for each in experiment.methods]
     if method is None and len(names) > 1:
         raise ConfigError(f"--method: missing; {folder} holds {', '.join(names)}")
@@ -77,11 +76,3 @@ def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method
     if chosen is None:
         raise unknown_name("--method", str(method), names)
     return experiment, chosen
-
-
-def _frame(folder: Path, name: str, index: int) -> CodedFrame:
-    stem = f"{index:06d}"
-    channels, _ = read_exr(folder / "codes" / name / f"{stem}.exr")
-    levels = np.stack([channels[slot] for slot in sorted(channels)]).astype(np.uint8)
-    mask = imread(folder / "masks" / name / f"{stem}.png") > 0
-    return CodedFrame(index, read_png16(folder / "frames" / name / f"{stem}.png"), ExposureCode(levels, mask))
