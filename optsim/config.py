@@ -167,6 +167,17 @@ def merged(under: Mapping[str, object], over: Mapping[str, object]) -> Table:
     return result
 
 
+def flat(table: Mapping[str, object]) -> Table:
+    """Write the tables inside a table as keys with dots."""
+    found: Table = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= {f"{key}.{inner}": each for inner, each in flat(cast("Table", value)).items()}
+        else:
+            found[key] = value
+    return found
+
+
 def _inside(table: object, step: str, assignment: str) -> object:
     """Return the table in a table by its key, or in a list by its place or its ``name``."""
     if isinstance(table, dict):

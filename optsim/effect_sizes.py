@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from optsim.probe import NOTHING, PLAIN, Probe, Probes, compared_with, shown_on
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
+Drift = Mapping[str, Changes | None]
+NO_DRIFT: Drift = {}
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,11 @@ class EffectSize:
     Parameters
     ----------
     effect, what : str
-        Name and a few words.
+        Name, or a key of a drift after ``drift.``, and a few words.
     size : float or None
         Rms change of the frame by the effect as this camera has it, relative to the noise, by the full model
-        of what it asks for even where numerics are set by hand; None where only rendering would tell, or
-        every pixel of the probe clips.
+        of what it asks for even where numerics are set by hand; None where only rendering would tell, no
+        probe shows a drift, or every pixel of the probe clips.
     scheme : str or None
         Name of that of the experiment whose frame it changes so much: others change less. None where it
         changes none.
@@ -41,43 +44,62 @@ class EffectSize:
 
 
 @one_thread()
-def effect_sizes(probes: Probes, drift: Changes = NOTHING) -> list[EffectSize]:
-    """Predict the size of every effect that probes show.
+def effect_sizes(probes: Probes, drift: Drift = NO_DRIFT) -> list[EffectSize]:
+    """Predict the size of every effect that probes show, and of each key of a drift.
 
     Parameters
     ----------
     probes : Probes
         Of the camera as it was calibrated.
     drift : mapping
-        By how much fields of its parts have changed since.
+        Key -> what of the probe's camera has changed since, or None where no probe tells.
     """
-    return [size_of(name, probes, drift) for name, effect in ALL.items() if not effect.in_scene]
+    together: dict[str, dict[str, Any]] = {}
+    for changes in filter(None, drift.values()):
+        for part, fields in changes.items():
+            together[part] = {**together.get(part, {}), **fields}
+    sizes = [size_of(name, probes, together) for name, effect in ALL.items() if not effect.in_scene]
+    return sizes + [_size_of_drift(key, probes, changes) for key, changes in drift.items()]
 
 
 def size_of(name: str, probes: Probes, drift: Changes = NOTHING) -> EffectSize:
-    """Predict the size of one effect that is not in the scene; arguments as of :func:`effect_sizes`."""
+    """Predict the size of one effect that is not in the scene, of a drift of the probe's camera."""
     effect, near = ALL[name], probes.near
     if effect.drifts:
-        return largest(name, probes.sizes(_drifting(effect, near, drift), PLAIN))
+        return largest(name, probes.sizes(_drifting(effect, drift), PLAIN))
     against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
     return largest(name, probes.sizes(switched({name: "ideal"}), against, shown_on(name)))
 
 
-def largest(effect: str, sizes: Iterable[tuple[float, str]]) -> EffectSize:
+def largest(effect: str, sizes: Iterable[tuple[float, str]], what: str = "") -> EffectSize:
     """Largest of an effect's sizes in the frames of some schemes, of those that don't clip everywhere."""
     size, scheme = max((each for each in sizes if math.isfinite(each[0])), default=(None, None))
-    return EffectSize(effect, ALL[effect].what, size, scheme if size else None)
+    return EffectSize(effect, what or ALL[effect].what, size, scheme if size else None)
 
 
-def _drifting(effect: Effect, probe: Probe, drift: Changes) -> Changes:
-    """Return what of a drift is an effect's, as a change of the probe's camera."""
+def _drifting(effect: Effect, drift: Changes) -> Changes:
+    """Return what of a drift is an effect's."""
     return {
         part: {
-            key: getattr(getattr(probe.camera, part), key) + drift[part][key]
-            for key in fields.keys() & drift.get(part, {}).keys()
+            key: value
+            for key, value in drift.get(part, {}).items()
+            if key in fields or key in effect.counts.get(part, ())
         }
         for part, fields in effect.pessimistic.items()
     }
+
+
+def _size_of_drift(key: str, probes: Probes, changes: Changes | None) -> EffectSize:
+    """Predict the size of one key of a drift; unknown where a probe's frame stays as it is."""
+    part, _, name = key.rpartition(".")
+    what = "change since the calibration, by itself"
+    if changes is None:
+        return EffectSize(f"drift.{key}", what, None)
+    # An effect that changes the same field says on which probe it is seen.
+    same = next((e for e, effect in ALL.items() if name in effect.pessimistic.get(part, {})), "")
+    found = largest(f"drift.{key}", probes.sizes(changes, PLAIN, shown_on(same)), what)
+    shown = found.size or (ALL[same].drifts if same else False)
+    return found if shown else EffectSize(found.effect, what, None)
 
 
 def size_of_defocus(probes: Probes, blur_px: float) -> EffectSize:

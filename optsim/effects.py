@@ -9,8 +9,8 @@ Shot noise has no switch: it is the light's own, no camera is without it, and on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 from optsim.camera import CodedCamera
@@ -44,6 +44,8 @@ class Effect:
     drifts : bool
         Whether it comes after the calibration, so that no decoder knows (``Experiment.drift``): the values
         are then added to the camera's. Ideal and nominal cameras stay as they were calibrated.
+    counts : mapping
+        Part -> fields whose drift counts as this effect, beside those of ``pessimistic``.
     """
 
     what: str
@@ -51,6 +53,7 @@ class Effect:
     pessimistic: Changes
     in_scene: bool = False
     drifts: bool = False
+    counts: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
 
 ALL: dict[str, Effect] = {
@@ -187,10 +190,21 @@ ALL: dict[str, Effect] = {
     ),
     # What a bench leaves of it is in every calibration; this is what moves later. 0.4 CCD pixels: no source.
     "misregistration": Effect(
-        "panel that moved on the CCD since it was calibrated",
+        "panel that moved, turned or went out of focus on the CCD since it was calibrated",
         {},
         {"relay": {"shift_x_px": 0.4}},
         drifts=True,
+        counts={
+            "relay": (
+                "shift_y_px",
+                "rotation_rad",
+                "magnification_error",
+                "keystone_y",
+                "keystone_x",
+                "distortion",
+                "defocus_m",
+            )
+        },
     ),
     # A twentieth of the exponent is 8 % of a density of a quarter; no source.
     "grey_curve": Effect(

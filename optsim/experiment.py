@@ -16,7 +16,7 @@ from optsim.calibrate import Calibration
 from optsim.camera import CodedCamera
 from optsim.camera_table import check_hardware, on_hardware
 from optsim.coding import Scheme
-from optsim.config import Part, Table, build, merged, override, read_toml
+from optsim.config import Part, Table, build, flat, merged, override, read_toml
 from optsim.effects import drifted
 from optsim.errors import ConfigError, GeometryError, StorageError, unknown_name
 from optsim.knowledge import Known, Operator, ReadingPx, find_kept, widest_reading
@@ -363,8 +363,7 @@ def load_experiment(
         try:
             experiment.at_work().geometry().check()
         except GeometryError as error:
-            parts = cast("dict[str, dict[str, object]]", experiment.drift)
-            now = ", ".join(f"{part}.{key} = {v}" for part, to in parts.items() for key, v in to.items())
+            now = ", ".join(f"{key} = {value}" for key, value in flat(experiment.drift).items())
             raise GeometryError(f"after drift of {now}: {error}") from None
     return experiment
 

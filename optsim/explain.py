@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, cast
 
+from optsim.config import flat
 from optsim.console import table
 from optsim.forward.radiometry import photons_per_joule
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from optsim.camera import CodedCamera
     from optsim.camera_plan import CameraPlan
     from optsim.effect_sizes import EffectSize
-    from optsim.experiment import Experiment
     from optsim.focus import Focus
     from optsim.probe import Probes
 
@@ -22,7 +22,6 @@ Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
-_DRIFTING = ("splitter", "modulator", "relay", "sensor")
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
@@ -40,6 +39,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     from optsim.errors import GeometryError
     from optsim.experiment import load_experiment
     from optsim.metrics import first_steady
+    from optsim.probe import drifted_as_far, shrunk
     from optsim.truth import describe_truth, illumination, scene_light
 
     misfit = None
@@ -56,7 +56,8 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     found: list[EffectSize] = []
     if plan:
         in_scene = scene_effects(plan.probes, truth.focus, polarised=light.azimuth_rad is not None)
-        found = sorted([*effect_sizes(plan.probes, drift_of(experiment)), *in_scene], key=_unknown_last)
+        drift = drifted_as_far(camera, experiment.at_work(), shrunk(camera))
+        found = sorted([*effect_sizes(plan.probes, drift), *in_scene], key=_unknown_last)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -99,21 +100,6 @@ def too_short(n_frames: int, latency_frames: int) -> str:
     if n_frames > steady:
         return ""
     return f"{n_frames} coded frames end before the steady phase: take {steady + 1} or more (n_frames)"
-
-
-def drift_of(experiment: Experiment) -> dict[str, dict[str, float]]:
-    """Say by how much numbers of a camera's parts have changed since its calibration: part -> field."""
-    parts = {
-        part: (getattr(experiment.camera, part), getattr(experiment.at_work(), part)) for part in _DRIFTING
-    }
-    return {
-        part: {
-            key: now - before
-            for (key, before), (_, now) in zip(was, has, strict=True)
-            if isinstance(before, float) and isinstance(now, float) and now != before
-        }
-        for part, (was, has) in parts.items()
-    }
 
 
 def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
@@ -213,9 +199,8 @@ def show(record: dict[str, Any]) -> list[object]:
     items.append("calibration of " + ", ".join(f"{name}: {operator}" for name, operator in known.items()))
     if record["drift"]:
         now = [
-            f"{part}.{key} {value:g}" if isinstance(value, float) else f"{part}.{key} {value}"
-            for part, fields in cast("dict[str, dict[str, object]]", record["drift"]).items()
-            for key, value in fields.items()
+            f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
+            for key, value in flat(record["drift"]).items()
         ]
         items.append(f"after calibration, unknown to decoders, the camera has: {', '.join(now)}")
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():
@@ -308,6 +293,8 @@ def _unknown(effect: str) -> str:
     """Say why an effect's size isn't known."""
     from optsim.effects import ALL
 
+    if effect not in ALL:
+        return "not predicted"
     return "needs a render" if ALL[effect].in_scene else "every pixel clips"
 
 

@@ -10,13 +10,15 @@ import pytest
 from rich.console import Console
 from scipy.ndimage import shift
 
+from optsim.coding import HdrMosaic
 from optsim.effect_sizes import effect_sizes, size_of, size_of_defocus
 from optsim.effects import ALL, STATES, changed, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
 from optsim.explain import explanation, scene_effects, show
 from optsim.hardware import demo, imx174, prototype
-from optsim.probe import Illumination, make_probes, near_probe, shrunk
+from optsim.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probes, near_probe, shrunk
+from optsim.probe.made_scene import made_scene
 from optsim.quantities import Block, ExposureCode, Segment
 from optsim.scene import BrightLight
 from optsim.scene.footage import still
@@ -429,3 +431,48 @@ def test_small_cameras_take_as_long_to_read_as_the_camera_they_stand_for():
         assert shrunk(camera).sensor.frame_readout_s == pytest.approx(camera.sensor.frame_readout_s)
         closed = [c.model_copy(update={"overlap": False}).coded_slots for c in (camera, shrunk(camera))]
         assert closed[0] == closed[1]
+
+
+def test_every_key_of_a_drift_has_a_size_or_is_not_predicted():
+    drifts = {
+        "relay.rotation_rad": "0.001",
+        "relay.defocus_m": "36e-6",
+        "relay.wavefront.coma_waves": "0.3",
+        "modulator.delay_s": "-0.0005",
+        "sensor.read_noise_e": "12.0",
+        "sensor.gain_e": "1.0",
+        "splitter.azimuth_rad": "0.1",
+        "serial_number": "2",
+    }
+    found = explanation("demo", [f"drift.{key}={value}" for key, value in drifts.items()])
+    rows = {row["effect"]: row for row in found["effects"]}
+    assert {name for name in rows if name.startswith("drift.")} == {f"drift.{key}" for key in drifts}
+    unknown = {"sensor.gain_e", "splitter.azimuth_rad"}
+    for key in drifts:
+        assert (rows[f"drift.{key}"]["size"] is None) == (key in unknown), key
+        assert rows[f"drift.{key}"]["size"] is None or rows[f"drift.{key}"]["size"] > 0.01, key
+    # All that moves the image, together.
+    assert rows["misregistration"]["size"] > rows["drift.relay.rotation_rad"]["size"]
+    assert shown(found).count("not predicted") == len(unknown)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("rotation_rad", 1e-3), ("magnification_error", 1e-3), ("shift_x_px", 0.4), ("keystone_y", 2e-3)],
+)
+def test_a_drift_that_moves_the_image_is_as_large_on_the_probe_as_on_the_camera(key, value):
+    camera, schemes = demo(), {"hdr_mosaic": HdrMosaic()}
+    now = changed(camera, {"relay": {key: value}})
+    probes = make_probes(camera, ROOM, schemes)
+    (of_probe,) = [
+        each.size
+        for each in effect_sizes(probes, drifted_as_far(camera, now, shrunk(camera)))
+        if each.effect == f"drift.relay.{key}"
+    ]
+    nd = probes.near.camera.objective.nd_transmission
+    whole = Probe(
+        changed(camera.with_nd(nd), PLAIN), made_scene(camera, ROOM.white_w_m2_sr, None), schemes, 0
+    )
+    size = whole.change_e({"relay": {key: value}}, {}, "hdr_mosaic") / whole.noise_e("hdr_mosaic")[0]
+    # Patches and borders lie otherwise in fewer pixels.
+    assert of_probe == pytest.approx(size, rel=0.35)

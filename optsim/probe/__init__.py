@@ -5,6 +5,7 @@ from optsim.probe.made_code import Schemes
 from optsim.probe.made_scene import WHITE_OVER_INTERIOR
 from optsim.probe.small_cameras import (
     Illumination,
+    drifted_as_far,
     far_pixel,
     far_probe,
     make_probes,
@@ -24,6 +25,7 @@ __all__ = [
     "Schemes",
     "Which",
     "compared_with",
+    "drifted_as_far",
     "far_pixel",
     "far_probe",
     "make_probes",

@@ -13,11 +13,13 @@ few pixels are hardly moved. ``mapping`` moves them as far.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from optsim.camera import CodedCamera
-from optsim.effects import Changes, changed
+from optsim.config import Part
+from optsim.effects import ITSELF, Changes, changed
 from optsim.forward.aberrations import Wavefront
 from optsim.forward.psf import share_beyond
 from optsim.optics.lens import LARGEST_WING_SHARE
@@ -36,6 +38,8 @@ _SHARP: Changes = {
     "relay": {"wavefront": Wavefront(), "defocus_m": 0.0},
 }
 _SHIFTS = ("shift_y_px", "shift_x_px")
+# Of digital numbers: a probe's frame is of electrons.
+_CONVERTER = ("gain_e", "black_dn", "bits", "finer_bits")
 # Fields of the relay that move what is far from the middle the farther.
 _SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
 
@@ -120,11 +124,61 @@ def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
 
     But not out of its picture: a pixel that moves as far as its margin gets quite other light than before.
     """
-    relay, times = camera.relay, camera.panel_cols / small.panel_cols
-    most = MARGIN_PX / (np.hypot(small.panel_rows, small.panel_cols) / 2 * small.ratio)
+    relay, (times, most) = camera.relay, _scale(camera, small)
     shifts = {name: _within(getattr(relay, name), MARGIN_PX) for name in _SHIFTS}
     scales = {name: _within(getattr(relay, name) * times, most) for name in _SCALES}
     return {"relay": shifts | scales}
+
+
+def drifted_as_far(camera: CodedCamera, now: CodedCamera, small: CodedCamera) -> dict[str, Changes | None]:
+    """Say for each key in which a camera differs from a calibrated one how a small camera would.
+
+    Parameters
+    ----------
+    camera, now, small : CodedCamera
+        As calibrated, as it is now, and the small one that stands for it as calibrated.
+
+    Returns
+    -------
+    dict
+        ``part.key`` -> change of the small camera; None where its number isn't the camera's.
+    """
+    found: dict[str, Changes | None] = {}
+    for part, own in camera:
+        values = {part: (own, getattr(now, part))}
+        if isinstance(own, Part):
+            values = {f"{part}.{key}": (before, getattr(getattr(now, part), key)) for key, before in own}
+        for key, (before, after) in values.items():
+            if before != after and isinstance(before, Part):
+                same = getattr(getattr(small, part), key.rpartition(".")[2]) == before
+                for inner, value in after:
+                    if value != getattr(before, inner):
+                        table = {key.rpartition(".")[2]: {inner: value}}
+                        found[f"{key}.{inner}"] = {part: table} if same else None
+            elif before != after:
+                found[key] = _as_drifted(camera, small, key, before, after)
+    return found
+
+
+def _as_drifted(camera: CodedCamera, small: CodedCamera, key: str, before: Any, after: Any) -> Changes | None:
+    part, _, name = key.rpartition(".")
+    if not part:
+        return {ITSELF: {name: after}}
+    own = getattr(getattr(small, part), name)
+    if part == "sensor" and name in _CONVERTER:
+        return None
+    if part == "relay" and name in _SHIFTS:
+        return {part: {name: _within(own + after - before, MARGIN_PX)}}
+    if part == "relay" and name in _SCALES:
+        times, most = _scale(camera, small)
+        return {part: {name: _within(own + (after - before) * times, most)}}
+    return {part: {name: after}} if own == before else None
+
+
+def _scale(camera: CodedCamera, small: CodedCamera) -> tuple[float, float]:
+    """How much more a small camera's image must turn or grow, and how much it may at most."""
+    most = MARGIN_PX / (np.hypot(small.panel_rows, small.panel_cols) / 2 * small.ratio)
+    return camera.panel_cols / small.panel_cols, float(most)
 
 
 def _within(value: float, limit: float) -> float:
