@@ -1,5 +1,8 @@
 """From scene to Mitsuba: materials conserve energy, lamps are in order, shapes files and scales work."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -239,6 +242,41 @@ def test_a_shapes_file_is_seen_and_degenerate_triangles_do_no_harm(tmp_path):
     behind = '<shape type="sphere"><point name="center" x="0" y="-9" z="0"/></shape>'
     (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{behind}</scene>')
     assert Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)).max() == 0
+
+
+IMAGES = """
+import sys
+from pathlib import Path
+import numpy as np, mitsuba as mi
+from optsim.quantities import View
+from optsim.render.backend import activate
+from optsim.render.stage import Stage
+from optsim.scene import load_scene
+activate(None)
+folder = Path(sys.argv[1])
+grey = np.full((8, 8, 3), 0.25, np.float32)
+mi.Bitmap(grey).write(str(folder / "t.exr"))
+mi.Bitmap(grey).write(str(folder / "t.hdr"))
+mi.Bitmap(grey).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True).write(str(folder / "t.png"))
+for name in ("exr", "hdr", "png"):
+    image = '<texture type="bitmap" name="reflectance"><string name="filename" value="t.%s"/>' % name
+    surface = '<bsdf type="twosided"><bsdf type="diffuse">%s</texture></bsdf></bsdf>' % image
+    (folder / "static.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere">%s</shape></scene>' % surface
+    )
+    print(Stage(load_scene(folder), View(8, 8, 1, 0.3)).picture(64, 1).mean())
+"""
+
+
+def test_images_that_a_shapes_file_names_are_seen_in_every_format(tmp_path):
+    """By another process: Mitsuba's reader of OpenEXR would wait for ever on one thread."""
+    (tmp_path / "scene.toml").write_text(TOML)
+    command = [sys.executable, "-c", IMAGES, str(tmp_path)]
+    done = subprocess.run(command, check=True, timeout=120, capture_output=True, text=True)
+    means = [float(line) for line in done.stdout.split()[-3:]]
+    assert means[0] > 0.01
+    # The same seed, so only the rounding of 8 bits and of a shared exponent is left.
+    np.testing.assert_allclose(means, means[0], rtol=0.01)
 
 
 def test_what_mitsuba_refuses_is_named_before_rendering(tmp_path):

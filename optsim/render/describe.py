@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from optsim.scene.textures import outside_map, reflectance_map
 
 # Mitsuba's rays leave a surface by 1e-4 units at least, so scenes nearer than this get a smaller unit.
 _SMALL_M = 0.25
+_IMAGES = ("bitmap", "envmap")  # plugins that read an image file
 
 
 def unit_m(scene: Scene) -> float:
@@ -36,7 +39,32 @@ def unit_m(scene: Scene) -> float:
     return 1.0 if distance >= _SMALL_M else float(2.0 ** np.floor(np.log2(distance)))
 
 
-def describe(mi: Any, scene: Scene, view: View, *, movers: bool) -> dict[str, Any]:
+def parse_static(mi: Any, scene: Scene) -> Any:
+    """Parse the scene's file of shapes and read the images that it names; None if it has none.
+
+    Mitsuba's reader of OpenEXR waits for ever when there is one thread only, so this comes before the thread
+    count is lowered.
+
+    Raises
+    ------
+    ConfigError
+        When Mitsuba refuses the file or an image.
+    """
+    if scene.static is None:
+        return None
+    with _named(scene.static):
+        config = mi.parser.ParserConfig(mi.variant())
+        config.merge_equivalent = config.merge_meshes = False
+        state = mi.parser.parse_string(config, scene.static.ready(unit_m(scene)))
+        for node in state.nodes:
+            if node.props.plugin_name() in _IMAGES and "filename" in node.props:
+                node.props["bitmap"] = mi.Bitmap(node.props["filename"])
+                del node.props["filename"]
+        mi.parser.transform_all(config, state)
+    return config, state
+
+
+def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = None) -> dict[str, Any]:
     """Describe a scene to ``mi.load_dict``.
 
     Parameters
@@ -49,6 +77,8 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool) -> dict[str, An
         Fine grid and field of view.
     movers : bool
         Whether the movers are on stage; lamps and sensor are the same either way.
+    static : optional
+        From :func:`parse_static`.
     """
     unit = unit_m(scene)
     meshes = {
@@ -62,20 +92,22 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool) -> dict[str, An
     for name, (mesh, material) in meshes.items():
         content[name] = _mesh(mi, name, mesh, scene.materials[material], unit)
     if scene.static is not None:
-        content |= _static(mi, scene.static, unit)
+        with _named(scene.static):
+            loaded: Any = mi.parser.instantiate(*static)
+        content |= {f"static_{index}": shape for index, shape in enumerate(loaded.shapes())}
     # Roulette from the 4th segment on: squared noise times time is least there on window_room, 25 % less than
     # from the 3rd.
     content["integrator"] = {"type": "path", "max_depth": scene.max_depth, "rr_depth": 4}
     return content
 
 
-def _static(mi: Any, static: StaticShapes, unit: float) -> dict[str, Any]:
-    """Load the shapes of a file, by ``static_<number>``."""
+@contextmanager
+def _named(static: StaticShapes) -> Generator[None, None, None]:
+    """Name the file in what Mitsuba says of it."""
     try:
-        loaded: Any = mi.load_string(static.ready(unit), optimize=False)
+        yield
     except RuntimeError as error:
         raise ConfigError(f"{Path(static.folder) / static.name}: Mitsuba cannot load it: {error}") from None
-    return {f"static_{index}": shape for index, shape in enumerate(loaded.shapes())}
 
 
 def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.analyser import twice_analysed
-from optsim.render.describe import camera_to_world, describe, unit_m
+from optsim.render.describe import camera_to_world, describe, parse_static, unit_m
 from optsim.render.first_hit import first_hit
 from optsim.render.footprint import vertices_at
 from optsim.render.lens import picked
@@ -84,8 +84,9 @@ class Stage:
         self.scene, self.view, self._azimuth_rad = scene, view, azimuth_rad
         self._vectorised = not str(mi.variant()).startswith("scalar")
         self._movers = scene.singles() if movers else {}
+        static = parse_static(mi, scene)
         with _one_thread():
-            content = describe(mi, scene, view, movers=movers)
+            content = describe(mi, scene, view, movers=movers, static=static)
             if boxes is not None:
                 content["near"] = glowing(mi, boxes, unit_m(scene), shown=glow)
             self._loaded: Any = mi.load_dict(content, optimize=False)

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 
 from optsim.config import Part
 from optsim.errors import ConfigError, unknown_name
+from optsim.scene.mesh_files import check_mesh
 
 _MATT = ("diffuse", "twosided", "mask", "bumpmap", "normalmap", "blendbsdf")
 _TOP_LEVEL = ("shape", "bsdf", "texture", "default")
@@ -160,4 +161,5 @@ def _hash_of_file(folder: Path, name: str) -> str:
         )
     if not path.is_file():
         raise ValueError(f"file {name!r} is not in the scene's folder {folder}; cure: put it there")
+    check_mesh(path)
     return hashlib.sha256(path.read_bytes()).hexdigest()
