@@ -316,9 +316,12 @@ def test_darkness_and_closed_pixels_are_as_uncertain_as_they_should_be(trained):
     (frame,) = film(calibration, Closed(code), [video], np.random.default_rng(4))
     (layer,) = decoder.layers([frame], calibration)
     spread = layer.uncertainty_w_m2
-    assert spread[:, 20:28, 20:28].min() > video.mean(), "never open: as bright as the brightest, perhaps"
+    assert spread[:, 20:28, 20:28].min() > 0.5 * video.mean(), "never open: as uncertain as bright"
     assert spread[:, 20:28, 20:28].max() < 5 * video.max()
-    assert np.abs(layer.irradiance_w_m2[:, 20:28, 20:28]).max() < 1e-6, "their noise is not light"
+    filled = layer.irradiance_w_m2[:, 20:28, 20:28]
+    around = video[:, 4:44, 4:44]
+    assert around.min() < filled.mean() < around.max(), "as bright as around, not black"
+    assert np.all(spread[:, 20:28, 20:28] >= filled)
     assert spread[:, 48:, 48:].max() < video.mean()
 
 

@@ -83,10 +83,10 @@ class MotionDeblurring(Branch):
         """
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             known = image.usable & (image.exposure > _LEAST)
-            moving = frame.code.moving & known
+            moving = frame.code.moving & (frame.code.moving & known).any()
             light = np.zeros_like(image.weights)
             if moving.any():
-                code, alike = shared_code(image.weights[:, :, : calibration.coded_slots], moving)
+                code, alike = shared_code(image.weights[:, :, : calibration.coded_slots], moving & known)
                 found = self._video(image, known, code, alike)
                 light = np.ascontiguousarray(np.moveaxis(found, 0, -1)) * moving[:, :, None]
             count = moving.astype(np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import Crosstalk
+from optsim.calibrate.sample import Crosstalk, nearest
 from optsim.forward.compiled import compiled
 from optsim.quantities import CodedFrame, Floats
 from optsim.reconstruct.coded_images import CodedImage, coded_images, covered
@@ -55,8 +55,8 @@ class TotalVariation(Branch):
     def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
         """As :meth:`decode`, as layers."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
-            known = image.usable & (image.exposure > 0)
-            moving = (frame.code.moving & known).astype(np.float32)
+            # Pixels that no slot opens are smoothed with the others.
+            moving = (frame.code.moving & image.usable.any()).astype(np.float32)
             video = self._video(image) * moving[:, :, None] if moving.any() else np.zeros_like(image.weights)
             yield covered(frame, image, video, moving, np.ones_like(moving))
 
@@ -73,6 +73,8 @@ class TotalVariation(Branch):
         gain = np.where(energy > 0, 1 / np.maximum(energy, np.float32(1e-12)), 0).astype(np.float32)
         # Each pixel's mean in all slots is a start that agrees with what was measured.
         start = (means / white).astype(np.float32)
+        if not image.usable.all():
+            start = start[nearest(image.usable)]
         slots = weights.shape[2]
         video = np.repeat(start[:, :, None], slots, axis=2)
         target = np.zeros_like(measured)
