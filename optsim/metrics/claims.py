@@ -117,10 +117,14 @@ def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[st
     Returns
     -------
     list of dict
-        A verdict for each claim and area that any draw has pixels of.
+        A verdict for each claim and area in which any draw has a score; one without a score where none has.
     """
     areas: tuple[Area, ...] = tuple(area for area in AREAS if _seen(area, draws)) or AREAS[:1]
-    return [_judge(claim, area, draws, no_rivals) for claim in CLAIMS for area in areas]
+    found: list[Verdict] = []
+    for claim in CLAIMS:
+        judged = [_judge(claim, area, draws, no_rivals) for area in areas]
+        found += [v for v in judged if v["rival"] is not None] or judged[:1]
+    return found
 
 
 def _seen(area: Area, draws: Sequence[Sequence[PairRecord]]) -> bool:
