@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from optsim import __version__
+from optsim.cli_errors import guarded
 from optsim.cli_groups import cache_app, config_app
 from optsim.cli_measure import bench, validate
 from optsim.cli_options import (
@@ -29,7 +30,7 @@ from optsim.cli_options import (
 )
 from optsim.cli_reconstruct import reconstruct_files
 from optsim.cli_train import train
-from optsim.errors import ConfigError, OptsimError, unknown_name
+from optsim.errors import ConfigError, unknown_name
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -38,8 +39,6 @@ app = typer.Typer(
     help="Validate an adaptive pixel-wise coded-exposure camera before its hardware exists.",
     epilog="Start with: optsim doctor, then optsim run demo",
 )
-# What typer returns for Ctrl-C: 128 + SIGINT, as shells count.
-_INTERRUPTED = 130
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
 
@@ -351,27 +350,4 @@ def init(
 def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
     command = typer.main.get_command(app)
-    try:
-        status = command.main(standalone_mode=False)
-    except OptsimError as error:
-        typer.echo(f"optsim: {error}", err=True)
-        status = 2
-    except OSError as error:
-        # Of a file or folder that somebody named: not to be read, too long a name, a disk that fails.
-        if error.filename is None:
-            raise
-        typer.echo(f"optsim: {error.filename}: {error.strerror}; choose another place, or mend it", err=True)
-        status = 2
-    except Exception as error:
-        # A usage error, of a class that typer keeps in its private copy of click.
-        show: object = getattr(error, "show", None)
-        if not callable(show):
-            raise
-        show()
-        status = 2
-    if status == _INTERRUPTED:
-        typer.echo(
-            "optsim: interrupted. What is finished is kept; the same command goes on from there.",
-            err=True,
-        )
-    raise SystemExit(status or 0)
+    raise SystemExit(guarded(lambda: command.main(standalone_mode=False)))

@@ -107,6 +107,15 @@ def read_toml(path: Path) -> Table:
         raise ConfigError(f"{path} is not valid TOML: {error}{_quoted(path, str(error))}") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path} is no text, expected TOML: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} cannot be read as TOML: {_too_much(error)}") from None
+
+
+def _too_much(error: ValueError | RecursionError) -> str:
+    """Say what Python's parser refuses by another error than one of TOML."""
+    if isinstance(error, RecursionError):
+        return "brackets are nested too deep; cure: fewer of them"
+    return "a number has thousands of digits; cure: fewer of them"
 
 
 def _quoted(path: Path, message: str) -> str:
@@ -119,7 +128,7 @@ def _quoted(path: Path, message: str) -> str:
 @lru_cache(maxsize=64)
 def _parsed(text: bytes) -> Table:
     """Parse TOML once: an experiment asks for its scene again and again, and parsing is slow."""
-    return tomllib.loads(text.decode())
+    return tomllib.loads(text.decode("utf-8-sig"))
 
 
 def override(table: Table, assignments: list[str]) -> Table:
@@ -141,6 +150,10 @@ def override(table: Table, assignments: list[str]) -> Table:
             value: object = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             value = text.strip()
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(
+                f"--set {assignment[:60]!r}...: got no value that can be read: {_too_much(error)}"
+            ) from None
         *tables, key = path.strip().split(".")
         target: object = result
         for step in tables:

@@ -51,8 +51,7 @@ def _backend() -> tuple[Finding, ...]:
     try:
         report = choose_backend()
     except OptsimError as error:
-        message, _, cure = str(error).rpartition("cure: ")
-        return (Finding("backend", False, message, cure),)
+        return (_problem("backend", error),)
     library = "install karellen-llvm-core, or a system LLVM >= 17 and set DRJIT_LIBLLVM_PATH to it"
     chosen = Finding("backend", not report.preview, report.reason, library if report.preview else "")
     failed = tuple(
@@ -62,6 +61,11 @@ def _backend() -> tuple[Finding, ...]:
         if not attempt.works
     )
     return chosen, *failed
+
+
+def _problem(what: str, error: OptsimError) -> Finding:
+    message, _, cure = str(error).rpartition("cure: ")
+    return Finding(what, False, message or cure, cure)
 
 
 def _versions() -> Finding:
@@ -77,7 +81,10 @@ def _threads() -> Finding:
 
 
 def _cache() -> Finding:
-    cache = Cache()
+    try:
+        cache = Cache()
+    except OptsimError as error:
+        return _problem("cache", error)
     record = cache.show()
     text = f"{record['entries']} entries, {record['bytes'] / 1e9:.2f} of {cache.cap_bytes / 1e9:g} GB"
     try:
@@ -91,7 +98,10 @@ def _cache() -> Finding:
 
 
 def _disk() -> Finding:
-    folder = Cache().folder.absolute()
+    try:
+        folder = Cache().folder.absolute()
+    except OptsimError as error:
+        return _problem("disk", error)
     place = next(p for p in (folder, *folder.parents) if p.exists())
     free_gb = shutil.disk_usage(place).free / 1e9
     cure = "free disk space, 'optsim cache clear', or set OPTSIM_CACHE to another disk"

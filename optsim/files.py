@@ -10,6 +10,7 @@ name in the same folder and rename, so an interrupted run never leaves half a fi
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import tempfile
@@ -98,7 +99,8 @@ def atomic(path: Path) -> Generator[Path, None, None]:
 def write_text(path: Path, text: str) -> None:
     """Write text atomically, UTF-8."""
     with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        # Names of files needn't be UTF-8.
+        temporary.write_bytes(text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_new_text(path: Path, text: str) -> None:
@@ -131,10 +133,13 @@ def write_json(path: Path, record: object) -> None:
 def read_json(path: Path) -> Any:
     """Read JSON, with an error that names the file."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        # Some editors put a byte order mark before it.
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except (FileNotFoundError, NotADirectoryError):
         raise StorageError(f"no such file: {path}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
         raise StorageError(f"{path} is not valid JSON: {error}") from None
 
 
@@ -212,8 +217,12 @@ def write_exr(
         "type": OpenEXR.scanlineimage,
         "optsim": json.dumps(dict(attributes), allow_nan=False),
     }
-    with atomic(path) as temporary, OpenEXR.File(header, cast("Any", out)) as stream:
-        stream.write(str(temporary))
+    content = io.BytesIO()
+    with OpenEXR.File(header, cast("Any", out)) as stream:
+        # The binding takes UTF-8 paths only, and has errors of its own for a full disk.
+        stream.write(cast("Any", content))
+    with atomic(path) as temporary:
+        temporary.write_bytes(content.getbuffer())
 
 
 def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -74,6 +74,7 @@ TOP = {
     "imported_clips",
     "run_calibrations",
     "cli",
+    "cli_errors",
     "cli_groups",
     "cli_measure",
     "cli_options",

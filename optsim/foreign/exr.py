@@ -83,10 +83,10 @@ def exr_parts(path: Path) -> list[ExrPart]:
     with reading(path, _WHAT), _PRINTED, redirect_stdout(printed):
         if not path.is_file():
             raise StorageError(f"no such file: {path}")
-        with OpenEXR.File(str(path), separate_channels=True, header_only=True) as stream:
+        with OpenEXR.File(_source(path), separate_channels=True, header_only=True) as stream:
             heads = [dict(cast("Mapping[str, Any]", part.header)) for part in stream.parts]
             check_memory(path, sum(_declared(head) for head in heads), _WHAT)
-        with OpenEXR.File(str(path), separate_channels=True) as stream:
+        with OpenEXR.File(_source(path), separate_channels=True) as stream:
             found = [
                 ExrPart(part.name(), _kind(part), head, {name: c.pixels for name, c in part.channels.items()})
                 for head, part in zip(heads, stream.parts, strict=False)
@@ -131,3 +131,12 @@ def _owned(pixels: NDArray[Any]) -> NDArray[Any]:
 
 def _window(corners: tuple[int, ...]) -> str:
     return f"({corners[0]}, {corners[1]}) to ({corners[2]}, {corners[3]})"
+
+
+def _source(path: Path) -> Any:
+    """Give the binding a path, or the content of a file whose name is not UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return io.BytesIO(path.read_bytes())
+    return str(path)

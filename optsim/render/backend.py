@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from optsim.cache import default_folder, hash_of
-from optsim.errors import BackendError, StorageError, unknown_name
+from optsim.errors import BackendError, ConfigError, StorageError, unknown_name
 from optsim.files import read_json, write_json
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
@@ -187,7 +187,11 @@ def _remembered_probe(variant: str, library: str) -> Attempt:
     """Probe, or take the result of an earlier process with the same library file and versions."""
     stat = os.stat(library) if library and Path(library).exists() else None
     identity = [variant, library, stat and [stat.st_size, stat.st_mtime_ns], versions(), sys.executable]
-    path = default_folder() / "probes" / f"{hash_of(identity)}.json"
+    try:
+        path = default_folder() / "probes" / f"{hash_of(identity)}.json"
+    except ConfigError:
+        # Without a cache nothing is remembered.
+        return probe(variant, library)
     try:
         record: Any = read_json(path)
         return Attempt(variant, library, bool(record["works"]), str(record["message"]))

@@ -98,7 +98,7 @@ def read_static(folder: Path, name: str) -> StaticShapes:
             "cure: put it there, or remove the key"
         )
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         root = _parsed(text)
         _check(root)
         files = {
