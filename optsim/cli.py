@@ -79,6 +79,7 @@ def run(
     from optsim.console import page, people, progress_bars
     from optsim.experiment import load_experiment
     from optsim.explain import too_short
+    from optsim.finished import finished_run
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     if out is not None:
@@ -96,26 +97,28 @@ def run(
     command = " ".join(["optsim", *sys.argv[1:]])
     with output_folder(out, loaded.name) as folder:
         job.check(loaded, folder, backend)
-        if (folder / "results.json").exists():
-            people.print(
-                f"{folder} holds a finished run of this experiment: it is made anew, and replaced at the end."
-            )
-        try:
-            with progress_bars() as progress:
-                results = job.execute(
-                    loaded,
-                    folder,
-                    command=command,
-                    backend=backend,
-                    export_truth=export_truth,
-                    progress=progress,
-                )
-        except KeyboardInterrupt:
-            if (folder / job.UNFINISHED).exists():
-                people.print(
-                    f"Finished frames are in {folder}: with --out {folder} the same command finds them."
-                )
-            raise
+        results, why = finished_run(loaded, folder, backend=backend, export_truth=export_truth)
+        if results is not None:
+            people.print(f"{folder} holds a finished run of this experiment, by this code: nothing to do.")
+        else:
+            if why:
+                people.print(f"{folder} holds a finished run of this experiment, made anew because: {why}.")
+            try:
+                with progress_bars() as progress:
+                    results = job.execute(
+                        loaded,
+                        folder,
+                        command=command,
+                        backend=backend,
+                        export_truth=export_truth,
+                        progress=progress,
+                    )
+            except KeyboardInterrupt:
+                if (folder / job.UNFINISHED).exists():
+                    people.print(
+                        f"Finished frames are in {folder}: with --out {folder} the same command finds them."
+                    )
+                raise
     if as_json:
         print_json(results)
     else:

@@ -6,19 +6,16 @@ Streams frame by frame, so that memory does not grow with the length of the expe
 from __future__ import annotations
 
 import contextlib
-import os
-import platform
 import shutil
 from collections.abc import Generator
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from optsim import __version__, evidence
+from optsim import evidence
 from optsim.cache import Cache
 from optsim.camera import CodedCamera
 from optsim.claims import claimed
@@ -26,6 +23,7 @@ from optsim.errors import OptsimError, StorageError
 from optsim.experiment import Experiment
 from optsim.explain import MID_GREY, plan_record
 from optsim.files import holds_nothing, read_record, writable_folder, write_exr, write_json
+from optsim.finished import UNFINISHED, results_key, versions
 from optsim.gallery import MOVING_FRAMES, Gallery
 from optsim.journal import Journal, run_key
 from optsim.known_calibration import check_kept, ideal_calibration
@@ -43,11 +41,6 @@ from optsim.stopwatch import Stopwatch
 from optsim.truth import check_truth, describe_truth, render_truth, renderer, scene_light
 
 Results = dict[str, Any]
-
-UNFINISHED = "unfinished"
-"""Folder in a run's, of its journal; gone when the run is done."""
-
-_PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
 
 
 def run_folder(experiment: Experiment, out: Path) -> Path:
@@ -175,6 +168,8 @@ def _execute(
     watch = Stopwatch()
     resolved, fingerprint = experiment.model_dump(mode="json"), experiment.fingerprint()
     chosen, why = renderer(experiment, backend)
+    # Of the code as it is now: what is edited while a run goes on is not in it.
+    key = results_key(experiment, chosen)
     # What a bench or a decoder refuses is said before the long work.
     with watch.stage("plan"):
         modelled, plan = planned(experiment)
@@ -232,6 +227,8 @@ def _execute(
         "command": command,
         "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
+        "run_key": key,
+        "exported_truth": export_truth,
         "backend": f"{chosen}: {why}",
         "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
         "timings": watch.stages,
@@ -285,16 +282,6 @@ def _stated(folder: Path, statement: dict[str, Any]) -> Generator[None, None, No
         if not begun:
             path.unlink()
         raise
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that can change a number."""
-    return {
-        "optsim": __version__,
-        "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        **{name: version(name) for name in _PACKAGES},
-    }
 
 
 def summary(results: Results) -> str:

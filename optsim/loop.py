@@ -16,7 +16,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.random import Generator, SeedSequence
 
-from optsim.calibrate import Bench, Calibration, calibrate_from
+from optsim.bench_calibration import bench_calibration
+from optsim.calibrate import Bench, Calibration
 from optsim.camera import CodedCamera
 from optsim.camera_plan import CameraPlan, plan_camera
 from optsim.errors import ConfigError
@@ -145,7 +146,7 @@ def _calibrations(experiment: Experiment, wanted: Sequence[Known]) -> list[Calib
             return true_calibration(camera, known.reading_px)
         if known.operator == "ideal":
             return ideal_calibration(camera, known.reading_px)
-        return calibrate_from(bench(), known.reading_px)
+        return bench_calibration(camera, experiment.seed, known.reading_px, bench)
 
     return [make(known) for known in wanted]
 

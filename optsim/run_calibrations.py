@@ -37,7 +37,7 @@ def keep_calibrations(
             {
                 "calibration": str(known),
                 "file": name,
-                "sha256": _digest(folder / name),
+                "sha256": sha256_of(folder / name),
                 "methods": [m.name for m in experiment.methods if experiment.known_to(m) == known],
             }
         )
@@ -58,12 +58,13 @@ def calibration_of_run(experiment: Experiment, folder: Path, known: Known) -> Ca
     if not isinstance(said, list):
         return read_calibration(path) if path.is_file() else None
     hashes = {each.get("file"): each.get("sha256") for each in cast("list[dict[str, object]]", said)}
-    if not path.is_file() or _digest(path) != hashes.get(name):
+    if not path.is_file() or sha256_of(path) != hashes.get(name):
         got = "another file than the run wrote" if path.is_file() else "no such file"
         raise StorageError(f"{path}: got {got}, expected that of {_RESULTS}; cure: run the experiment again")
     return read_calibration(path)
 
 
-def _digest(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """Hash a file as results.json states it."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

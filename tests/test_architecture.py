@@ -52,6 +52,7 @@ ALLOWED: dict[str, set[str]] = {
     "run_frames": set(),
     "evidence": set(),
     "knowledge": set(),
+    "bench_calibration": {"calibrate", "camera", "evidence"},
     "doctor": {"render", "scene"},
 }
 # The top of the building: may import any room, and only each other.
@@ -63,6 +64,7 @@ TOP = {
     "truth",
     "densities",
     "journal",
+    "finished",
     "loop",
     "object_masks",
     "own_f_number",
@@ -101,6 +103,7 @@ TRUTH = {
     "geometry",
     "known_calibration",
     "laboratory",
+    "bench_calibration",
     "origins",
     "effects",
     "effect_sizes",

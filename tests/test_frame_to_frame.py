@@ -76,7 +76,7 @@ def test_every_draw_has_its_own_numbers_and_another_seed_others(monkeypatch: pyt
 
     monkeypatch.setattr(loop, "stream", noted)
     monkeypatch.setattr(loop, "measure_bench", lambda _, rng: rng.random())
-    monkeypatch.setattr(loop, "calibrate_from", lambda bench, _: bench)
+    monkeypatch.setattr(loop, "bench_calibration", lambda *given: given[-1]())
     runs = []
     for seed in (1, 2, 1):
         experiment = small("camera.effects.all=ideal", f"seed={seed}", n_frames=FRAMES)

@@ -110,8 +110,7 @@ def test_each_calibration_is_made_once_and_before_the_render(
     experiment = small(*OWN, "methods.random.calibration=true", calibration="bench")
     for name in ("true", "ideal"):
         monkeypatch.setattr(loop, f"{name}_calibration", noted(name))
-    monkeypatch.setattr(loop, "measure_bench", lambda *_: None)
-    monkeypatch.setattr(loop, "calibrate_from", noted("bench"))
+    monkeypatch.setattr(loop, "bench_calibration", noted("bench"))
     monkeypatch.setattr(job, "render_truth", rendering)
     with pytest.raises(InterruptedError):
         job.execute(experiment, tmp_path)

@@ -184,7 +184,7 @@ def test_each_method_reads_as_it_says_and_claims_leave_it_out() -> None:
 def test_the_bench_is_measured_once_for_all_readings(monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[int] = []
     monkeypatch.setattr(loop, "measure_bench", lambda *_: measured.append(1))
-    monkeypatch.setattr(loop, "calibrate_from", lambda _, side: side)
+    monkeypatch.setattr(loop, "bench_calibration", lambda _, __, side, measure: (measure(), side)[1])
     chosen = experiment("calibration=bench", "methods.random.reading_px=3")
     assert loop.calibrate_all(chosen) == {Known("bench", 1): 1, Known("bench", 3): 3}
     assert len(measured) == 1

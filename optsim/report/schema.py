@@ -272,6 +272,8 @@ class Results(TypedDict):
     command: str
     finished_utc: str
     versions: dict[str, str]
+    run_key: NotRequired[str]
+    exported_truth: NotRequired[bool]
     backend: str
     seeds: dict[str, int]
     timings: list[StageTime]
