@@ -107,7 +107,8 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     nominal = camera.model_copy(update={"relay": aligned})
     electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
     shape = (camera.panel_rows, camera.panel_cols)
-    exponent, white_rad = camera.modulator.drive_exponent, camera.modulator.white_rad(camera.wavelength_m)
+    exponent = camera.modulator.drive_exponent
+    white_rad = camera.modulator.stated_white_rad(camera.wavelength_m)
     return _known(
         "ideal",
         camera,

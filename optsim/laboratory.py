@@ -7,7 +7,9 @@ down the middle of the modulator for a tenth of a slot or a whole one: so the pa
 although the shutter only knows whole frames.
 
 What a real bench has and this one has not: an error of the source's scale or uniformity, drift, dust,
-vibration between the frames.
+vibration between the frames. Its irradiance scale is exact: all light that decoders tell is as wrong as a
+real one's. Of the panel it is told one number that it cannot measure, the retardance of white, by the data
+sheet (``modulator.stated_half_wave_m``), which may be wrong.
 """
 
 from __future__ import annotations
@@ -99,7 +101,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         if half >= _LEAST_GLARE_PX
         else (),
         steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
-        white_rad=camera.modulator.white_rad(camera.wavelength_m),
+        white_rad=camera.modulator.stated_white_rad(camera.wavelength_m),
         fields=tuple(lab.field(level, slot) for level in (_FIELD_LEVEL, 255) for slot in range(_FIELDS)),
     )
 

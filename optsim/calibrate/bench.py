@@ -144,7 +144,8 @@ class Bench:
         See the module's table.
     white_rad : float
         Retardance of level 255 in the bench's light, rad: pi times the wavelength at which the panel's data
-        sheet calls it a half wave, over the light's. An error in it goes into the grey curve's exponent.
+        sheet calls it a half wave, over the light's. An error in it goes into the grey curve's exponent and
+        the time constants.
     """
 
     FILES: ClassVar[tuple[str, ...]] = (
