@@ -179,8 +179,8 @@ def _execute(
         progress("laboratory", 1, 1)
     experiment.check_methods(known)
     with _stated(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
-        kept = keep_calibrations(experiment, folder, known)
         radiance = render_truth(experiment, backend=backend, progress=progress)
+    kept = keep_calibrations(experiment, folder, known)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
