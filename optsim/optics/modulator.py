@@ -52,7 +52,7 @@ class Modulator(Part):
         the same (dispersion of the crystal's birefringence is not modelled). 550 nm has no source.
     stated_half_wave_m : float or None
         ``half_wave_m`` as a data sheet tells it, which is all that a bench is told; None: the data sheet is
-        right. Where it is 2 % wrong the bench's weights of slots are 0.12 % off, rms, and 5 % make 0.31 %: the
+        right. Where it is 2 % wrong the bench's weights of slots are 0.12 % off, rms; 5 % make 0.31 %: the
         grey curve's exponent and ``tau_on_s``, 8 and 20 % off, take up the rest.
     drive_exponent : float
         Exponent of retardance against drive level: white times (level / 255) to this power.
