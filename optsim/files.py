@@ -218,10 +218,9 @@ def write_exr(
         "optsim": json.dumps(dict(attributes), allow_nan=False),
     }
     content = io.BytesIO()
-    with OpenEXR.File(header, cast("Any", out)) as stream:
-        # The binding takes UTF-8 paths only, and has errors of its own for a full disk.
+    with atomic(path) as temporary, OpenEXR.File(header, cast("Any", out)) as stream:
+        # Into memory: the binding takes UTF-8 paths only, and has errors of its own for a full disk.
         stream.write(cast("Any", content))
-    with atomic(path) as temporary:
         temporary.write_bytes(content.getbuffer())
 
 
