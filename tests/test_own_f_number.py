@@ -110,7 +110,7 @@ def test_exposures_are_the_fullest_pixel_s_with_leak_and_response(overlap: bool)
     full = CodedFrame(0, np.zeros((8, 8), np.uint16), ExposureCode(on, np.zeros((ROWS, COLS), np.bool_)))
     assert open_share([full], known) == pytest.approx(1, rel=0.05)
     slots = known.coded_slots
-    assert slots == (36 if overlap else 28)
+    assert slots == (36 if overlap else 35)  # 368 of 1440 rows are read out in a slot or so
     by_hand = (9 + (slots - 9) / camera.contrast) / slots
     # Rise and fall differ by what they differ in time constants: a tenth of a slot.
     assert open_share([frame(0, 3), frame(1, 9)], known) == pytest.approx(by_hand, rel=0.04)

@@ -135,7 +135,7 @@ def _read_out(calibration: Calibration, above_black_dn: Floats, rng: np.random.G
     electrons = rng.poisson(above_black_dn / calibration.dn_per_e)
     noisy = calibration.black_dn + electrons * calibration.dn_per_e
     noisy = noisy + rng.normal(0, calibration.read_noise_dn, noisy.shape)
-    shape = int(calibration.pick_row.max()) + 1, int(calibration.pick_col.max()) + 1
+    shape = calibration.ccd_shape
     dn = np.zeros(shape, np.uint16)
     dn[calibration.pick_row, calibration.pick_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
     return dn

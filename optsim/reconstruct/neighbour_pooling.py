@@ -20,8 +20,8 @@ _PASSES = 4
 _LEAST = 1e-30  # of variances, W^2 m^-4: divisions
 # Standard deviation of the window in which neighbours' differences are measured, pixels, and how much they
 # are guessed to be, over the light, to weigh one pair against another. Photographs of
-# `validation/static_hdr` change by 0.1 dB with twice the window, and by as much with a guess of 0.05 or 0.5.
-_WINDOW_PX = 1.0
+# `validation/static_hdr` change by 0.1 dB with half the window, and by as much with a guess of 0.05 or 0.5.
+_WINDOW_PX = 2.0
 _GUESS = 0.2
 # Standard deviations beyond which a difference is an edge, whatever the window says.
 _SURELY = 2.0
