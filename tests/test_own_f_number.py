@@ -162,8 +162,8 @@ def test_where_all_ask_for_the_shared_f_number_the_scores_are_those_of_a_run(
         same = ("method", "metric", "region", "phase", "n")
         assert [ours[key] for key in same] == [theirs[key] for key in same]
         # Others have a percent more light, by which a pixel that was dark before is short of one on for ever;
-        # the adaptive scheme's masks are then others, too. Noise is drawn anew: an rms over 24 x 32 pixels has a
-        # standard error of 2.5 %.
+        # the adaptive scheme's masks are then others, too. Noise is drawn anew: an rms over 24 x 32 pixels
+        # has a standard error of 2.5 %.
         rel = 0.05 if ours["method"] == "normal" else 0.2
         assert ours["value"] == pytest.approx(theirs["value"], rel=rel)
 
