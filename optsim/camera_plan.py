@@ -8,6 +8,9 @@ noise, for the scheme with the largest; systematic effects don't average out, so
 short cut is given an equal share of the tolerance and taken as far as that goes; what is left over goes to
 them in their order, those first that save most.
 
+Not planned is how many instants a slot of the truth has (``render.instants_per_slot``): how fast anything
+moves only a render tells. ``explain`` lists what one instant costs.
+
 The claim that what is skipped stays below the tolerance is measured in ``validation/skipping``.
 """
 

@@ -22,6 +22,9 @@ Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
+# Instants of a slot that are as good as any number, and what one makes of a grey and of a white bar, in a
+# frame's noise, under random exposures (tests/test_effects.py): n instants make it n times smaller, or more.
+FINE_INSTANTS, BAR_SIZES = 12, (0.06, 0.3)
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
@@ -89,6 +92,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "noise_e": plan.probes.noise_e if plan else None,
         "effects": [asdict(each) for each in found],
         "plan": plan_record(plan) if plan else None,
+        "not_planned": not_planned(1 if experiment.source else experiment.render.instants_per_slot),
     }
 
 
@@ -129,6 +133,18 @@ def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> li
         replace(size_of_defocus(probes, blur_px), what=what["depth_of_field"]),
         *(EffectSize(name, what[name], None if there else 0.0) for name, there in rendered.items()),
     ]
+
+
+def not_planned(instants_per_slot: int) -> str:
+    """Say what moves within an instant of the truth: how fast anything moves only a render tells."""
+    if instants_per_slot >= FINE_INSTANTS:
+        return ""
+    grey, white = (size / instants_per_slot for size in BAR_SIZES)
+    return (
+        f"not planned, since only a render tells how fast things move: with {instants_per_slot} truth instant"
+        f"{'s' * (instants_per_slot > 1)} a slot a bar that moves 3 pixels a slot errs by up to {grey:.2g} of "
+        f"a frame's noise where it is grey, {white:.2g} where it is white; raise render.instants_per_slot"
+    )
 
 
 def _unknown_last(each: EffectSize) -> tuple[bool, float]:
@@ -228,6 +244,7 @@ def show(record: dict[str, Any]) -> list[object]:
     items += _density_tables(record["densities"])
     if record["plan"]:
         items += _what_matters(record)
+        items += [record["not_planned"]] if record["not_planned"] else []
     else:
         items.append(f"the geometry does not fit, so this experiment cannot be run: {record['misfit']}")
     return items

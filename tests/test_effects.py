@@ -11,15 +11,16 @@ from rich.console import Console
 from scipy.ndimage import shift
 
 from optsim.coding import HdrMosaic
+from optsim.coding.tiles import TiledCode
 from optsim.effect_sizes import effect_sizes, size_of, size_of_defocus
 from optsim.effects import ALL, STATES, changed, switched, with_effects
 from optsim.errors import ConfigError
 from optsim.experiment import load_experiment
-from optsim.explain import explanation, scene_effects, show
+from optsim.explain import explanation, not_planned, scene_effects, show
 from optsim.hardware import demo, imx174, prototype
 from optsim.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probes, near_probe, shrunk
 from optsim.probe.made_scene import made_scene
-from optsim.quantities import Block, ExposureCode, Segment
+from optsim.quantities import Block, ExposureCode, IrradianceVideo, Segment
 from optsim.scene import BrightLight
 from optsim.scene.footage import still
 
@@ -476,3 +477,50 @@ def test_a_drift_that_moves_the_image_is_as_large_on_the_probe_as_on_the_camera(
     size = whole.change_e({"relay": {key: value}}, {}, "hdr_mosaic") / whole.noise_e("hdr_mosaic")[0]
     # Patches and borders lie otherwise in fewer pixels.
     assert of_probe == pytest.approx(size, rel=0.35)
+
+
+def bar_that_crosses(camera, light, dark, px_per_slot, instants):
+    """A bar of 8 pixels over an even ground, W m^-2; each instant is the mean of what it lasts."""
+    view, fine = camera.view, 12
+    ground = np.full((view.rows, view.cols), dark, np.float32)
+
+    def load(slot):
+        left = (slot + (np.arange(fine) + 0.5)[:, None] / fine) * px_per_slot * view.samples_per_pitch
+        on_bar = (np.arange(view.cols) + 0.5 - left) % view.cols < 8 * view.samples_per_pitch
+        share = on_bar.reshape(instants, -1, 1, view.cols).mean(axis=1)
+        excess = np.repeat(share * (light - dark), view.rows, axis=1).astype(np.float32)
+        return Segment(ground, ground, (Block(0, 0, excess),), instants)
+
+    return IrradianceVideo(
+        view.rows, view.cols, view.samples_per_pitch, camera.slot_s, instants, 1, camera.slots_per_frame, load
+    )
+
+
+def test_one_truth_instant_a_slot_errs_by_what_explain_says():
+    camera = changed(shrunk(demo()), PLAIN)
+    rng = np.random.default_rng(36)
+    tiles = SCHEMES["random"].tiles(36, 36, rng)
+    shape = camera.panel_rows, camera.panel_cols
+    code = ExposureCode(TiledCode(tiles, shape).levels(0), np.ones(shape, np.bool_))
+    electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a frame"]
+    # What fills 0.8 of the well under all-on counts as white.
+    white = 0.8 * camera.sensor.most_e * camera.irradiance_per_radiance / electrons
+
+    def frame(bar, speed, instants):
+        light = bar_that_crosses(camera, bar * white, 0.05 * white, speed, instants)
+        return camera.expected_electrons(light, 0, code, None)[0][8:-8, 8:-8]
+
+    def error(bar, speed, instants):
+        fine = frame(bar, speed, 12)
+        noise = np.sqrt(fine.mean() + camera.sensor.dark_noise_e**2)
+        return np.sqrt(np.mean((frame(bar, speed, instants) - fine) ** 2)) / noise
+
+    assert error(0.18, 3, 1) == pytest.approx(0.06, abs=0.02)
+    assert error(1.0, 3, 1) == pytest.approx(0.3, abs=0.05)
+    assert error(1.0, 1, 1) < error(1.0, 3, 1)
+    assert error(1.0, 3, 4) < 0.3 / 4
+    for instants, sizes in ((1, "0.06 of a frame's noise where it is grey, 0.3 where"), (3, "0.02 of")):
+        assert sizes in not_planned(instants)
+    found = explanation("demo", [])
+    assert not_planned(1) in " ".join(shown(found).split())
+    assert explanation("demo", ["render.instants_per_slot=12"])["not_planned"] == not_planned(12) == ""
