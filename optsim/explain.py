@@ -142,8 +142,8 @@ def not_planned(instants_per_slot: int) -> str:
     grey, white = (size / instants_per_slot for size in BAR_SIZES)
     return (
         f"not planned, since only a render tells how fast things move: with {instants_per_slot} truth instant"
-        f"{'s' * (instants_per_slot > 1)} a slot a bar that moves 3 pixels a slot errs by up to {grey:.2g} of "
-        f"a frame's noise where it is grey, {white:.2g} where it is white; raise render.instants_per_slot"
+        f"{'s' * (instants_per_slot > 1)} a slot a bar that moves 3 pixels a slot errs by up to {grey:.2g} "
+        f"of a frame's noise where it is grey, {white:.2g} where it is white; raise render.instants_per_slot"
     )
 
 
