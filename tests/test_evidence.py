@@ -23,27 +23,45 @@ def twice(x: float) -> float:
 '''
 
 
+OTHER = """
+from optsim.before import given
+
+
+def half(x: float) -> float:
+    return given(x)
+"""
+
+
+def hash_of_modules(folder: Path, monkeypatch: pytest.MonkeyPatch, **modules: str) -> str:
+    (folder / "optsim").mkdir(parents=True)
+    monkeypatch.setattr(evidence, "_PACKAGE", folder / "optsim")
+    for name, text in modules.items():
+        (folder / "optsim" / f"{name}.py").write_text(text, encoding="utf-8")
+    return evidence.hash_code(["optsim/*.py"])
+
+
 @pytest.mark.parametrize(
-    ("changed", "same"),
+    ("modules", "same"),
     [
-        (REWORDED, True),
-        (CODE.replace("2 * x", "3 * x"), False),
-        (CODE.replace("twice", "double"), False),
-        (CODE.replace("return", "'text'\n    return"), False),
+        ({"one": REWORDED, "other": OTHER}, True),
+        # Moved: to another module, to another place, or with what it imports.
+        ({"moved": CODE, "other": OTHER}, True),
+        ({"whole": CODE + OTHER}, True),
+        ({"whole": OTHER + CODE.partition("\n")[2]}, True),
+        ({"one": CODE, "other": OTHER.replace("optsim.before", "optsim.after")}, True),
+        ({"one": CODE.replace("2 * x", "3 * x"), "other": OTHER}, False),
+        ({"one": CODE.replace("twice", "double"), "other": OTHER}, False),
+        ({"one": CODE.replace("return", "'text'\n    return"), "other": OTHER}, False),
+        ({"one": CODE, "other": OTHER.replace("import given", "import taken as given")}, False),
+        ({"one": CODE}, False),
     ],
 )
-def test_a_record_survives_new_prose_and_no_new_code(
-    changed: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_record_survives_moves_and_prose_but_no_new_code(
+    modules: dict[str, str], same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evidence, "_PACKAGE", tmp_path / "optsim")
-    for folder, text in (("before", CODE), ("after", changed)):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "file.py").write_text(text, encoding="utf-8")
-    hashes = []
-    for folder in ("before", "after"):
-        (tmp_path / "optsim").mkdir(exist_ok=True)
-        (tmp_path / "optsim" / "file.py").write_text((tmp_path / folder / "file.py").read_text())
-        evidence._code_of.cache_clear()
-        hashes.append(evidence.hash_code(["optsim/*.py"]))
-    assert (hashes[0] == hashes[1]) == same
-    assert evidence.hash_files(["before/*.py"]) != evidence.hash_files(["after/*.py"])
+    before = hash_of_modules(tmp_path / "before", monkeypatch, one=CODE, other=OTHER)
+    assert (hash_of_modules(tmp_path / "after", monkeypatch, **modules) == before) == same
+
+
+def test_what_is_nowhere_has_no_hash_of_code() -> None:
+    assert evidence.hash_code(["optsim/nowhere/*.py"]) == "missing"
