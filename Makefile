@@ -36,7 +36,7 @@ figure4: setup ## all schemes on the same scenes, as the paper's figure 4; write
 imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
 	$(BIN)/python validation/imperfections.py
 
-validate: setup ## is the model true of the world? (long; rewrites optsim/evidence.json)
+validate: setup ## is the model true of the world? (long; rewrites optsim/experiment/evidence.json)
 	@$(BIN)/python validation/environments.py >/dev/null # first what needs a network
 	$(BIN)/optsim validate --write
 

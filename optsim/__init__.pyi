@@ -1,7 +1,7 @@
-from .experiment import load_experiment
-from .loop import run
-from .scoring import score
-from .truth import render_truth
+from .experiment.experiment import load_experiment
+from .experiment.loop import run
+from .experiment.scoring import score
+from .experiment.truth import render_truth
 
 __version__: str
 __all__ = ["__version__", "load_experiment", "render_truth", "run", "score"]

@@ -1,5 +1,5 @@
 """``python -m optsim`` is the command line."""
 
-from optsim.cli import main
+from optsim.app.cli import main
 
 main()

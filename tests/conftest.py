@@ -10,7 +10,7 @@ import pytest
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from optsim import loop
+from optsim.experiment import loop
 
 
 @pytest.fixture(autouse=True, scope="session")

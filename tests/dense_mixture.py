@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from optsim.reconstruct.mixture import Mixture
-from optsim.reconstruct.posterior import posterior, seen_through
-from optsim.reconstruct.posterior_spread import Spread
+from optsim.decoding.mixture.posterior import posterior, seen_through
+from optsim.decoding.mixture.posterior_spread import Spread
+from optsim.priors.mixture import Mixture
 
 
 def some_mixture(rng, k=3, r=6, patch=3, slots=5, rest=0.01):

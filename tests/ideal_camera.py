@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from optsim.calibrate.calibration import Calibration
-from optsim.forward.panel import PanelResponse
-from optsim.quantities import CodedFrame, ExposureCode, Floats, PanelState
+from optsim.calibration.calibration import Calibration
+from optsim.core.quantities import CodedFrame, ExposureCode, Floats, PanelState
+from optsim.optics.panel import PanelResponse
 
 SLOTS = 36
 BLACK_DN = 64.0

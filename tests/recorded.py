@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optsim.cache import Cache
-from optsim.config import build
-from optsim.quantities import Timing, View
-from optsim.scene import FootageSource, FootageTruth, open_footage
+from optsim.core.cache import Cache
+from optsim.core.config import build
+from optsim.core.quantities import Timing, View
+from optsim.footage import FootageSource, FootageTruth, open_footage
 
 ROWS, COLS, N = 6, 9, 8
 VIEW = View(ROWS, COLS, 3, 0.3)

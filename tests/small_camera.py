@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from optsim.camera import CodedCamera
-from optsim.hardware import prototype
-from optsim.quantities import ExposureCode, Floats, RadianceVideo, Segment
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import prototype
+from optsim.core.quantities import ExposureCode, Floats, RadianceVideo, Segment
 
 
 def small(**changes: object) -> CodedCamera:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from optsim.experiment import Experiment
-from optsim.quantities import RadianceVideo
-from optsim.scene.footage import footage
+from optsim.core.quantities import RadianceVideo
+from optsim.experiment.experiment import Experiment
+from optsim.footage.made import footage
 
 SMALL = [
     "n_frames=1",

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.special import erf
 
-from optsim.calibrate import Bench, Flat, Patches, Step
+from optsim.calibration import Bench, Flat, Patches, Step
 
 
 def _smooth_box(x: np.ndarray, width: float, sigma: float) -> np.ndarray:

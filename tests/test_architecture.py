@@ -9,115 +9,43 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "optsim"
 
-BASE = {
-    "errors",
-    "config",
-    "descriptions",
-    "units",
-    "problems",
-    "quantities",
-    "files",
-    "progress",
-    "cache",
-    "claims",
-    "foreign",
-}
-
-# Room or module -> what it may import besides BASE. A room that is not listed here is a failure.
-ALLOWED: dict[str, set[str]] = {
-    **{name: set() for name in BASE},
-    "forward": set(),
-    "scene": set(),
-    "render": {"forward", "scene"},
-    "optics": {"forward"},
-    "sensor": {"forward"},
-    "geometry": {"forward"},
-    "known_calibration": {"forward", "camera", "calibrate", "knowledge"},
-    "ledger": {"forward", "optics", "sensor"},
-    "camera": {"forward", "optics", "sensor", "geometry", "ledger"},
-    "origins": {"forward", "camera", "report"},
-    "effects": {"camera"},
-    "camera_table": {"camera", "effects", "hardware", "sensor"},
-    "probe": {"forward", "camera", "coding", "effects", "optics", "scene"},
-    "effect_sizes": {"forward", "effects", "probe"},
-    "camera_plan": {"forward", "camera", "effects", "optics", "probe"},
-    "focus": {"forward", "camera", "render", "scene"},
-    "hardware": {"optics", "sensor", "camera", "forward"},
-    "calibrate": {"forward", "knowledge"},
-    "laboratory": {"forward", "camera", "calibrate"},
-    "coding": {"forward", "calibrate"},
-    "reconstruct": {"forward", "calibrate"},
-    "metrics": {"forward"},
-    "report": {"metrics"},
-    "run_frames": set(),
-    "evidence": set(),
-    "knowledge": set(),
-    "bench_calibration": {"calibrate", "camera", "evidence"},
-    "doctor": {"render", "scene"},
-}
-# The top of the building: may import any room, and only each other.
-TOP = {
-    "gallery",
-    "presets",
-    "__main__",
+# The rooms of the house, lowest first: each may import those before it, never one after it.
+LAYERS = (
+    "core",
+    "optics",
+    "scene",
+    "footage",
+    "render",
+    "calibration",
+    "coding",
+    "priors",
+    "decoding",
+    "camera",
+    "metrics",
+    "report",
     "experiment",
-    "truth",
-    "densities",
-    "journal",
-    "finished",
-    "loop",
-    "object_masks",
-    "own_f_number",
-    "job",
-    "passes",
-    "scoring",
-    "explain",
-    "train",
-    "imported_clips",
-    "run_calibrations",
-    "cli",
-    "cli_errors",
-    "cli_groups",
-    "cli_measure",
-    "cli_options",
-    "cli_reconstruct",
-    "cli_train",
-    "measurement",
-    "trace",
-    "benchmark",
-    "stopwatch",
-    "console",
-    "catalogue",
-    "experiment_schema",
+    "dataset",
+    "study",
+    "presets",
+    "app",
+    "__main__",
+)
+# What a room may not import although it lies lower. The truth wall: schemes and decoders lie below the
+# camera, so that they can't see its true parameters, and know neither scene nor renderer.
+TRUTH = {"scene", "footage", "render"}
+WALLS: dict[str, set[str]] = {
+    "calibration": TRUTH,
+    "coding": TRUTH,
+    "priors": TRUTH,
+    "decoding": TRUTH,
+    "metrics": {*TRUTH, "camera", "calibration", "coding", "priors", "decoding"},
+    "report": {*TRUTH, "camera", "calibration", "coding", "priors", "decoding"},
+    "camera": {"render"},
 }
-
 # Rooms of variants (files that define a class with a ``kind``): these don't import each other. A wrapper is
 # made of others and may.
-ROOMS_OF_VARIANTS = ("coding", "reconstruct", "optics", "metrics", "sensor")
-WRAPPERS = {"coding.motion_adaptive", "reconstruct.union"}
-# The truth wall: what must never see a true parameter, a scene or a renderer.
-BEHIND_THE_WALL = {"coding", "reconstruct", "calibrate"}
-TRUTH = {
-    "camera",
-    "ledger",
-    "geometry",
-    "known_calibration",
-    "laboratory",
-    "bench_calibration",
-    "origins",
-    "effects",
-    "effect_sizes",
-    "focus",
-    "probe",
-    "camera_plan",
-    "optics",
-    "sensor",
-    "hardware",
-    "scene",
-    "render",
-    "loop",
-    "truth",
-}
+ROOMS_OF_VARIANTS = ("coding", "decoding", "camera/parts", "metrics")
+WRAPPERS = {"coding.motion_adaptive", "decoding.union"}
 
 
 def imports(path: Path) -> set[str]:
@@ -146,13 +74,23 @@ def room(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+def module(path: Path) -> str:
+    return ".".join(["optsim", *path.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
+
+
+def test_every_room_has_its_layer() -> None:
+    assert {room(path) for path in FILES} == set(LAYERS)
+
+
+def test_no_module_lies_at_the_top() -> None:
+    assert {p.name for p in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_follow_the_table(path: Path) -> None:
+def test_imports_go_down_and_through_no_wall(path: Path) -> None:
     here = room(path)
-    if here in TOP:
-        return
-    assert here in ALLOWED, f"{here} has no row in the import table"
-    extra = rooms_of(imports(path)) - ALLOWED[here] - BASE - {here}
+    lower = set(LAYERS[: LAYERS.index(here) + 1]) - WALLS.get(here, set())
+    extra = rooms_of(imports(path)) - lower
     assert not extra, f"{path.name} may not import {sorted(extra)}"
 
 
@@ -162,23 +100,43 @@ def test_only_render_knows_mitsuba(path: Path) -> None:
         assert not {n.split(".")[0] for n in imports(path)} & {"mitsuba", "drjit"}
 
 
-def test_truth_wall_is_in_the_table() -> None:
-    for behind in BEHIND_THE_WALL:
-        assert not ALLOWED[behind] & TRUTH
+def circles(graph: dict[str, set[str]]) -> set[str]:
+    """What is left of a graph when everything whose imports are done has been taken out, both ways."""
+    left = dict(graph)
+    while free := {name for name, targets in left.items() if not targets & left.keys()}:
+        left = {name: targets for name, targets in left.items() if name not in free}
+    while free := left.keys() - set().union(*left.values()):
+        left = {name: targets for name, targets in left.items() if name not in free}
+    return set(left)
+
+
+def test_no_circles_between_modules() -> None:
+    """Imports inside functions count, too."""
+    modules = {module(path): path for path in FILES}
+    graph = {
+        name: {n if n in modules else n.rpartition(".")[0] for n in imports(path)} & modules.keys()
+        for name, path in modules.items()
+    }
+    assert not circles(graph)
+
+
+def test_the_circle_check_sees_circles() -> None:
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}
+    assert circles(graph) == {"b", "c"}
 
 
 def test_the_resolver_sees_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A check that cannot fail is no check: relative, aliased and package-level imports are all caught."""
     monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
-    for name in ("camera.py", "reconstruct"):
-        (tmp_path / name).mkdir() if "." not in name else (tmp_path / name).touch()
+    for name in ("camera", "decoding"):
+        (tmp_path / name).mkdir()
     for text in (
         "from ..camera import X",
         "from optsim import camera",
         "import optsim.camera as c",
         "from .. import camera",
     ):
-        sneaky = tmp_path / "reconstruct" / "sneaky.py"
+        sneaky = tmp_path / "decoding" / "sneaky.py"
         sneaky.write_text(text)
         assert rooms_of(imports(sneaky)) == {"camera"}, text
 
@@ -193,25 +151,18 @@ def is_variant(path: Path) -> bool:
 
 @pytest.mark.parametrize("name", ROOMS_OF_VARIANTS)
 def test_siblings_do_not_know_each_other(name: str) -> None:
-    variants = {f"{name}.{p.stem}": p for p in (PACKAGE / name).glob("*.py") if is_variant(p)}
-    for module, path in variants.items():
-        if module not in WRAPPERS:
+    dotted = name.replace("/", ".")
+    variants = {f"{dotted}.{p.stem}": p for p in (PACKAGE / name).glob("*.py") if is_variant(p)}
+    for sibling, path in variants.items():
+        if sibling not in WRAPPERS:
             known = {n.removeprefix("optsim.") for n in imports(path)}
-            assert not [s for s in variants if s != module and any(k.startswith(s) for k in known)], module
+            others = [s for s in variants if s != sibling and any(k.startswith(s) for k in known)]
+            assert not others, sibling
 
 
 def test_the_sibling_check_sees_the_variants() -> None:
     found = {p.stem for room_ in ROOMS_OF_VARIANTS for p in (PACKAGE / room_).glob("*.py") if is_variant(p)}
     assert found >= {"hdr_mosaic", "random_exposure", "normal_photography", "hdr_merge", "sparse_coding"}
-
-
-def test_no_circles_between_rooms() -> None:
-    edges = {r: {x for x in targets if x in ALLOWED} for r, targets in ALLOWED.items()}
-    done: set[str] = set()
-    while len(done) < len(edges):
-        free = {r for r, targets in edges.items() if r not in done and targets <= done}
-        assert free, f"a circle among {sorted(set(edges) - done)}"
-        done |= free
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
@@ -220,11 +171,7 @@ def test_files_stay_small(path: Path) -> None:
 
 
 def test_every_room_runs_without_the_renderer() -> None:
-    modules = [
-        ".".join(["optsim", *p.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
-        for p in FILES
-        if room(p) not in {"render", "__main__"}
-    ]
+    modules = [module(p) for p in FILES if room(p) not in {"render", "__main__"}]
     program = (
         "import sys, importlib\n"
         "sys.modules['mitsuba'] = None; sys.modules['drjit'] = None\n"
@@ -245,11 +192,11 @@ def imported(program: str, heavy: set[str]) -> list[str]:
 def test_help_is_quick_to_import() -> None:
     """The command line imports no heavy library until a command needs it."""
     heavy = {"numba", "mitsuba", "colour", "skimage", "scipy", "OpenEXR", "trimesh", "jinja2"}
-    assert imported("import optsim.cli", heavy) == []
+    assert imported("import optsim.app.cli", heavy) == []
 
 
 def test_explain_compiles_nothing_and_needs_no_renderer() -> None:
     """Plan and effects come from small cameras: to load a compiled loop would take longer."""
-    program = "from optsim.explain import explanation\nexplanation('demo', [])\n"
+    program = "from optsim.experiment.explain import explanation\nexplanation('demo', [])\n"
     heavy = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "trimesh", "jinja2"}
     assert imported(program, heavy) == []

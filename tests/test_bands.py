@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from small_experiment import SMALL
 
-from optsim.errors import ConfigError, StorageError
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_exr, read_json
-from optsim.passes import Extras, choose_extras, export_passes
-from optsim.quantities import View
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import read_exr, read_json
+from optsim.core.quantities import View
+from optsim.dataset import Extras, choose_extras, export_passes
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.truth import chosen_scene, describe_truth
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import Scene, load_scene
-from optsim.truth import chosen_scene, describe_truth
 
 BANDS = """
 bands = [

@@ -4,20 +4,19 @@ import numpy as np
 import pytest
 from ideal_camera import ideal_calibration
 
-from optsim import benchmark
-from optsim.benchmark import capture, gmm, made_film, photographs, quality
-from optsim.benchmark.axes import Axes, even_numbers, round_numbers
-from optsim.benchmark.curve import time_against_error
-from optsim.benchmark.render import _Point, _Reference, _seconds_for
-from optsim.calibrate.sample import take
-from optsim.effects import changed
-from optsim.errors import ConfigError
-from optsim.forward import moving_blur
-from optsim.hardware import demo
-from optsim.optics.objective import MOVING_WING_SHARE
-from optsim.progress import silent
-from optsim.quantities import ExposureCode
-from optsim.reconstruct import (
+import benchmarks as benchmark
+from benchmarks import capture, gmm, made_film, photographs, quality
+from benchmarks.axes import Axes, even_numbers, round_numbers
+from benchmarks.curve import time_against_error
+from benchmarks.render import _Point, _Reference, _seconds_for
+from optsim.calibration.sample import take
+from optsim.camera.effects import changed
+from optsim.camera.hardware import demo
+from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.core.errors import ConfigError
+from optsim.core.progress import silent
+from optsim.core.quantities import ExposureCode
+from optsim.decoding import (
     ALL,
     Average,
     GaussianMixture,
@@ -27,8 +26,9 @@ from optsim.reconstruct import (
     SparseCoding,
     Union,
 )
+from optsim.experiment.train import training_textures
+from optsim.optics import moving_blur
 from optsim.scene.textures import PHOTOGRAPHS
-from optsim.train import training_textures
 
 
 def record(name="render.x", curve=()):

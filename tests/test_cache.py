@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optsim.cache import Cache, hash_of
-from optsim.errors import ConfigError, StorageError
+from optsim.core.cache import Cache, hash_of
+from optsim.core.errors import ConfigError, StorageError
 
 
 def entry(size: int = 10) -> dict[str, np.ndarray]:
@@ -46,7 +46,7 @@ def test_an_interrupted_write_leaves_no_entry(tmp_path):
 def elsewhere(folder, program: str) -> subprocess.Popen:
     """Another process that does something with a cache, by the names ``cache`` and ``entry``."""
     start = (
-        "import sys, numpy as np\nfrom pathlib import Path\nfrom optsim.cache import Cache\n"
+        "import sys, numpy as np\nfrom pathlib import Path\nfrom optsim.core.cache import Cache\n"
         "cache = Cache(Path(sys.argv[1]))\nentry = lambda: {'light': np.arange(1000, dtype=np.float32)}\n"
     )
     return subprocess.Popen(

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_bench import Camera
 
-from optsim.calibrate import Bench, Calibration, Glare, calibrate_from
-from optsim.calibrate.pixel_map import map_pixels
-from optsim.errors import BenchError, ValueCheckError
-from optsim.quantities import CodedFrame, ExposureCode
+from optsim.calibration import Bench, Calibration, Glare, calibrate_from
+from optsim.calibration.pixel_map import map_pixels
+from optsim.core.errors import BenchError, ValueCheckError
+from optsim.core.quantities import CodedFrame, ExposureCode
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def test_spreading_gathers_and_keeps_uniform_light(
 ) -> None:
     from scipy.ndimage import correlate
 
-    monkeypatch.setattr("optsim.calibrate.calibration._FEW_PIXELS", few_pixels)
+    monkeypatch.setattr("optsim.calibration.calibration._FEW_PIXELS", few_pixels)
     rng = np.random.default_rng(1)
     skew = rng.random((3, 3)).astype(np.float32)
     skew /= skew.sum()

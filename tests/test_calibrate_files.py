@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_bench import Camera
 
-from optsim.calibrate import Bench, Flat, Patches, calibrate_from
-from optsim.errors import BenchError
-from optsim.files import write_png16
+from optsim.calibration import Bench, Flat, Patches, calibrate_from
+from optsim.core.errors import BenchError
+from optsim.core.files import write_png16
 
 
 @pytest.fixture(scope="module")

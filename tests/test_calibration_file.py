@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from ideal_camera import ideal_calibration
 
-from optsim.calibrate import Calibration, Glare, read_calibration, write_calibration
-from optsim.calibrate.stored import calibration_arrays, calibration_of
-from optsim.errors import StorageError, ValueCheckError
-from optsim.quantities import CodedFrame, ExposureCode
+from optsim.calibration import Calibration, Glare, read_calibration, write_calibration
+from optsim.calibration.stored import calibration_arrays, calibration_of
+from optsim.core.errors import StorageError, ValueCheckError
+from optsim.core.quantities import CodedFrame, ExposureCode
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from optsim.camera import CodedCamera
-from optsim.errors import ConfigError, GeometryError, ValueCheckError
-from optsim.hardware import ALL, demo, prototype
-from optsim.known_calibration import ideal_calibration, true_calibration
-from optsim.quantities import ExposureCode, PanelState
-from optsim.scene.footage import still
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import ALL, demo, prototype
+from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.core.errors import ConfigError, GeometryError, ValueCheckError
+from optsim.core.quantities import ExposureCode, PanelState
+from optsim.footage.made import still
 
 V, U = 24, 32
 

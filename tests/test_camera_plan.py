@@ -5,27 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optsim.camera_plan import SHORT_CUTS, Coarser, plan_camera
-from optsim.coding import (
-    FlutterShutter,
-    HdrMosaic,
-    MotionAdaptive,
-    NormalPhotography,
-    RandomBinary,
-    RandomExposure,
-    ShutterGrid,
-)
-from optsim.effect_sizes import effect_sizes
-from optsim.effects import ALL, changed, switched, with_effects
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.explain import plan_record
-from optsim.forward.relay import RelayOperator
-from optsim.hardware import demo, prototype
-from optsim.loop import planned
-from optsim.optics import Modulator, Objective
-from optsim.optics.objective import MOVING_WING_SHARE
-from optsim.probe import (
+from optsim.camera.effect_sizes import effect_sizes
+from optsim.camera.effects import ALL, changed, switched, with_effects
+from optsim.camera.hardware import demo, prototype
+from optsim.camera.parts import Modulator, Objective
+from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.plan import SHORT_CUTS, Coarser, plan_camera
+from optsim.camera.probe import (
     NOTHING,
     PLAIN,
     Illumination,
@@ -37,10 +23,24 @@ from optsim.probe import (
     near_probe,
     shrunk,
 )
-from optsim.probe.made_code import made_code, telling
-from optsim.probe.made_scene import made_scene
+from optsim.camera.probe.made_code import made_code, telling
+from optsim.camera.probe.made_scene import made_scene
+from optsim.coding import (
+    FlutterShutter,
+    HdrMosaic,
+    MotionAdaptive,
+    NormalPhotography,
+    RandomBinary,
+    RandomExposure,
+    ShutterGrid,
+)
+from optsim.core.errors import ConfigError
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import plan_record
+from optsim.experiment.loop import planned
+from optsim.experiment.truth import illumination
+from optsim.optics.relay import RelayOperator
 from optsim.scene import BrightLight, bright_lights, load_scene
-from optsim.truth import illumination
 
 ROOM = Illumination(0.1, 90.0, 0.8)
 WINDOW = Illumination(0.1, 90.0, 0.8, (BrightLight(25.0, 0.07),))
@@ -377,7 +377,7 @@ def test_a_probe_makes_one_image_for_all_errors_that_have_as_many_nodes(monkeypa
     monkeypatch.setattr(type(probe.camera), "panel_energy", panel_energy)
     operators = []
     monkeypatch.setattr(
-        "optsim.forward.relay.RelayOperator.apply",
+        "optsim.optics.relay.RelayOperator.apply",
         lambda operator, image, real=RelayOperator.apply: operators.append(1) or real(operator, image),
     )
     errors = (0.02, 0.0199, 0.005, 0.1)

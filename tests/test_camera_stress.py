@@ -6,16 +6,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.signal import convolve2d
 
-from optsim.camera import CodedCamera
-from optsim.config import build
-from optsim.effects import ALL, STATES, with_effects
-from optsim.errors import ConfigError, GeometryError
-from optsim.forward.panel import WEIGHT_ERROR
-from optsim.forward.radiometry import photons_per_joule
-from optsim.hardware import demo, icx674, imx174
-from optsim.optics import Modulator, Splitter, throughput
-from optsim.optics.objective import MOVING_WING_SHARE
-from optsim.quantities import Block, ExposureCode, IrradianceVideo, Segment, made_radiance
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import ALL, STATES, with_effects
+from optsim.camera.hardware import demo, icx674, imx174
+from optsim.camera.parts import Modulator, Splitter, throughput
+from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.core.config import build
+from optsim.core.errors import ConfigError, GeometryError
+from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, Segment, made_radiance
+from optsim.optics.panel import WEIGHT_ERROR
+from optsim.optics.radiometry import photons_per_joule
 
 # What is linear and not negative may fall below zero by the rounding of transforms: of the brightest light.
 ROUNDING = 1e-14

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optsim.cache import Cache
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
 from optsim.render.carried import Key, between, filled, seen_at

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optsim.camera import CodedCamera
-from optsim.forward.aberrations import Wavefront
-from optsim.hardware import demo
-from optsim.optics.chain import stage_transmissions
-from optsim.quantities import ExposureCode, Segment, made_radiance
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import demo
+from optsim.camera.parts.chain import stage_transmissions
+from optsim.core.quantities import ExposureCode, Segment, made_radiance
+from optsim.optics.aberrations import Wavefront
 
 V, U, SLOTS, CODED, N_SUB = 6, 8, 8, 6, 4
 MARGIN = 4  # CCD pixels around the panel's image

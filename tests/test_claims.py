@@ -9,17 +9,17 @@ import pytest
 from small_experiment import SMALL
 from typer.testing import CliRunner
 
-from optsim import claims
-from optsim.claims import claimed, claimed_empty, claimed_file, free_folder, output_folder
-from optsim.cli import app
-from optsim.errors import StorageError
-from optsim.files import write_new_text
+from optsim.app.cli import app
+from optsim.core import folder_claims as claims
+from optsim.core.errors import StorageError
+from optsim.core.files import write_new_text
+from optsim.core.folder_claims import claimed, claimed_empty, claimed_file, free_folder, output_folder
 
 
 def holder(place: Path) -> subprocess.Popen:
     """A process that holds a folder until it is told to go, or is killed."""
     program = (
-        "import sys\nfrom pathlib import Path\nfrom optsim.claims import claimed\n"
+        "import sys\nfrom pathlib import Path\nfrom optsim.core.folder_claims import claimed\n"
         "with claimed(Path(sys.argv[1])): print('held', flush=True); input()"
     )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
@@ -130,7 +130,7 @@ def test_a_new_file_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     def full(*_: object) -> None:
         raise StorageError("no space")
 
-    monkeypatch.setattr("optsim.files.write_text", full)
+    monkeypatch.setattr("optsim.core.files.write_text", full)
     with pytest.raises(StorageError, match="no space"):
         write_new_text(tmp_path / "b.toml", "mine")
     assert not (tmp_path / "b.toml").exists()

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from optsim.camera_plan import SHORT_CUTS
-from optsim.cli import main
-from optsim.experiment import load_experiment
-from optsim.explain import explanation, show
+from optsim.app.cli import main
+from optsim.camera.plan import SHORT_CUTS
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation, show
 
 
 def optsim(
@@ -121,7 +121,7 @@ def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch:
     def planning(*_: object) -> None:
         pytest.fail("took pictures with a camera of 23 GB")
 
-    monkeypatch.setattr("optsim.camera_plan.plan_camera", planning)
+    monkeypatch.setattr("optsim.camera.plan.plan_camera", planning)
     found = explanation("demo", ["camera.relay.magnification=100"])
     assert not found["geometry"]["fits"]
     assert found["plan"] is None
@@ -223,7 +223,7 @@ def test_version_and_interruption() -> None:
 
 
 def test_interruption_is_a_clean_message(cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    from optsim import job
+    from optsim.experiment import job
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -7,10 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from optsim.cli_errors import guarded
-from optsim.config import override, read_toml
-from optsim.errors import ConfigError, StorageError
-from optsim.files import read_exr, read_json, write_exr, write_text
+from optsim.app.error_net import guarded
+from optsim.core.config import override, read_toml
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import read_exr, read_json, write_exr, write_text
 
 
 def raising(error):
@@ -36,7 +36,7 @@ def raising(error):
 )
 def test_one_line_says_what_stopped_it(error, said, capsys, monkeypatch):
     monkeypatch.delenv("OPTSIM_DEBUG", raising=False)
-    monkeypatch.setattr("optsim.cli_errors._leave_stdout", lambda: None)
+    monkeypatch.setattr("optsim.app.error_net._leave_stdout", lambda: None)
     assert guarded(raising(error)) == 2
     shown = capsys.readouterr().err
     assert said in shown
@@ -81,8 +81,8 @@ def test_images_that_fill_a_disk_are_named(tmp_path):
     """By another process, whose files may have 2000 bytes."""
     program = (
         "import resource, sys, numpy as np\nfrom pathlib import Path\n"
-        "from optsim.errors import StorageError\n"
-        "from optsim.files import write_exr, write_json, write_png16\n"
+        "from optsim.core.errors import StorageError\n"
+        "from optsim.core.files import write_exr, write_json, write_png16\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
         "big = np.random.default_rng(0).integers(0, 65536, (64, 64)).astype(np.uint16)\n"
         "for write in (lambda p: write_exr(p, {'Y': big.astype(np.float32)}, attributes={}),\n"

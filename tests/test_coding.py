@@ -23,9 +23,9 @@ from optsim.coding import (
 )
 from optsim.coding.flutter_shutter import flutter_code
 from optsim.coding.leaves import LEAVES, AnyLeaf
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.forward.neighbourhoods import grown
+from optsim.core.errors import ConfigError
+from optsim.experiment.experiment import load_experiment
+from optsim.optics.neighbourhoods import grown
 
 ROWS, COLS = 24, 32
 # Chops published by Raskar, Agrawal and Tumblin (2006).

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from optsim.config import Part, build, override, read_toml
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.experiment_schema import experiment_schema
-from optsim.hardware import icx674, imx174, sources
-from optsim.units import parse_quantity, units_of
+from optsim.camera.hardware import icx674, imx174, sources
+from optsim.core.config import Part, build, override, read_toml
+from optsim.core.errors import ConfigError
+from optsim.core.units import parse_quantity, units_of
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.schema import experiment_schema
 
 
 class Lens(Part):

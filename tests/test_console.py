@@ -2,7 +2,7 @@
 
 import pytest
 
-from optsim import console
+from optsim.core import console
 
 
 @pytest.fixture

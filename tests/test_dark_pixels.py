@@ -5,10 +5,10 @@ import pytest
 from ideal_camera import film, ideal_calibration, still_light
 
 from optsim.coding import RandomExposure
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import SparseCoding
-from optsim.reconstruct.coded_images import CodedImage, covered
-from optsim.reconstruct.layer import positive_mean
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.decoding import SparseCoding
+from optsim.decoding.coded_images import CodedImage, covered
+from optsim.decoding.layer import positive_mean
 
 ROWS, COLS, SLOTS = 96, 96, 36
 

@@ -5,12 +5,12 @@ import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
-from optsim.reconstruct import GaussianMixture, HdrMerge, Interpolation, SparseCoding, TotalVariation
-from optsim.reconstruct.coded_images import coded_images
-from optsim.reconstruct.dictionary import shipped_dictionary
-from optsim.reconstruct.patch_codes import PatchCoder
-from optsim.reconstruct.patch_grid import patch_corners
-from optsim.reconstruct.shared_weights import shared_weights
+from optsim.decoding import GaussianMixture, HdrMerge, Interpolation, SparseCoding, TotalVariation
+from optsim.decoding.coded_images import coded_images
+from optsim.decoding.patch_grid import patch_corners
+from optsim.decoding.shared_weights import shared_weights
+from optsim.decoding.sparse.patch_codes import PatchCoder
+from optsim.priors.dictionary import shipped_dictionary
 
 ELECTRONS_A_SLOT = 270.0
 

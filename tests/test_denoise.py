@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from optsim.errors import ConfigError, ValueCheckError
+from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.render.denoise import Denoised, denoised
 
 SHAPE = (64, 96)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from optsim.camera.effects import changed, with_effects
+from optsim.camera.hardware import demo
+from optsim.camera.known_calibration import true_calibration
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
-from optsim.densities import densities, mosaics
-from optsim.effects import changed, with_effects
-from optsim.experiment import load_experiment
-from optsim.explain import explanation
-from optsim.hardware import demo
-from optsim.known_calibration import true_calibration
+from optsim.experiment.densities import densities, mosaics
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation
 
 IDEAL = with_effects(demo(), {"all": "ideal"})
 SLOTS = np.array([1, 3, 11, 36])

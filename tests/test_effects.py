@@ -10,19 +10,19 @@ import pytest
 from rich.console import Console
 from scipy.ndimage import shift
 
+from optsim.camera.effect_sizes import effect_sizes, size_of, size_of_defocus
+from optsim.camera.effects import ALL, STATES, changed, switched, with_effects
+from optsim.camera.hardware import demo, imx174, prototype
+from optsim.camera.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probes, near_probe, shrunk
+from optsim.camera.probe.made_scene import made_scene
 from optsim.coding import HdrMosaic
 from optsim.coding.tiles import TiledCode
-from optsim.effect_sizes import effect_sizes, size_of, size_of_defocus
-from optsim.effects import ALL, STATES, changed, switched, with_effects
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.explain import explanation, not_planned, scene_effects, show
-from optsim.hardware import demo, imx174, prototype
-from optsim.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probes, near_probe, shrunk
-from optsim.probe.made_scene import made_scene
-from optsim.quantities import Block, ExposureCode, IrradianceVideo, Segment
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, Segment
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation, not_planned, scene_effects, show
+from optsim.footage.made import still
 from optsim.scene import BrightLight
-from optsim.scene.footage import still
 
 WINDOW = Illumination(0.1, 90.0, 0.8, (BrightLight(25.0, 0.07),))
 ROOM = Illumination(0.1, 90.0, 0.8)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from optsim import evidence
+from optsim.core import code_hash
 
 CODE = '''"""About the module."""
 
@@ -34,10 +34,10 @@ def half(x: float) -> float:
 
 def hash_of_modules(folder: Path, monkeypatch: pytest.MonkeyPatch, **modules: str) -> str:
     (folder / "optsim").mkdir(parents=True)
-    monkeypatch.setattr(evidence, "_PACKAGE", folder / "optsim")
+    monkeypatch.setattr(code_hash, "_PACKAGE", folder / "optsim")
     for name, text in modules.items():
         (folder / "optsim" / f"{name}.py").write_text(text, encoding="utf-8")
-    return evidence.hash_code(["optsim/*.py"])
+    return code_hash.hash_code(["optsim/*.py"])
 
 
 @pytest.mark.parametrize(
@@ -64,4 +64,4 @@ def test_a_record_survives_moves_and_prose_but_no_new_code(
 
 
 def test_what_is_nowhere_has_no_hash_of_code() -> None:
-    assert evidence.hash_code(["optsim/nowhere/*.py"]) == "missing"
+    assert code_hash.hash_code(["optsim/nowhere/*.py"]) == "missing"

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
-from optsim.forward import moving_blur
-from optsim.forward.aberrations import Wavefront, field_psf
-from optsim.forward.field_blur import FieldBlur, FieldPsf, hats, make_field_blur, uniform
-from optsim.forward.moving_psf import MovingPsf
-from optsim.forward.psf import Blur, extend, psf_kernel
-from optsim.forward.tap_blur import LARGEST_TAPS
-from optsim.optics import Objective, Relay, form_image
-from optsim.quantities import Block, RadianceVideo, Segment
+from optsim.camera.parts import Objective, Relay, form_image
+from optsim.core.quantities import Block, RadianceVideo, Segment
+from optsim.optics import moving_blur
+from optsim.optics.aberrations import Wavefront, field_psf
+from optsim.optics.field_blur import FieldBlur, FieldPsf, hats, make_field_blur, uniform
+from optsim.optics.moving_psf import MovingPsf
+from optsim.optics.psf import Blur, extend, psf_kernel
+from optsim.optics.tap_blur import LARGEST_TAPS
 
 WAVELENGTH_M = 550e-9
 LENS = {"f_number": 3.9, "sigma_m": 2e-6, "cell_m": 4.36e-6, "wavelength_m": WAVELENGTH_M}

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from optsim.errors import StorageError, ValueCheckError
-from optsim.files import (
+from optsim.core.errors import StorageError, ValueCheckError
+from optsim.core.files import (
     atomic,
     read_exr,
     read_json,

@@ -8,9 +8,11 @@ import pytest
 from test_footage_run import FOOTAGE, SMALL, recording
 from typer.testing import CliRunner
 
-from optsim import bench_calibration, cli, finished, job, loop
-from optsim.calibrate.stored import calibration_arrays
-from optsim.experiment import experiment_path, load_experiment
+from optsim.app import cli
+from optsim.calibration.stored import calibration_arrays
+from optsim.camera import bench_calibration
+from optsim.experiment import finished, job, loop
+from optsim.experiment.experiment import experiment_path, load_experiment
 
 QUICK = [*SMALL, "n_frames=1", "calibration=ideal", "save_reconstructions=[]"]
 

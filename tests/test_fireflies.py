@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from optsim.cli import main
-from optsim.config import build
-from optsim.errors import ConfigError
-from optsim.quantities import View
+from optsim.app.cli import main
+from optsim.core.config import build
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.fireflies import all_paths, origins, pilot, relative_variance

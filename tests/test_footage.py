@@ -24,11 +24,11 @@ from recorded import (
 )
 from scipy.io import savemat
 
-from optsim.cache import Cache
-from optsim.errors import ConfigError
-from optsim.files import write_exr, write_png16
-from optsim.scene.footage_truth import cell_shares, overlap
-from optsim.scene.recording import open_recording
+from optsim.core.cache import Cache
+from optsim.core.errors import ConfigError
+from optsim.core.files import write_exr, write_png16
+from optsim.footage.recording import open_recording
+from optsim.footage.truth import cell_shares, overlap
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 
@@ -262,7 +262,7 @@ def test_file_names_count_as_people_do(tmp_path: Path) -> None:
 def test_images_are_read_once_and_a_changed_one_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from optsim.scene.recording import images
+    from optsim.footage.recording import images
 
     folder, cache = tmp_path / "shots", Cache(tmp_path / "cache")
     for k, frame in enumerate(codes16(signal())):

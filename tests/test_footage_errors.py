@@ -20,12 +20,12 @@ from recorded import (
 )
 from scipy.io import savemat
 
-from optsim.cache import Cache
-from optsim.errors import ConfigError, GeometryError, StorageError, ValueCheckError
-from optsim.files import write_exr, write_png16
-from optsim.quantities import View
-from optsim.scene.recording import open_recording
-from optsim.scene.recording.film import as_recording
+from optsim.core.cache import Cache
+from optsim.core.errors import ConfigError, GeometryError, StorageError, ValueCheckError
+from optsim.core.files import write_exr, write_png16
+from optsim.core.quantities import View
+from optsim.footage.recording import open_recording
+from optsim.footage.recording.film import as_recording
 
 
 def fill(folder: Path, frames: np.ndarray) -> Path:

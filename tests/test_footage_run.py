@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optsim import job, render_truth, run
-from optsim.errors import ConfigError, OptsimError
-from optsim.experiment import Experiment, experiment_path, load_experiment
-from optsim.explain import explanation
-from optsim.files import read_exr, write_png16
+from optsim import render_truth, run
+from optsim.core.errors import ConfigError, OptsimError
+from optsim.core.files import read_exr, write_png16
+from optsim.experiment import job
+from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
+from optsim.experiment.explain import explanation
+from optsim.experiment.truth import check_truth, chosen_scene, describe_truth, renderer
+from optsim.footage import footage
 from optsim.report.schema import check_results
-from optsim.scene import footage
-from optsim.truth import check_truth, chosen_scene, describe_truth, renderer
 
 ROWS, COLS, FRAMES, PITCH = 16, 20, 6, 3
 SMALL = [

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from optsim.errors import ConfigError, StorageError
-from optsim.foreign import check_memory, reading
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.foreign import check_memory, reading
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from recorded import codes16, signal, slots, truth
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
-from optsim.errors import OptsimError, StorageError, ValueCheckError
-from optsim.reconstruct.checkpoint import Checkpoint
-from optsim.reconstruct.prior_file import read_prior, write_prior
-from optsim.scene.recording import array_names, load_array, open_recording
+from optsim.core.errors import OptsimError, StorageError, ValueCheckError
+from optsim.footage.recording import array_names, load_array, open_recording
+from optsim.priors.checkpoint import Checkpoint
+from optsim.priors.prior_file import read_prior, write_prior
 
 FILM = np.random.default_rng(3).integers(0, 4000, (8, 6, 9)).astype(np.uint16)
 
@@ -110,7 +110,7 @@ def test_what_is_wrong_with_an_archive_names_it(how: str, tmp_path: Path) -> Non
 def test_a_size_beyond_memory_is_refused_before_it_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("optsim.foreign._available_bytes", lambda: FILM.nbytes - 1.0)
+    monkeypatch.setattr("optsim.core.foreign._available_bytes", lambda: FILM.nbytes - 1.0)
     for path in (tmp_path / "a.npz", tmp_path / "a.mat"):
         np.savez(path, image=FILM) if path.suffix == ".npz" else savemat(path, {"image": FILM})
         with pytest.raises(StorageError, match="of memory that are free"):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from recorded import truth
 
-from optsim.errors import ConfigError, OptsimError, StorageError, ValueCheckError
-from optsim.imported_clips import open_clips
-from optsim.scene.recording import open_recording
+from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
+from optsim.experiment.imported_clips import open_clips
+from optsim.footage.recording import open_recording
 
 av = pytest.importorskip("av")
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ValueCheckError
-from optsim.forward.fringing import border_shares
-from optsim.forward.integrate import Shutter, integrate_exposure, slot_means
-from optsim.quantities import Block, Segment, Video
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Block, Segment, Video
+from optsim.optics.fringing import border_shares
+from optsim.optics.integrate import Shutter, integrate_exposure, slot_means
 
 PITCH, N_SUB, PER_SEGMENT, N_SLOTS = 3, 2, 4, 12
 SHAPE = (4, 5)

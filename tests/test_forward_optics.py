@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from optsim.forward.crosstalk import crosstalk_kernels, true_dots
-from optsim.forward.field_blur import uniform
-from optsim.forward.fringing import border_shares
-from optsim.forward.moving_blur import blur_moving
-from optsim.forward.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
-from optsim.forward.psf import extend, make_blur, psf_kernel
-from optsim.forward.radiometry import cos4, irradiance_factor, photons_per_joule
-from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
-from optsim.quantities import Block
+from optsim.core.quantities import Block
+from optsim.optics.crosstalk import crosstalk_kernels, true_dots
+from optsim.optics.field_blur import uniform
+from optsim.optics.fringing import border_shares
+from optsim.optics.moving_blur import blur_moving
+from optsim.optics.mueller import UNPOLARISED, depolariser, mirror, polariser, retarder_45
+from optsim.optics.psf import extend, make_blur, psf_kernel
+from optsim.optics.radiometry import cos4, irradiance_factor, photons_per_joule
+from optsim.optics.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
 
 WAVELENGTH_M = 550e-9
 

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from optsim.errors import ValueCheckError
-from optsim.forward.panel import (
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import PanelState
+from optsim.optics.panel import (
     WEIGHT_ERROR,
     PanelResponse,
     mean_intensity,
@@ -11,7 +12,6 @@ from optsim.forward.panel import (
     settled_weight,
     slot_weights,
 )
-from optsim.quantities import PanelState
 
 SLOT_S = 1 / 180
 

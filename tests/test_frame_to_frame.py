@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from test_scoring import flat, small
 
-from optsim import loop
-from optsim.calibrate import Calibration
-from optsim.camera import CodedCamera
+from optsim.calibration import Calibration
+from optsim.camera.camera import CodedCamera
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
-from optsim.experiment import Experiment
-from optsim.loop import Frames, calibrate_all, capture, set_light
-from optsim.reconstruct import HdrMerge, SparseCoding, Union
+from optsim.decoding import HdrMerge, SparseCoding, Union
+from optsim.experiment import loop
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.loop import Frames, calibrate_all, capture, set_light
 
 FRAMES = 3
 

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from optsim.forward.aberrations import Wavefront
-from optsim.forward.field_blur import FieldPsf, make_field_blur, uniform
-from optsim.forward.fringing import border_shares, fine_image, fine_image_adjoint
-from optsim.forward.integrate import Shutter, cell_means, integrate_exposure
-from optsim.forward.pixel_splines import spline_kernel, splines
-from optsim.forward.psf import extend, make_blur, psf_kernel
-from optsim.forward.wings import (
+from optsim.camera.parts import Objective, form_image
+from optsim.core.quantities import Block, IrradianceVideo, RadianceVideo, Segment
+from optsim.optics.aberrations import Wavefront
+from optsim.optics.field_blur import FieldPsf, make_field_blur, uniform
+from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
+from optsim.optics.integrate import Shutter, cell_means, integrate_exposure
+from optsim.optics.pixel_splines import spline_kernel, splines
+from optsim.optics.psf import extend, make_blur, psf_kernel
+from optsim.optics.wings import (
     Ring,
     Winged,
     coarse_kernel,
@@ -25,8 +27,6 @@ from optsim.forward.wings import (
     near_half,
     winged,
 )
-from optsim.optics import Objective, form_image
-from optsim.quantities import Block, IrradianceVideo, RadianceVideo, Segment
 
 
 @pytest.mark.parametrize("pitch", [1, 3, 5])

@@ -8,11 +8,11 @@ import pytest
 from dense_mixture import asked, dense_posterior, dense_variance, drawn, some_mixture, unit_weights
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibrate.sample import take
+from optsim.calibration.sample import take
 from optsim.coding import RandomExposure
-from optsim.errors import ConfigError, StorageError, ValueCheckError
-from optsim.quantities import ExposureCode
-from optsim.reconstruct import (
+from optsim.core.errors import ConfigError, StorageError, ValueCheckError
+from optsim.core.quantities import ExposureCode
+from optsim.decoding import (
     Average,
     GaussianMixture,
     SparseCoding,
@@ -20,10 +20,10 @@ from optsim.reconstruct import (
     gaussian_mixture,
     shared_weights,
 )
-from optsim.reconstruct.mixture import load_mixture, save_mixture
-from optsim.reconstruct.mixture_training import log_densities, train_mixture
-from optsim.reconstruct.posterior import posterior, seen_through
-from optsim.reconstruct.posterior_spread import Spread
+from optsim.decoding.mixture.posterior import posterior, seen_through
+from optsim.decoding.mixture.posterior_spread import Spread
+from optsim.priors.mixture import load_mixture, save_mixture
+from optsim.priors.mixture_training import log_densities, train_mixture
 
 
 @pytest.mark.parametrize("variance", [1e-4, 0.1, 10.0])

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from optsim.calibrate import Glare
-from optsim.calibrate.glare import REACH, RINGS_PX, ring_strengths
+from optsim.calibration import Glare
+from optsim.calibration.glare import REACH, RINGS_PX, ring_strengths
 
 ROWS, COLS = 23, 61
 WINGS = (0.02, 0.05, 0.03, 0.0)

@@ -7,13 +7,13 @@ import pytest
 from ideal_camera import film, ideal_calibration, still_light
 from scipy import stats
 
-from optsim.calibrate import Glare
-from optsim.calibrate.sample import Brightness, attribution_variance, separate, take
+from optsim.calibration import Glare
+from optsim.calibration.sample import Brightness, attribution_variance, separate, take
 from optsim.coding import HdrMosaic
-from optsim.quantities import CodedFrame
-from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.layer import positive_mean
-from optsim.reconstruct.narrow_picks import missed
+from optsim.core.quantities import CodedFrame
+from optsim.decoding import HdrMerge
+from optsim.decoding.layer import positive_mean
+from optsim.decoding.narrow_picks import missed
 
 ROWS, COLS = 24, 32
 KERNEL = np.array([[0, 0.03, 0], [0.03, 0.88, 0.03], [0, 0.03, 0]], np.float32)

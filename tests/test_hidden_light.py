@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from ideal_camera import BLACK_DN, film, ideal_calibration, still_light
 
-from optsim.calibrate import Glare
+from optsim.calibration import Glare
 from optsim.coding import HdrMosaic
-from optsim.quantities import CodedFrame
-from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.hidden_light import _darkest, _regions
+from optsim.core.quantities import CodedFrame
+from optsim.decoding import HdrMerge
+from optsim.decoding.hidden_light import _darkest, _regions
 
 ROWS, COLS = 60, 80
 KERNEL = np.array([[0.012, 0.03, 0.012], [0.03, 0.832, 0.03], [0.012, 0.03, 0.012]], np.float32)

@@ -8,11 +8,11 @@ from PIL import Image
 from recorded import codes16, colours, write_video
 from scipy.io import savemat
 
-from optsim.errors import ConfigError, StorageError, ValueCheckError
-from optsim.files import write_exr, write_png16
-from optsim.imported_clips import open_clips
-from optsim.reconstruct.dictionary import load_dictionary
-from optsim.train import train_prior
+from optsim.core.errors import ConfigError, StorageError, ValueCheckError
+from optsim.core.files import write_exr, write_png16
+from optsim.experiment.imported_clips import open_clips
+from optsim.experiment.train import train_prior
+from optsim.priors.dictionary import load_dictionary
 
 SLOTS, SIDE = 36, 12
 REC709 = np.array([0.2126, 0.7152, 0.0722])

@@ -8,18 +8,18 @@ import pytest
 from skimage.io import imread
 from typer.testing import CliRunner
 
-from optsim import job
-from optsim.cli import app
-from optsim.errors import ConfigError, StorageError
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_exr, read_json, read_png16
-from optsim.loop import calibrate, planned
-from optsim.measurement import decode_measurement
-from optsim.measurement.runs import decoder_of_run, read_run
-from optsim.object_masks import object_masks
-from optsim.reconstruct import GaussianMixture, SparseCoding, Union
+from optsim.app.cli import app
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import read_exr, read_json, read_png16
+from optsim.decoding import GaussianMixture, SparseCoding, Union
+from optsim.experiment import job
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import calibrate, planned
+from optsim.experiment.measurement import decode_measurement
+from optsim.experiment.measurement.runs import decoder_of_run, read_run
+from optsim.experiment.object_masks import object_masks
+from optsim.experiment.scoring import OBJECTS
 from optsim.report.schema import check_results
-from optsim.scoring import OBJECTS
 
 SMALL = [
     "n_frames=6",
@@ -224,7 +224,9 @@ def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
 def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("optsim.measurement.runs.calibrate", lambda *_: pytest.fail("a bench was made"))
+    monkeypatch.setattr(
+        "optsim.experiment.measurement.runs.calibrate", lambda *_: pytest.fail("a bench was made")
+    )
     line = ["reconstruct", str(folder), "--method", "random", "--out", str(tmp_path / "none")]
     for wrong in (["--decoder", "gausian"], ["--set", "decoder.n_atom=3"]):
         with pytest.raises(ConfigError, match=r"decoder\.(kind: got 'gausian'|n_atom: unknown key)"):

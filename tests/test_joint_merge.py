@@ -5,13 +5,13 @@ import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 from scipy import ndimage, sparse
 
-from optsim.calibrate import Glare
-from optsim.calibrate.sample import noise_variance, predicted_variance, take
+from optsim.calibration import Glare
+from optsim.calibration.sample import noise_variance, predicted_variance, take
 from optsim.coding import HdrMosaic
-from optsim.quantities import CodedFrame
-from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.frame_merge import _unsettled
-from optsim.reconstruct.joint_merge import _least_squares, solved_together
+from optsim.core.quantities import CodedFrame
+from optsim.decoding import HdrMerge
+from optsim.decoding.frame_merge import _unsettled
+from optsim.decoding.joint_merge import _least_squares, solved_together
 
 ROWS, COLS = 24, 32
 # Each pixel by itself: the textures here are white noise, which no neighbour knows.
@@ -212,7 +212,7 @@ def test_where_nothing_saturates_nothing_is_solved_together(monkeypatch):
     def never(*_):
         raise AssertionError("skip what a scene doesn't need")
 
-    monkeypatch.setattr("optsim.reconstruct.frame_merge.solved_together", never)
+    monkeypatch.setattr("optsim.decoding.frame_merge.solved_together", never)
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, np.random.default_rng(6))
     *_, layer = MERGE.decode(frames, calibration)
     np.testing.assert_allclose(layer.irradiance_w_m2[0], image, rtol=0.2)

@@ -9,14 +9,15 @@ import pytest
 from test_footage_run import FOOTAGE, SMALL, recording
 from typer.testing import CliRunner
 
-from optsim import cli, job, journal
-from optsim.camera import CodedCamera
-from optsim.experiment import Experiment, experiment_path, load_experiment
-from optsim.files import read_exr, read_json
-from optsim.journal import FrameScores, Journal, run_key
+from optsim.app import cli
+from optsim.camera.camera import CodedCamera
+from optsim.core.files import read_exr, read_json
+from optsim.core.quantities import CodedFrame, ExposureCode, PanelState
+from optsim.decoding import GaussianMixture
+from optsim.experiment import job, journal
+from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
+from optsim.experiment.journal import FrameScores, Journal, run_key
 from optsim.metrics import FrameTally, PairTally, UncertaintyTally
-from optsim.quantities import CodedFrame, ExposureCode, PanelState
-from optsim.reconstruct import GaussianMixture
 
 FRAMES = 4
 QUICK = [

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from optsim.experiment import load_experiment
+from optsim.experiment.experiment import load_experiment
 
 
 @pytest.fixture

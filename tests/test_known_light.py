@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from test_scoring import COLS, ROWS, flat, small
 
-from optsim.calibrate import Calibration
-from optsim.camera import CodedCamera
-from optsim.experiment import Experiment
-from optsim.known_calibration import ideal_calibration, true_calibration
-from optsim.quantities import CodedFrame, ExposureCode
+from optsim.calibration import Calibration
+from optsim.camera.camera import CodedCamera
+from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.experiment.experiment import Experiment
 
 IDEAL = "camera.effects.all=ideal"
 OPEN = ExposureCode(np.full((36, ROWS, COLS), 255, np.uint8), np.zeros((ROWS, COLS), np.bool_))

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from small_camera import small, uniform_light
 
-from optsim.calibrate import Bench, Calibration, calibrate_from
-from optsim.camera import CodedCamera
-from optsim.effects import with_effects
-from optsim.errors import BenchError
-from optsim.forward.fringing import border_shares, fine_image
-from optsim.hardware.cameras import demo, prototype
-from optsim.known_calibration import true_calibration
-from optsim.laboratory import measure_bench
+from optsim.calibration import Bench, Calibration, calibrate_from
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware.cameras import demo, prototype
+from optsim.camera.known_calibration import true_calibration
+from optsim.camera.laboratory import measure_bench
+from optsim.core.errors import BenchError
+from optsim.optics.fringing import border_shares, fine_image
 
 
 @pytest.fixture(scope="module")

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optsim.camera import CodedCamera
-from optsim.effects import ALL, with_effects
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.explain import explanation
-from optsim.focus import NEGLIGIBLE_SAMPLES, focus_on, seen_through
-from optsim.forward.lens import blur_tan, image_scale, object_scale
-from optsim.hardware import prototype
-from optsim.optics import Objective
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import ALL, with_effects
+from optsim.camera.hardware import prototype
+from optsim.camera.parts import Objective
+from optsim.core.errors import ConfigError
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation
+from optsim.experiment.focus import NEGLIGIBLE_SAMPLES, focus_on, seen_through
+from optsim.experiment.truth import describe_truth, scene_focus, truth_view
+from optsim.optics.lens import blur_tan, image_scale, object_scale
 from optsim.scene import Scene, load_scene
 from optsim.scene.depths import depth_range_m
-from optsim.truth import describe_truth, scene_focus, truth_view
 
 DISTORTIONS = (-0.1, -0.03, 0.02, 0.1)
 

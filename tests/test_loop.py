@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ConfigError, GeometryError
-from optsim.experiment import load_experiment
-from optsim.loop import Result, run, stream
-from optsim.scene.footage import footage
-from optsim.scoring import score
+from optsim.core.errors import ConfigError, GeometryError
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.loop import Result, run, stream
+from optsim.experiment.scoring import score
+from optsim.footage.made import footage
+from optsim.metrics import Scores
 
 ROWS, COLS, FRAMES = 24, 32, 6
 
@@ -145,11 +146,17 @@ def test_scores_rank_what_must_be_ranked(result: Result) -> None:
     assert psnr["adaptive"] > psnr["normal"] + 1
 
 
-def test_a_result_shows_itself(result: Result) -> None:
-    html = result._repr_html_()
-    assert "adaptive" in html
-    assert "nan" not in html.lower()
-    assert "steady phase" in html
+def test_scores_show_themselves(result: Result) -> None:
+    found = score(result)
+    for shown in (found._repr_html_(), str(found)):
+        assert "adaptive" in shown
+        assert "nan" not in shown.lower()
+        assert "steady phase" in shown
+    head, *rows = str(found).splitlines()
+    assert {len(row) for row in rows} == {len(head)}
+    psnr = next(r for r in found if r["method"] == "random" and r["phase"] == "steady")
+    line = next(row for row in rows if row.startswith(f"{psnr['metric']}, {psnr['region']}"))
+    assert f"{psnr['value']:.2f}" in line.split()
 
 
 def test_a_result_says_what_it_is_in_a_line(result: Result) -> None:
@@ -167,12 +174,9 @@ def test_a_truth_that_is_none_is_refused(small) -> None:
         load_experiment("demo", "n_frames=4")
 
 
-def test_a_result_that_never_settles_shows_how_far_it_came(
-    result: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    early = [r for r in score(result) if r["phase"] != "steady"]
+def test_scores_that_never_settle_show_how_far_they_came(result: Result) -> None:
+    early = Scores(r for r in score(result) if r["phase"] != "steady")
     assert {"warm-up", "merging"} == {r["phase"] for r in early}
-    monkeypatch.setattr("optsim.scoring.score", lambda _: early)
-    html = result._repr_html_()
+    html = early._repr_html_()
     assert "merging phase" in html
     assert html.count("<tr>") > 3

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from optsim import benchmark
-from optsim.benchmark import mask
-from optsim.benchmark.crossing import Crossing
+import benchmarks as benchmark
+from benchmarks import mask
+from benchmarks.crossing import Crossing
 from optsim.coding import MotionAdaptive
 from optsim.metrics import MaskAgreement
 

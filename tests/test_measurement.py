@@ -9,20 +9,20 @@ import pytest
 from scipy.io import savemat
 from skimage.metrics import peak_signal_noise_ratio
 
-from optsim.calibrate import calibrate_from
-from optsim.cli import app
+from optsim.app.cli import app
+from optsim.calibration import calibrate_from
+from optsim.camera.hardware import demo
+from optsim.camera.known_calibration import true_calibration
+from optsim.camera.laboratory import measure_bench
+from optsim.camera.probe import shrunk
 from optsim.coding import RandomExposure
-from optsim.errors import ConfigError, OptsimError, StorageError, ValueCheckError
-from optsim.files import read_exr, write_exr, write_png8, write_png16
-from optsim.hardware import demo
-from optsim.known_calibration import true_calibration
-from optsim.laboratory import measure_bench
-from optsim.measurement import Sensor, coded_measurement, decode_measurement, read_measurement
-from optsim.measurement.coded import code_levels
-from optsim.measurement.files import measurement_files
-from optsim.probe import shrunk
-from optsim.quantities import ExposureCode, Floats, Segment, made_radiance
-from optsim.reconstruct import GaussianMixture, Interpolation, Union
+from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
+from optsim.core.files import read_exr, write_exr, write_png8, write_png16
+from optsim.core.quantities import ExposureCode, Floats, Segment, made_radiance
+from optsim.decoding import GaussianMixture, Interpolation, Union
+from optsim.experiment.measurement import Sensor, coded_measurement, decode_measurement, read_measurement
+from optsim.experiment.measurement.coded import code_levels
+from optsim.experiment.measurement.files import measurement_files
 
 SLOTS, ROWS, COLS = 12, 24, 20
 

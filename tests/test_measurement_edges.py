@@ -11,16 +11,16 @@ from test_measurement import COLS, ROWS, SLOTS, code, decoded, light, measured
 from typer.testing import CliRunner
 
 from optsim import __version__
-from optsim.cli import app
-from optsim.errors import ConfigError, StorageError, ValueCheckError
-from optsim.files import read_exr, write_exr
-from optsim.hardware import demo
-from optsim.laboratory import measure_bench
-from optsim.measurement import Sensor, coded_measurement, decode_measurement
-from optsim.measurement.files import MeasurementFiles, measurement_files, read_measurement
-from optsim.measurement.pictures import draw_slots
-from optsim.probe import shrunk
-from optsim.reconstruct import ALL, GaussianMixture, Interpolation, MotionDeblurring, SparseCoding
+from optsim.app.cli import app
+from optsim.camera.hardware import demo
+from optsim.camera.laboratory import measure_bench
+from optsim.camera.probe import shrunk
+from optsim.core.errors import ConfigError, StorageError, ValueCheckError
+from optsim.core.files import read_exr, write_exr
+from optsim.decoding import ALL, GaussianMixture, Interpolation, MotionDeblurring, SparseCoding
+from optsim.experiment.measurement import Sensor, coded_measurement, decode_measurement
+from optsim.experiment.measurement.files import MeasurementFiles, measurement_files, read_measurement
+from optsim.experiment.measurement.pictures import draw_slots
 
 NARROW = 8  # side of a tile of bumps that repeats
 

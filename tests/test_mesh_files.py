@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optsim.errors import StorageError
+from optsim.core.errors import StorageError
 from optsim.scene.mesh_files import check_mesh
 
 SQUARE = [(-1, 3, 0), (1, 3, 0), (1, 3, 2), (-1, 3, 2)]

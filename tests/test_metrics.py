@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from skimage.metrics import peak_signal_noise_ratio
 
 from optsim import metrics
-from optsim.errors import ValueCheckError
+from optsim.core.errors import ValueCheckError
 from optsim.metrics import LogRmse, Metric, PhotometricScale, Psnr, Pu21Psnr, luminous_efficacy_lm_w
 from optsim.metrics.pu21 import pu21_decode, pu21_encode
 

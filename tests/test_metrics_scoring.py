@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from optsim import metrics
-from optsim.errors import ValueCheckError
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Reconstruction
 from optsim.metrics import (
     TRUTH_NOISE,
     FrameTally,
@@ -32,7 +33,6 @@ from optsim.metrics import (
 )
 from optsim.metrics.claims import CLAIMS, Verdict
 from optsim.metrics.pairs import PixelErrors, advantage
-from optsim.quantities import Reconstruction
 
 SLOTS, ROWS, COLS = 4, 6, 8
 SCALE = PhotometricScale(white_w_m2_sr=0.5, irradiance_per_radiance=0.02)

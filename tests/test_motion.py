@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, still_light
 
-from optsim.calibrate.sample import sample_bounds, take
+from optsim.calibration.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
-from optsim.forward.motion import _changed_together, _pair, bounds, changed
-from optsim.forward.neighbourhoods import grown, without_specks
-from optsim.quantities import CodedFrame
+from optsim.core.quantities import CodedFrame
+from optsim.optics.motion import _changed_together, _pair, bounds, changed
+from optsim.optics.neighbourhoods import grown, without_specks
 
 ROWS, COLS = 96, 128
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.benchmark.made_film import dead_leaves, looked_up
+from benchmarks.made_film import dead_leaves, looked_up
 from optsim.coding import FlutterShutter, MotionAdaptive, RandomExposure
-from optsim.errors import ConfigError
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import HdrMerge, MotionDeblurring, Union
-from optsim.reconstruct.coded_blur import coded_blur
-from optsim.reconstruct.velocity_choice import likely_velocities, shared_out, velocity_grid
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.decoding import HdrMerge, MotionDeblurring, Union
+from optsim.decoding.coded_blur import coded_blur
+from optsim.decoding.velocity_choice import likely_velocities, shared_out, velocity_grid
 
 ROWS, COLS = 61, 73
 QUICK = MotionDeblurring(max_speed_px=0.75)

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from optsim.forward import moving_blur
-from optsim.forward.aberrations import Wavefront, field_psf
-from optsim.forward.field_blur import FieldPsf, uniform
-from optsim.forward.fringing import fine_image
-from optsim.forward.moving_psf import divided
-from optsim.forward.pixel_splines import draw, splines, spread
-from optsim.forward.psf import psf_kernel
-from optsim.forward.tap_blur import Grid, Patch
-from optsim.forward.wings import cut_softly
-from optsim.hardware import prototype
-from optsim.optics.objective import MOVING_WING_SHARE
-from optsim.quantities import Block
+from optsim.camera.hardware import prototype
+from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.core.quantities import Block
+from optsim.optics import moving_blur
+from optsim.optics.aberrations import Wavefront, field_psf
+from optsim.optics.field_blur import FieldPsf, uniform
+from optsim.optics.fringing import fine_image
+from optsim.optics.moving_psf import divided
+from optsim.optics.pixel_splines import draw, splines, spread
+from optsim.optics.psf import psf_kernel
+from optsim.optics.tap_blur import Grid, Patch
+from optsim.optics.wings import cut_softly
 
 RNG = np.random.default_rng(88)
 FIELD, PITCH = (180, 210), 3

@@ -10,8 +10,8 @@ from ideal_camera import film as filmed
 from ideal_camera import ideal_calibration, still_light
 
 from optsim.coding import HdrMosaic
-from optsim.reconstruct import HdrMerge
-from optsim.reconstruct.neighbour_pooling import pooled
+from optsim.decoding import HdrMerge
+from optsim.decoding.neighbour_pooling import pooled
 
 ROWS, COLS = 40, 48
 NOWHERE = np.zeros((ROWS, COLS), np.float32)

@@ -5,8 +5,8 @@ import pytest
 from ideal_camera import SLOTS, expose, ideal_calibration, still_light
 
 from optsim.coding import FlutterShutter, RandomExposure
-from optsim.quantities import ExposureCode
-from optsim.reconstruct import ALL, Average, GaussianMixture, MotionDeblurring
+from optsim.core.quantities import ExposureCode
+from optsim.decoding import ALL, Average, GaussianMixture, MotionDeblurring
 
 ROWS, COLS = 32, 36
 # Patches far apart take less time.

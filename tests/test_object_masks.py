@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from small_experiment import SMALL
 
-from optsim.cache import Cache
-from optsim.effects import changed
-from optsim.experiment import Experiment, SceneChoice, load_experiment
-from optsim.object_masks import object_masks
-from optsim.quantities import Bools
+from optsim.camera.effects import changed
+from optsim.core.cache import Cache
+from optsim.core.quantities import Bools
+from optsim.experiment.experiment import Experiment, SceneChoice, load_experiment
+from optsim.experiment.object_masks import object_masks
+from optsim.experiment.truth import chosen_scene, truth_view
 from optsim.render import PassRenderer, choose_backend
-from optsim.truth import chosen_scene, truth_view
 
 
 def small(*assignments: str) -> Experiment:
@@ -88,7 +88,7 @@ def test_masks_are_kept_and_belong_to_scene_picture_and_timing(
 def test_masks_of_other_code_are_found_anew(experiment: Experiment, tmp_path: Path, monkeypatch) -> None:
     short, asked = experiment.model_copy(update={"n_frames": 1}), []
     for code in ("one", "other"):
-        monkeypatch.setattr("optsim.object_masks.hash_files", lambda _, code=code: code)
+        monkeypatch.setattr("optsim.experiment.object_masks.hash_files", lambda _, code=code: code)
         object_masks(short, cache=Cache(tmp_path), progress=lambda *said: asked.append(said))
     assert len(asked) == 72
 

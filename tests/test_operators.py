@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from small_experiment import COLS, ROWS, moving_bar
 
-from optsim import job, loop, trace
-from optsim.errors import ConfigError
-from optsim.experiment import Experiment, load_experiment
-from optsim.knowledge import Known
-from optsim.known_calibration import ideal_calibration
-from optsim.loop import Result, calibrate, planned, run, set_light
-from optsim.quantities import RadianceVideo, Reconstruction
-from optsim.scene.footage import still
-from optsim.scoring import Scorer, no_rivals, score
+from optsim.calibration.choice import Known
+from optsim.camera.known_calibration import ideal_calibration
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import RadianceVideo, Reconstruction
+from optsim.experiment import job, loop, trace
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import Result, calibrate, planned, run, set_light
+from optsim.experiment.scoring import Scorer, no_rivals, score
+from optsim.footage.made import still
 
 FRAMES = 4
 # The adaptive scheme's mask shows what it knows, and so does the picture of the mosaic.

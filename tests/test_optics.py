@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from optsim.effects import with_effects
-from optsim.forward.integrate import cell_means
-from optsim.forward.psf import make_blur
-from optsim.forward.radiometry import clipped_pupil
-from optsim.hardware import lcr720, prototype, prototype_relay
-from optsim.optics import (
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware import lcr720, prototype, prototype_relay
+from optsim.camera.parts import (
     Objective,
     Splitter,
     form_image,
@@ -17,8 +14,11 @@ from optsim.optics import (
     stage_transmissions,
     throughput,
 )
-from optsim.quantities import Block, RadianceVideo, Segment
-from optsim.scene.footage import still
+from optsim.core.quantities import Block, RadianceVideo, Segment
+from optsim.footage.made import still
+from optsim.optics.integrate import cell_means
+from optsim.optics.psf import make_blur
+from optsim.optics.radiometry import clipped_pupil
 
 PITCH_M = 20e-6
 AXIS = np.zeros(1)

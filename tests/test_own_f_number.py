@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from small_experiment import COLS, ROWS, moving_bar
 
-from optsim.experiment import Experiment, load_experiment
-from optsim.loop import calibrate, run
-from optsim.own_f_number import THIRD_STOPS, OwnLight, at_f_number, compare, open_share, own_f_number
-from optsim.quantities import Bools, CodedFrame, ExposureCode
-from optsim.scene.footage import footage
-from optsim.scoring import Scorer, score
+from optsim.core.quantities import Bools, CodedFrame, ExposureCode
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import calibrate, run
+from optsim.experiment.scoring import Scorer, score
+from optsim.footage.made import footage
+from optsim.study.own_f_number import THIRD_STOPS, OwnLight, at_f_number, compare, open_share, own_f_number
 
 
 def small(*words: str) -> Experiment:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render import PassRenderer, choose_backend, render_passes
 from optsim.render.backend import activate
 from optsim.render.first_hit import first_hit
@@ -366,7 +366,7 @@ def test_rigid_motion_is_found_and_bending_is_not() -> None:
 
 SCALAR = """
 import numpy as np
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render import render_passes
 from optsim.scene import load_scene
 scene, view = load_scene("window_room"), View(18, 24, 3, 0.32)

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim.files import read_exr, write_exr
-from optsim.passes.channels import channels_of
-from optsim.quantities import Passes
+from optsim.core.files import read_exr, write_exr
+from optsim.core.quantities import Passes
+from optsim.dataset.channels import channels_of
 
 ROWS, COLS = 4, 6
 

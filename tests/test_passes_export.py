@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optsim.errors import ConfigError, StorageError
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_exr, read_json, write_exr
-from optsim.passes import export_passes, parse_slots
-from optsim.passes.channels import HALF_CHANNELS, channels_of, noise_sigma, slot_mean
-from optsim.quantities import Block, RadianceVideo, Segment
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import read_exr, read_json, write_exr
+from optsim.core.quantities import Block, RadianceVideo, Segment
+from optsim.dataset import export_passes, parse_slots
+from optsim.dataset.channels import HALF_CHANNELS, channels_of, noise_sigma, slot_mean
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.truth import chosen_scene, render_truth
 from optsim.render import choose_backend, render_passes
 from optsim.report.pass_sheet import flow_colours
-from optsim.truth import chosen_scene, render_truth
 
 SMALL = [
     "n_frames=1",
@@ -156,9 +156,9 @@ def test_whole_files_stay_damaged_and_missing_ones_come_back(experiment, tmp_pat
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from optsim.experiment import load_experiment
-from optsim.passes import export_passes
-import optsim.passes.export as export
+from optsim.experiment.experiment import load_experiment
+from optsim.dataset import export_passes
+import optsim.dataset.export as export
 import OpenEXR
 calls = []
 class File(OpenEXR.File):
@@ -258,7 +258,7 @@ def test_colours_of_flow_tell_directions_apart() -> None:
 
 
 def test_the_command_line(experiment, tmp_path: Path, monkeypatch, capsys) -> None:
-    from optsim.cli import main
+    from optsim.app.cli import main
 
     def call(*words: str) -> tuple[int, str]:
         settings = [word for item in SMALL for word in ("--set", item)]

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from small_experiment import SMALL
 
-import optsim.passes.export as exporting
-from optsim.errors import BackendError, ConfigError, StorageError
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_exr, read_json
-from optsim.passes import Extras, export_passes
-from optsim.passes.extras import channel_names
-from optsim.passes.slot_light import SlotLight, bright_during, named_groups
+import optsim.dataset.export as exporting
+from optsim.core.errors import BackendError, ConfigError, StorageError
+from optsim.core.files import read_exr, read_json
+from optsim.dataset import Extras, export_passes
+from optsim.dataset.extras import channel_names
+from optsim.dataset.slot_light import SlotLight, bright_during, named_groups
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.truth import chosen_scene, truth_view
 from optsim.render import choose_backend
 from optsim.render.backend import BackendReport, activate
 from optsim.render.full import slot_image
@@ -21,7 +22,6 @@ from optsim.render.stage import Stage
 from optsim.render.stokes import render_stokes
 from optsim.report.pass_sheet import pass_sheet
 from optsim.scene import load_scene
-from optsim.truth import chosen_scene, truth_view
 
 # Slots of 5.56 ms: the pulses are on in slots 0 and 1 (80 % of it), off in 2 to 5, and so on.
 SCENE = """
@@ -271,10 +271,10 @@ def test_the_sheet_shows_what_there_is(folder) -> None:
 
 
 def test_the_command_line(monkeypatch, tmp_path: Path, capsys) -> None:
-    from optsim.cli import main
+    from optsim.app.cli import main
 
     seen: list[Extras] = []
-    monkeypatch.setattr("optsim.passes.export_passes", lambda *_, extras, **__: seen.append(extras))
+    monkeypatch.setattr("optsim.dataset.export_passes", lambda *_, extras, **__: seen.append(extras))
 
     def call(*words: str) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["optsim", "render", "demo", *words])

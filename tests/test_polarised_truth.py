@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from small_experiment import SMALL
 
-from optsim.cache import Cache
-from optsim.effects import with_effects
-from optsim.errors import BackendError
-from optsim.experiment import load_experiment
-from optsim.explain import explanation
-from optsim.forward.mueller import polariser, turned
-from optsim.quantities import Timing, View
+from optsim.camera.effects import with_effects
+from optsim.core.cache import Cache
+from optsim.core.errors import BackendError
+from optsim.core.quantities import Timing, View
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation
+from optsim.experiment.truth import render_truth as truth_of
+from optsim.experiment.truth import scene_light
+from optsim.optics.mueller import polariser, turned
 from optsim.render import RenderSettings, choose_backend, render_truth
 from optsim.render.backend import activate
 from optsim.render.plan import seed_of
 from optsim.render.stage import Stage
 from optsim.render.stokes import polarised, render_stokes
 from optsim.scene import Scene, load_scene
-from optsim.truth import render_truth as truth_of
-from optsim.truth import scene_light
 
 VIEW = View(24, 32, 1, 0.5)
 # In focus on the floor's far end: the ball's disc is several samples wide.

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ValueCheckError
-from optsim.quantities import Block, CodedFrame, ExposureCode, PanelState, Reconstruction, Segment, checked
-from optsim.scene.footage import footage, still
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import (
+    Block,
+    CodedFrame,
+    ExposureCode,
+    PanelState,
+    Reconstruction,
+    Segment,
+    checked,
+)
+from optsim.footage.made import footage, still
 
 
 def test_nan_is_an_error_with_its_place() -> None:

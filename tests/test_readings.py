@@ -10,21 +10,21 @@ import pytest
 from small_camera import small, uniform_light
 from small_experiment import COLS, ROWS, moving_bar
 
-from optsim import loop
-from optsim.calibrate import Bench, Calibration, calibrate_from
-from optsim.calibrate.sample import take
-from optsim.camera import CodedCamera
-from optsim.errors import ConfigError
-from optsim.experiment import Experiment, load_experiment
-from optsim.forward.readings import brightest, mean_reading
-from optsim.hardware import demo
-from optsim.knowledge import Known, widest_reading
-from optsim.known_calibration import ideal_calibration, true_calibration
-from optsim.laboratory import measure_bench
-from optsim.measurement.files import measurement_files, read_measurement
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import HdrMerge, hdr_merge
-from optsim.scoring import Scorer, no_rivals
+from optsim.calibration import Bench, Calibration, calibrate_from
+from optsim.calibration.choice import Known, widest_reading
+from optsim.calibration.sample import take
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import demo
+from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.camera.laboratory import measure_bench
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.decoding import HdrMerge, hdr_merge
+from optsim.experiment import loop
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.measurement.files import measurement_files, read_measurement
+from optsim.experiment.scoring import Scorer, no_rivals
+from optsim.optics.readings import brightest, mean_reading
 
 
 @pytest.fixture(scope="module")

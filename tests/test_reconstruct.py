@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from ideal_camera import BLACK_DN, KERNEL, SLOTS, crossing, expose, film, ideal_calibration, still_light
 from pydantic import TypeAdapter
 
-from optsim.calibrate import Glare
-from optsim.calibrate.sample import Brightness, noise_variance, separate, separated_variance, take
+from optsim.calibration import Glare
+from optsim.calibration.sample import Brightness, noise_variance, separate, separated_variance, take
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -23,9 +23,9 @@ from optsim.coding import (
     ShutterGrid,
 )
 from optsim.coding.leaves import LEAVES
-from optsim.errors import ConfigError
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import (
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.decoding import (
     ALL,
     Average,
     Decoder,
@@ -38,10 +38,10 @@ from optsim.reconstruct import (
     Union,
     shared_weights,
 )
-from optsim.reconstruct.coded_images import coded_images
-from optsim.reconstruct.dictionary import Dictionary, save_dictionary, shipped_dictionary, unit
-from optsim.reconstruct.mixture import shipped_mixture
-from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix
+from optsim.decoding.coded_images import coded_images
+from optsim.decoding.sparse.patch_codes import PatchCoder, measurement_matrix
+from optsim.priors.dictionary import Dictionary, save_dictionary, shipped_dictionary, unit
+from optsim.priors.mixture import shipped_mixture
 
 ROWS, COLS = 32, 40
 VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, MotionDeblurring)

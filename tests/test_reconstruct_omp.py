@@ -5,15 +5,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from optsim.errors import StorageError, ValueCheckError
-from optsim.reconstruct.correlation_bounds import PANEL, correlate, pack, packed_shape, peaks_of
-from optsim.reconstruct.dictionary import Dictionary, load_dictionary, save_dictionary, unit
-from optsim.reconstruct.gram_pursuit import pursue_products
-from optsim.reconstruct.matching_pursuit import pursue
-from optsim.reconstruct.patch_codes import PatchCoder, measurement_matrix
-from optsim.reconstruct.patch_grid import overlap, patch_corners
-from optsim.reconstruct.rounded_steps import follow, look, make_steps
-from optsim.reconstruct.training import train_dictionary
+from optsim.core.errors import StorageError, ValueCheckError
+from optsim.decoding.patch_grid import overlap, patch_corners
+from optsim.decoding.sparse.matching_pursuit import pursue
+from optsim.decoding.sparse.patch_codes import PatchCoder, measurement_matrix
+from optsim.decoding.sparse.rounded_steps import follow, look, make_steps
+from optsim.priors.correlation_bounds import PANEL, correlate, pack, packed_shape, peaks_of
+from optsim.priors.dictionary import Dictionary, load_dictionary, save_dictionary, unit
+from optsim.priors.gram_pursuit import pursue_products
+from optsim.priors.training import train_dictionary
 
 
 def plain_omp(matrix, signal, cap, stop, *, recursive=True):

@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from optsim.errors import BackendError, ConfigError
+from optsim.core.errors import BackendError, ConfigError
 from optsim.render import backend, choose_backend
 
 
 def test_importing_render_and_scene_imports_no_renderer():
     code = (
-        "import sys, optsim.render, optsim.scene, optsim.doctor; "
+        "import sys, optsim.render, optsim.scene, optsim.app.doctor; "
         "sys.exit('mitsuba' in sys.modules or 'drjit' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optsim.cache import Cache
-from optsim.errors import ConfigError
-from optsim.experiment import load_experiment
-from optsim.progress import silent
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.errors import ConfigError
+from optsim.core.progress import silent
+from optsim.core.quantities import Timing, View
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.truth import camera_noise
 from optsim.render import CameraNoise, RenderSettings, choose_backend, render_truth
 from optsim.render.allocation import TILE_PX, Tiles, allocate, relative_deviation, tally
 from optsim.render.backend import activate
@@ -20,7 +21,6 @@ from optsim.render.plan import Plan
 from optsim.render.stage import Stage
 from optsim.render.still import halves_tally, static_light
 from optsim.scene import load_scene
-from optsim.truth import camera_noise
 
 VIEW = View(36, 48, 3, 0.32)
 PIXELS = np.arange(VIEW.rows * VIEW.cols)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from optsim.cache import Cache
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_passes, render_truth
 from optsim.render.backend import activate
 from optsim.render.carried import Key

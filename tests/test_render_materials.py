@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from optsim.config import build
-from optsim.errors import ConfigError
-from optsim.quantities import View
+from optsim.core.config import build
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.describe import describe, unit_m
@@ -248,7 +248,7 @@ IMAGES = """
 import sys
 from pathlib import Path
 import numpy as np, mitsuba as mi
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import load_scene

@@ -7,8 +7,8 @@ CODE = """
 import numpy as np
 from pathlib import Path
 import sys
-from optsim.cache import Cache
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, render_truth
 from optsim.scene import load_scene
 settings, cache = RenderSettings(slots_per_segment=2), Cache(Path(sys.argv[1]))

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optsim.cache import Cache
-from optsim.config import build
-from optsim.errors import ConfigError
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.config import build
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_truth
 from optsim.render.backend import activate
 from optsim.render.full import slot_image

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from optsim.cache import Cache
-from optsim.errors import ConfigError
-from optsim.quantities import Timing, View
+from optsim.core.cache import Cache
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_footage, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, path_px, project

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from optsim import metrics, report
-from optsim.errors import StorageError, ValueCheckError
-from optsim.evidence import NOT_MODELLED
-from optsim.files import read_json, write_json
+from optsim.core.errors import StorageError, ValueCheckError
+from optsim.core.files import read_json, write_json
+from optsim.core.quantities import Reconstruction
+from optsim.experiment.evidence import NOT_MODELLED
 from optsim.metrics import (
     MaskTally,
     PhotometricScale,
@@ -28,7 +29,6 @@ from optsim.metrics import (
     pooled_mask_records,
     tally_pair,
 )
-from optsim.quantities import Reconstruction
 from optsim.report import headline, plots, words
 from optsim.report.pictures import (
     ToneCurve,

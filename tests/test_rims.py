@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from optsim.camera_plan import plan_camera
-from optsim.effect_sizes import effect_sizes
-from optsim.effects import changed, with_effects
-from optsim.errors import ValueCheckError
-from optsim.experiment import load_experiment
-from optsim.forward import bands
-from optsim.forward import rims as rims_module
-from optsim.forward.fringing import border_shares, fine_image
-from optsim.forward.integrate import Shutter, integrate_exposure
-from optsim.forward.panel import PanelResponse, settled_panel, slot_weights, turned_to
-from optsim.forward.radau import middles, radau
-from optsim.forward.rim_loops import fill_cells
-from optsim.forward.rims import Rims, cell_weights, relaxed
-from optsim.hardware import demo
-from optsim.probe import Illumination, compared_with
-from optsim.quantities import Block, ExposureCode, Segment, Video
+from optsim.camera.effect_sizes import effect_sizes
+from optsim.camera.effects import changed, with_effects
+from optsim.camera.hardware import demo
+from optsim.camera.plan import plan_camera
+from optsim.camera.probe import Illumination, compared_with
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Block, ExposureCode, Segment, Video
+from optsim.experiment.experiment import load_experiment
+from optsim.optics import bands
+from optsim.optics import rims as rims_module
+from optsim.optics.fringing import border_shares, fine_image
+from optsim.optics.integrate import Shutter, integrate_exposure
+from optsim.optics.panel import PanelResponse, settled_panel, slot_weights, turned_to
+from optsim.optics.radau import middles, radau
+from optsim.optics.rim_loops import fill_cells
+from optsim.optics.rims import Rims, cell_weights, relaxed
 
 SLOT_S, SIGMA = 1 / 180, 0.12
 SIDE = (6, 7)
@@ -278,7 +278,7 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch,
     video = Video(60, 21, 3, SLOT_S, 2, 5, 5, lambda _: Segment(still, still, tuple(blocks), 10))
     for few in (0, 10**9):
         for module in ("rims", "integrate"):
-            monkeypatch.setattr(f"optsim.forward.{module}.FEW", few)
+            monkeypatch.setattr(f"optsim.optics.{module}.FEW", few)
         found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
         np.testing.assert_allclose(found, whole.sum(axis=0) * SLOT_S / 2, rtol=1e-5, atol=5e-5 * SLOT_S)
 
@@ -288,7 +288,7 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch,
 def test_a_lamp_that_is_hidden_while_pixels_are_open_leaves_no_negative_light(monkeypatch, few, model):
     """What is left of 1e6 in one instant of ten, or of none, and then a dark mover."""
     for module in ("rims", "integrate"):
-        monkeypatch.setattr(f"optsim.forward.{module}.FEW", few)
+        monkeypatch.setattr(f"optsim.optics.{module}.FEW", few)
     rng = np.random.default_rng(5)
     levels = rng.choice(np.array([0, 255], np.uint8), (10, 6, 7))
     rims, weights, _ = rims_of(levels, PanelResponse())

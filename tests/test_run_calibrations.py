@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optsim import job, loop
-from optsim.calibrate import read_calibration
-from optsim.errors import ConfigError, StorageError
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_exr, read_json
-from optsim.measurement import decode_measurement, read_measurement
-from optsim.measurement.files import measurement_files
-from optsim.measurement.runs import read_run
-from optsim.reconstruct import Interpolation
-from optsim.truth import render_truth
+from optsim.calibration import read_calibration
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import read_exr, read_json
+from optsim.decoding import Interpolation
+from optsim.experiment import job, loop
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.measurement import decode_measurement, read_measurement
+from optsim.experiment.measurement.files import measurement_files
+from optsim.experiment.measurement.runs import read_run
+from optsim.experiment.truth import render_truth
 
 EVEN_W_M2_SR = 0.1
 LAB = """

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from test_footage_run import COLS, FOOTAGE, PITCH, ROWS, SMALL
 
-from optsim import job, loop, render_truth
-from optsim.experiment import Experiment, experiment_path, load_experiment
-from optsim.files import read_exr, read_png16
-from optsim.gallery import Gallery
+from optsim import render_truth
+from optsim.core.files import read_exr, read_png16
+from optsim.experiment import job, loop
+from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
+from optsim.experiment.gallery import Gallery
 
 FRAMES = 3
 STILL, SCALE = 0.4, 0.5

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optsim.errors import StorageError, ValueCheckError
-from optsim.files import read_exr, write_exr
-from optsim.forward.readings import brightest, mean_reading
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.run_frames import CHECKSUMS, read_frames, write_frames
+from optsim.core.errors import StorageError, ValueCheckError
+from optsim.core.files import read_exr, write_exr
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.experiment.run_frames import CHECKSUMS, read_frames, write_frames
+from optsim.optics.readings import brightest, mean_reading
 
 CCD, CODE = (9, 12), (3, 4, 5)
 

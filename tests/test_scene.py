@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from optsim.config import read_toml
-from optsim.errors import ConfigError
+from optsim.core.config import read_toml
+from optsim.core.errors import ConfigError
 from optsim.scene import list_scenes, load_scene
 from optsim.scene.geometry import ball, box, limb, wall
 from optsim.scene.scene import scenes_folder
@@ -100,7 +100,7 @@ def test_fan_comes_round_again():
 
 
 def test_torso_stays_within_15_panel_pixels_a_coded_frame():
-    from optsim.quantities import View
+    from optsim.core.quantities import View
     from optsim.render.footprint import project
 
     scene, view = load_scene("window_room"), View(500, 600, 1, 0.32)

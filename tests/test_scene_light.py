@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from optsim.config import build
-from optsim.errors import ConfigError, ValueCheckError
+from optsim.core.config import build
+from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.scene.lamps import Lamp, Pwm, Sine
 from optsim.scene.scene import Scene
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optsim.config import build
-from optsim.errors import ConfigError
+from optsim.core.config import build
+from optsim.core.errors import ConfigError
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.keyframed import Keyframed, rotation
 from optsim.scene.lamps import Sine

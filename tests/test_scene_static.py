@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ConfigError
+from optsim.core.errors import ConfigError
 from optsim.scene import load_scene
 from optsim.scene.scene import Scene
 from optsim.scene.textures import PHOTOGRAPHS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ConfigError
+from optsim.core.errors import ConfigError
 from optsim.scene import load_scene
 from optsim.scene.variation import Range
 
@@ -147,7 +147,7 @@ def test_a_number_needs_ranges_and_names_are_not_numbers(folder):
 
 
 def test_training_refuses_a_reserved_scene(monkeypatch, folder):
-    from optsim import train
+    from optsim.experiment import train
 
     path = folder("reserved = true\n" + BASE)
     assert load_scene(path).reserved

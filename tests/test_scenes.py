@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, project

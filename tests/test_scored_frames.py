@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_scoring import COLS, ROWS, scorer, small
 
-from optsim.quantities import CodedFrame, ExposureCode, RadianceVideo, Reconstruction
-from optsim.scene.footage import footage
+from optsim.core.quantities import CodedFrame, ExposureCode, RadianceVideo, Reconstruction
+from optsim.footage.made import footage
 
 EVERYWHERE, NOWHERE = np.ones((ROWS, COLS), np.bool_), np.zeros((ROWS, COLS), np.bool_)
 PATCH = np.s_[10:14, 10:14]

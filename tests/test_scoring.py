@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optsim.experiment import Experiment, load_experiment
-from optsim.loop import calibrate, calibrate_all, capture, set_light, stream
+from optsim.core.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
+from optsim.decoding import HdrMerge
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import calibrate, calibrate_all, capture, set_light, stream
+from optsim.experiment.scoring import Scorer, no_rivals
+from optsim.footage.made import footage, still
 from optsim.metrics import luminous_efficacy_lm_w
-from optsim.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
-from optsim.reconstruct import HdrMerge
-from optsim.scene.footage import footage, still
-from optsim.scoring import Scorer, no_rivals
 
 ROWS, COLS = 24, 32
 

@@ -3,9 +3,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from optsim.effects import changed
-from optsim.hardware import demo, icx674, imx174, prototype
-from optsim.sensor import Ccd, ccd
+from optsim.camera.effects import changed
+from optsim.camera.hardware import demo, icx674, imx174, prototype
+from optsim.camera.parts import Ccd, ccd
 
 
 def plain(**changes) -> Ccd:

@@ -16,11 +16,11 @@ from optsim.coding import (
     RandomLengths,
     ShutterGrid,
 )
-from optsim.forward.panel import PanelResponse
-from optsim.quantities import CodedFrame, ExposureCode
-from optsim.reconstruct import GaussianMixture, SparseCoding, shared_weights
-from optsim.reconstruct.patch_grid import patch_corners
-from optsim.reconstruct.shared_weights import code_period
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.decoding import GaussianMixture, SparseCoding, shared_weights
+from optsim.decoding.patch_grid import patch_corners
+from optsim.decoding.shared_weights import code_period
+from optsim.optics.panel import PanelResponse
 
 ROWS, COLS = 70, 84
 TOLERANCE = 0.02

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from optsim.forward import integrate, relaxation, relay
-from optsim.forward.fringing import border_shares
-from optsim.forward.panel import PanelResponse, slot_weights
-from optsim.optics import image_formation
-from optsim.quantities import Block, Segment, Video
+from optsim.camera.parts import image_formation
+from optsim.core.quantities import Block, Segment, Video
+from optsim.optics import integrate, relaxation, relay
+from optsim.optics.fringing import border_shares
+from optsim.optics.panel import PanelResponse, slot_weights
 
 RNG = np.random.default_rng(20)
 

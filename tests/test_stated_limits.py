@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibrate.sample import sample_bounds, take
+from optsim.calibration.sample import sample_bounds, take
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography
-from optsim.quantities import ExposureCode
-from optsim.reconstruct import HdrMerge
+from optsim.core.quantities import ExposureCode
+from optsim.decoding import HdrMerge
 
 ROWS, COLS = 40, 48
 ELECTRONS_A_SLOT, READ_E = 270.0, 3.0

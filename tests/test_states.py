@@ -9,14 +9,14 @@ import pytest
 from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
-from optsim.calibrate import sample
-from optsim.calibrate.sample import Brightness, take_next
+from optsim.calibration import sample
+from optsim.calibration.sample import Brightness, take_next
+from optsim.camera.known_calibration import true_calibration
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
-from optsim.known_calibration import true_calibration
-from optsim.loop import calibrate_all, capture, set_light
-from optsim.quantities import ExposureCode, PanelState
-from optsim.reconstruct import HdrMerge, SparseCoding, Union
-from optsim.reconstruct.layer import Layer
+from optsim.core.quantities import ExposureCode, PanelState
+from optsim.decoding import HdrMerge, SparseCoding, Union
+from optsim.decoding.layer import Layer
+from optsim.experiment.loop import calibrate_all, capture, set_light
 
 V, U = 24, 24
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optsim.errors import BackendError
-from optsim.quantities import View
+from optsim.core.errors import BackendError
+from optsim.core.quantities import View
 from optsim.render import backend as backends
 from optsim.render.backend import BackendReport, activate
 from optsim.render.stage import Stage

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from optsim.forward.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
+from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
 
 RNG = np.random.default_rng(9)
 FIELD = 61, 83

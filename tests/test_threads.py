@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from optsim.forward import bands
-from optsim.forward.bands import in_bands, n_threads, one_thread, side_by_side
+from optsim.optics import bands
+from optsim.optics.bands import in_bands, n_threads, one_thread, side_by_side
 
 
 @pytest.fixture(autouse=True)

@@ -9,19 +9,19 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from optsim import job, loop, trace
-from optsim.camera import CodedCamera
-from optsim.cli import main
-from optsim.effects import with_effects
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import read_json, read_png16
-from optsim.forward.fringing import border_shares, fine_image, fine_image_adjoint
-from optsim.loop import Shot
-from optsim.origins import ORIGINS, read_out
-from optsim.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment, made_radiance
+from optsim.app.cli import main
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import with_effects
+from optsim.core.files import read_json, read_png16
+from optsim.core.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment, made_radiance
+from optsim.experiment import job, loop, trace
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import Shot
+from optsim.experiment.origins import ORIGINS, read_out
+from optsim.experiment.trace import Aim, choose_aim, trace_experiment, trace_pixel
+from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
 from optsim.report.trace_plot import trace_plot
 from optsim.report.trace_record import Trace
-from optsim.trace import Aim, choose_aim, trace_experiment, trace_pixel
 
 ROWS, COLS, FRAMES, SLOTS = 24, 32, 3, 36
 CCD = (3 * ROWS + 8, 3 * COLS + 8)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_cli import optsim as run
 
-from optsim import train
-from optsim.imported_clips import ImportedClip
-from optsim.reconstruct import training
-from optsim.reconstruct.dictionary import load_dictionary
+from optsim.experiment import train
+from optsim.experiment.imported_clips import ImportedClip
+from optsim.priors import training
+from optsim.priors.dictionary import load_dictionary
 
 
 @pytest.fixture

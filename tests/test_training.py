@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from optsim.errors import ValueCheckError
-from optsim.reconstruct.atom_updates import dense, k_svd_atoms
-from optsim.reconstruct.checkpoint import Checkpoint, checkpoint_path
-from optsim.reconstruct.dictionary import unit
-from optsim.reconstruct.mixture_training import train_mixture
-from optsim.reconstruct.training import learn_atoms, train_dictionary
+from optsim.core.errors import ValueCheckError
+from optsim.priors.atom_updates import dense, k_svd_atoms
+from optsim.priors.checkpoint import Checkpoint, checkpoint_path
+from optsim.priors.dictionary import unit
+from optsim.priors.mixture_training import train_mixture
+from optsim.priors.training import learn_atoms, train_dictionary
 
 NOT_KEPT = Checkpoint(None, "")
 

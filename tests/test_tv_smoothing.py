@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage.restoration import denoise_tv_chambolle
 
-from optsim.reconstruct.tv_smoothing import smoothed
+from optsim.decoding.tv_smoothing import smoothed
 
 SHAPES = [(24, 33, 8), (5, 7, 3), (1, 4, 2), (4, 1, 1), (9, 3, 36), (1, 1, 1)]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optsim import metrics
-from optsim.quantities import Reconstruction
+from optsim.core.quantities import Reconstruction
 
 SLOTS, CODED, ROWS, COLS = 5, 4, 60, 80
 LATENCY = 1

@@ -8,8 +8,8 @@ from hypothesis.extra import numpy as arrays
 from ideal_camera import crossing, film, ideal_calibration, still_light
 
 from optsim.coding import MotionAdaptive, RandomExposure
-from optsim.reconstruct import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
-from optsim.reconstruct.union import _nearness
+from optsim.decoding import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
+from optsim.decoding.union import _nearness
 
 ROWS, COLS = 32, 40
 

@@ -9,22 +9,22 @@ from scipy.special import j1
 from test_bands import SMALL
 from test_bands import scene as coloured
 
-from optsim.calibrate import calibrate_from
-from optsim.effects import changed, with_effects
-from optsim.errors import BenchError, ConfigError, ValueCheckError
-from optsim.experiment import load_experiment
-from optsim.explain import explanation
-from optsim.forward.aberrations import Wavefront
-from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
-from optsim.forward.radiometry import photons_per_joule
-from optsim.hardware import demo, icx674, imx174, lcr720, prototype
-from optsim.known_calibration import ideal_calibration, true_calibration
-from optsim.laboratory import measure_bench
+from optsim.calibration import calibrate_from
+from optsim.camera.effects import changed, with_effects
+from optsim.camera.hardware import demo, icx674, imx174, lcr720, prototype
+from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.camera.laboratory import measure_bench
+from optsim.camera.parts import Splitter
+from optsim.core.errors import BenchError, ConfigError, ValueCheckError
+from optsim.core.quantities import ExposureCode
+from optsim.experiment.experiment import load_experiment
+from optsim.experiment.explain import explanation
+from optsim.experiment.truth import chosen_scene, describe_truth
+from optsim.footage.made import still
 from optsim.metrics import PhotometricScale, luminous_efficacy_lm_w
-from optsim.optics import Splitter
-from optsim.quantities import ExposureCode
-from optsim.scene.footage import still
-from optsim.truth import chosen_scene, describe_truth
+from optsim.optics.aberrations import Wavefront
+from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
+from optsim.optics.radiometry import photons_per_joule
 
 GREEN, BLUE, RED = 550e-9, 470e-9, 630e-9
 PERFECT = {"depolarised_share": 0.0, "gap_reflectivity": 0.0}

@@ -34,7 +34,7 @@ def test_the_wheel_runs_outside_the_repository(tmp_path: Path) -> None:
     (site / "dependencies.pth").write_text(f"{dependencies}\n")
 
     program = (
-        "import optsim, sys; from optsim.cli import main\n"
+        "import optsim, sys; from optsim.app.cli import main\n"
         f"assert optsim.__file__.startswith({str(site)!r}), optsim.__file__\n"
         "sys.argv = ['optsim', 'run', 'demo', '--dry-run']; main()\n"
     )

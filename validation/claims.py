@@ -18,16 +18,16 @@ from typing import Any, cast
 
 from kept import kept
 
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import write_json, write_text
-from optsim.loop import run
+from optsim.core.files import write_json, write_text
+from optsim.core.quantities import RadianceVideo
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import run
+from optsim.experiment.scoring import no_rivals, scorer_of
+from optsim.experiment.truth import render_truth
 from optsim.metrics import judge_claims, measured
 from optsim.metrics.claims import Verdict
 from optsim.metrics.pairs import PairRecord, advantage
-from optsim.quantities import RadianceVideo
 from optsim.report.markdown import markdown_table
-from optsim.scoring import no_rivals, scorer_of
-from optsim.truth import render_truth
 
 OUT, FIGURES = Path("reports") / "claims.md", Path("reports") / "figures" / "claims.json"
 KEPT = Path("reports") / "runs" / "claims"

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from optsim.errors import StorageError
+from optsim.core.errors import StorageError
 
 # Pythons that the pinned packages have wheels for; the nearest to optsim's own is taken.
 _PYTHONS: dict[str, tuple[tuple[int, int], ...]] = {

@@ -2,9 +2,10 @@
 
 ``make figure4`` runs the preset ``figure4`` on each scene (about an hour on two cores, half of it when the
 truth is in the cache) and writes ``reports/figure4.md``: first all schemes at one f-number, then each at its
-own (:mod:`optsim.own_f_number`). Stopped, the same command goes on: what a scene gave is kept until the code
-changes. Nothing is judged: one draw decides no claim (``make claims``). The priors were trained on none of
-these scenes; ``half_moving`` shares some textures with the training scene, the others do not but for stripes.
+own (:mod:`optsim.study.own_f_number`). Stopped, the same command goes on: what a scene gave is kept until
+the code changes. Nothing is judged: one draw decides no claim (``make claims``). The priors were trained on
+none of these scenes; ``half_moving`` shares some textures with the training scene, the others do not but for
+stripes.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from typing import Any, cast
 
 from kept import kept
 
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import write_text
-from optsim.job import execute, run_folder
-from optsim.own_f_number import OwnLight, compare
+from optsim.core.files import write_text
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.job import execute, run_folder
+from optsim.experiment.truth import render_truth
 from optsim.report.headline import Row, table
 from optsim.report.markdown import markdown_table
 from optsim.report.schema import Phase, Results, Score
-from optsim.truth import render_truth
+from optsim.study.own_f_number import OwnLight, compare
 
 SCENES = ("window_room", "half_moving", "night_street")
 OUT, RUNS = Path("reports") / "figure4.md", Path("reports") / "runs"

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from kept import kept
 
-from optsim.effects import ALL
-from optsim.experiment import Experiment, load_experiment
-from optsim.files import write_text
-from optsim.loop import Result, run
+from optsim.camera.effects import ALL
+from optsim.core.files import write_text
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.experiment.loop import Result, run
+from optsim.experiment.scoring import Scorer, score
+from optsim.experiment.truth import render_truth
 from optsim.metrics.scoring import ScoreRecord
 from optsim.report.markdown import markdown_table
-from optsim.scoring import Scorer, score
-from optsim.truth import render_truth
 
 OUT = Path("reports") / "imperfections.md"
 KEPT = Path("reports") / "runs" / "imperfections"

@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from optsim.errors import OptsimError
-from optsim.experiment import Experiment
-from optsim.files import read_json, write_json
-from optsim.job import versions
-from optsim.journal import run_key
+from optsim.core.errors import OptsimError
+from optsim.core.files import read_json, write_json
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.job import versions
+from optsim.experiment.journal import run_key
 
 
 def kept(path: Path, experiment: Experiment, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from optsim.coding.tiles import OPEN, TiledScheme
-from optsim.errors import ConfigError
-from optsim.quantities import Bools, Bytes
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Bools, Bytes
 
 # With fewer slots the spectrum of every code has a zero.
 _FEWEST = 6

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.forward.neighbourhoods import regions
-from optsim.quantities import Bools, Doubles, Ints
+from optsim.core.quantities import Bools, Doubles, Ints
+from optsim.optics.neighbourhoods import regions
 
 # What jumps further than this many times its own length is taken for something else: a sensible default,
 # no source. Without a limit two false alarms far apart would be one thing that crosses the panel.

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import field_validator
 
 from optsim.coding.tiles import TiledScheme, bump
-from optsim.quantities import Bytes
+from optsim.core.quantities import Bytes
 
 
 class HdrMosaic(TiledScheme):

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from optsim.calibrate.calibration import Calibration
-from optsim.calibrate.sample import (
+from optsim.calibration.calibration import Calibration
+from optsim.calibration.sample import (
     Brightness,
     Crosstalk,
     Sample,
@@ -23,10 +23,10 @@ from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.leaves import Leaf
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.tiles import TiledCode
-from optsim.config import Part
-from optsim.forward.motion import changed
-from optsim.forward.neighbourhoods import grown, without_specks
-from optsim.quantities import Bools, CodedFrame, ExposureCode, PanelState
+from optsim.core.config import Part
+from optsim.core.quantities import Bools, CodedFrame, ExposureCode, PanelState
+from optsim.optics.motion import changed
+from optsim.optics.neighbourhoods import grown, without_specks
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from optsim.coding.tiles import TiledScheme, bump, check_fits
-from optsim.quantities import Bytes
+from optsim.core.quantities import Bytes
 
 
 class NormalPhotography(TiledScheme):

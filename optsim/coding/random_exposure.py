@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from optsim.coding.tiles import TiledScheme, bumps, check_fits, even_starts, square
-from optsim.quantities import Bytes
+from optsim.core.quantities import Bytes
 
 
 class RandomExposure(TiledScheme):

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.coding.tiles import TiledScheme, bumps, check_fits, square
-from optsim.quantities import Bytes
+from optsim.core.quantities import Bytes
 
 
 class RandomLengths(TiledScheme):

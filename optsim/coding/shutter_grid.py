@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from optsim.coding.tiles import TiledScheme, square, turns
-from optsim.errors import ConfigError
-from optsim.quantities import Bytes
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Bytes
 
 
 class ShutterGrid(TiledScheme):

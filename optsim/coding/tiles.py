@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from optsim.calibrate.calibration import Calibration
-from optsim.config import Part
-from optsim.errors import ConfigError
-from optsim.quantities import Bools, Bytes, CodedFrame, ExposureCode, Ints
+from optsim.calibration.calibration import Calibration
+from optsim.core.config import Part
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Bools, Bytes, CodedFrame, ExposureCode, Ints
 
 OPEN = 255
 

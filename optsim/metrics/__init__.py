@@ -19,6 +19,7 @@ from optsim.metrics.pairs import PairRecord, PairTally, pair_records, pixel_erro
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
+from optsim.metrics.score_table import Scores
 from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, first_steady, phase_of
 from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, uncertainty_records
 
@@ -39,6 +40,7 @@ __all__ = [
     "Psnr",
     "Pu21Psnr",
     "ScoreBoard",
+    "Scores",
     "UncertaintyTally",
     "Verdict",
     "first_steady",

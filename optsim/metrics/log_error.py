@@ -8,8 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from optsim.core.quantities import Doubles
 from optsim.metrics.metric import Metric
-from optsim.quantities import Doubles
 
 
 class LogRmse(Metric):

@@ -7,9 +7,9 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from optsim.config import Part
-from optsim.errors import ValueCheckError
-from optsim.quantities import Bools, Doubles, Floats, checked
+from optsim.core.config import Part
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Bools, Doubles, Floats, checked
 
 
 class Metric(Part):

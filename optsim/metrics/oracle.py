@@ -9,9 +9,9 @@ from typing import TypedDict, cast
 import numpy as np
 from scipy import ndimage  # type: ignore[import-untyped]
 
-from optsim.errors import ValueCheckError
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Bools, Floats, checked
 from optsim.metrics.scoring import Phase, by_method_and_phase
-from optsim.quantities import Bools, Floats, checked
 
 SIGMAS = 2.0
 RELATIVE_CHANGE = 0.02

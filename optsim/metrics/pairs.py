@@ -15,10 +15,10 @@ from typing import Literal
 import numpy as np
 from typing_extensions import TypedDict
 
+from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.metrics.metric import Metric
 from optsim.metrics.photometry import PhotometricScale
 from optsim.metrics.scoring import REGIONS, Region, phase_of, rows_of
-from optsim.quantities import Bools, Doubles, Floats, Ints
 
 Area = Literal["room", "window"]
 AREAS: tuple[Area, ...] = ("room", "window")

@@ -8,10 +8,10 @@ import warnings
 import numpy as np
 from pydantic import Field
 
-from optsim.config import Part
-from optsim.errors import ConfigError
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.quantities import Doubles, Floats
+from optsim.core.config import Part
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Doubles, Floats
+from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
 _K_LM_W = 683.0
 """Luminous efficacy at 555 nm, lm/W: the SI's definition of the candela."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import ClassVar, Literal
 
+from optsim.core.quantities import Doubles
 from optsim.metrics.metric import Metric
-from optsim.quantities import Doubles
 
 
 class Psnr(Metric):

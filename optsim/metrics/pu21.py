@@ -14,8 +14,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optsim.core.quantities import Doubles
 from optsim.metrics.metric import Metric
-from optsim.quantities import Doubles
 
 LOWEST_CD_M2 = 0.005
 HIGHEST_CD_M2 = 10_000.0

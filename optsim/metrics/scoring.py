@@ -12,10 +12,10 @@ from typing import Literal, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
-from optsim.errors import ValueCheckError
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 from optsim.metrics.metric import Metric
 from optsim.metrics.photometry import PhotometricScale
-from optsim.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 
 Region = Literal["all", "moving", "static"]
 Phase = Literal["warm-up", "merging", "steady"]

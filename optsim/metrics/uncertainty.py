@@ -13,8 +13,8 @@ from typing import TypedDict
 
 import numpy as np
 
+from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 from optsim.metrics.scoring import REGIONS, Phase, Region, by_method_and_phase, rows_of
-from optsim.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 
 _WITHIN = (1.0, 2.0)
 

@@ -1,152 +1,69 @@
-"""What objective and relay have in common: a blur with aberrations, and a veil."""
+"""A lens as rays see it: where distortion puts a point of the ideal image, and how far defocus spreads it.
+
+Distances from the axis are in units of half the diagonal of the used field. A lens without distortion images
+a point at q, a real one at r = q (1 + k q^2), the third-order term (M. Born and E. Wolf, *Principles of
+Optics*, 7th ed., section 5.3; the first of D. C. Brown's radial terms, Photogramm. Eng. 32, 444, 1966): k is
+the relative displacement of what belongs into the corner, negative for a barrel.
+
+Functions of squared distances are plain arithmetic, so that they take NumPy's arrays and the renderer's.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from typing import Any
 
-from pydantic import Field
+import numpy as np
 
-from optsim.config import Part
-from optsim.errors import ConfigError
-from optsim.forward.aberrations import Wavefront, field_psf
-from optsim.forward.field_blur import FieldPsf, uniform
-from optsim.forward.psf import kernel_half_width, psf_kernel
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
+from optsim.core.quantities import Doubles
 
-LARGEST_WING_SHARE = 0.1  # of a PSF's energy: windows then end at the second dark ring of an Airy pattern
-# Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
-_LARGEST_HALF = 4096
-# Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.
-_MOST_WAVES = 3.0
+# Beyond this coefficient a fifth-order term matters, and a barrel soon folds back into the picture.
+STRONGEST_DISTORTION = 0.1
+# Newton's steps: with the strongest barrel the corner is then within 1e-9.
+_STEPS = 5
 
 
-class LensGroup(Part):
-    """A group of lenses that makes an image.
+def image_scale(squared_q: Doubles, k: float) -> Doubles:
+    """Find r / q of points of the ideal image, from q^2.
+
+    Where a barrel's polynomial would turn back, far outside the picture, the scale stays.
+    """
+    turn = 1 / (3 * -k) if k < 0 else np.inf
+    return np.asarray(1 + k * np.minimum(squared_q, turn))
+
+
+def object_scale(squared_r: Any, k: float) -> Any:
+    """Find q / r of points of the real image, from r^2: the inverse of :func:`image_scale`."""
+    scale, bend = 1.0 + 0.0 * squared_r, k * squared_r
+    for _ in range(_STEPS):
+        square = scale * scale
+        scale = scale - (scale + bend * square * scale - 1) / (1 + 3 * bend * square)
+    return scale
+
+
+def area_scale(squared_q: Doubles, k: float) -> Doubles:
+    """Area in the real image over that in the ideal one, from q^2."""
+    return (1 + k * squared_q) * (1 + 3 * k * squared_q)
+
+
+def corner_tan(rows: float, cols: float, tan_half_width: float) -> float:
+    """Tangent of the field angle whose ideal image is the corner of a used field."""
+    return float(tan_half_width * np.hypot(rows, cols) / cols)
+
+
+def blur_tan(aperture_m: float, focus_m: float, depth_m: Doubles) -> Doubles:
+    """Diameter of the circle of confusion of points in front of a thin lens, as a tangent of field angle.
+
+    A point at depth z fills the aperture D with a cone that is D |1/s - 1/z| wide, seen from the lens, where
+    the lens is focused at s (S. F. Ray, *Applied Photographic Optics*, 3rd ed., section 22.3, in the object
+    space). Times the image distance it is the diameter in the image.
 
     Parameters
     ----------
-    aberration_m : float
-        Standard deviation in its image of a Gaussian that stands for whatever the wavefront leaves out.
-    diffraction : bool
-        Whether its aperture blurs, and with it its wavefront; the Gaussian does anyway.
-    wavefront : Wavefront
-        Its third-order aberrations, path differences that are the same in every light.
-    glare_share : float
-        Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
-    wing_share : float
-        Share of the PSF's energy that may lie outside its window; it stays with its point.
-    field_error : float
-        Share of a point's light that may be misplaced since the PSF is interpolated over the field; 1 makes
-        it the same everywhere.
+    aperture_m : float
+        Diameter of the lens.
+    focus_m : float
+        Depth in focus, along the axis.
+    depth_m : ndarray
+        Depths, along the axis; infinity too.
     """
-
-    aberration_m: float = Field(ge=0)
-    diffraction: bool = True
-    wavefront: Wavefront = Wavefront()
-    glare_share: float = Field(ge=0, lt=1)
-    wing_share: float = Field(default=1e-3, ge=1e-4, le=LARGEST_WING_SHARE)
-    field_error: float = Field(default=0.02, ge=1e-3, le=1)
-
-    def psf(
-        self,
-        f_number: float,
-        cell_m: float,
-        sides: tuple[int, int],
-        defocus_m: float = 0.0,
-        wavelength_m: float = MONO_WAVELENGTH_M,
-    ) -> FieldPsf:
-        """PSF in its image on a grid of square cells.
-
-        Parameters
-        ----------
-        f_number : float
-            Of the cone that lands there.
-        cell_m : float
-            Side of a cell, m.
-        sides : tuple of int
-            Rows and columns of the used field.
-        defocus_m : float
-            Distance from the sharp image, m.
-        wavelength_m : float
-            Of the light, m.
-
-        Raises
-        ------
-        ConfigError
-            When its window would be too large for any memory.
-        """
-        self._check_window(f_number, cell_m, defocus_m, wavelength_m)
-        wavefront = self.wavefront.in_light_of(wavelength_m)
-        numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
-        # A frozen model has a hash, which its types don't tell.
-        return _psf(wavefront, self.diffraction, sides, *numbers, wavelength_m)  # pyright: ignore[reportArgumentType]
-
-    def half_width(
-        self, f_number: float, cell_m: float, wing_share: float, wavelength_m: float = MONO_WAVELENGTH_M
-    ) -> int:
-        """Cells from the centre to the edge of a PSF's window that misses a share of the light.
-
-        Parameters
-        ----------
-        f_number, cell_m, wavelength_m : float
-            As in :meth:`psf`.
-        wing_share : float
-            Share of the light.
-        """
-        return kernel_half_width(wavelength_m, f_number, cell_m, wing_share)
-
-    def _check_window(self, f_number: float, cell_m: float, defocus_m: float, wavelength_m: float) -> None:
-        part = f"camera.{type(self).__name__.lower()}"
-        half = self.half_width(f_number, cell_m, self.wing_share, wavelength_m)
-        if self.diffraction and half > _LARGEST_HALF:
-            raise ConfigError(
-                f"{part}.wing_share: got {self.wing_share:g}, at f/{f_number:.3g} and cells of "
-                f"{cell_m * 1e6:.3g} um the PSF would reach {half} cells, expected at most {_LARGEST_HALF}; "
-                f"raise it to {self.wing_share * half / _LARGEST_HALF * 1.05:.2g}, or lower the f-number"
-            )
-        waves = sum(abs(value) for _, value in self.wavefront)
-        if self.diffraction and not waves <= _MOST_WAVES:
-            raise ConfigError(
-                f"{part}.wavefront: got {waves:g} waves rms in all, expected at most {_MOST_WAVES:g}; lower "
-                "them, or let aberration_m stand for them"
-            )
-        blur_m, limit_m = abs(defocus_m) / f_number + 4 * self.aberration_m, _LARGEST_HALF / 4 * cell_m
-        if blur_m > limit_m:
-            raise ConfigError(
-                f"{part}: defocus_m and aberration_m = {self.aberration_m:g} blur over {blur_m:.3g} m, "
-                f"expected at most {limit_m:.3g} m, {_LARGEST_HALF // 4} cells; lower them"
-            )
-
-
-# Kept by the numbers that matter: cameras are copied with other densities all the time.
-@lru_cache(maxsize=16)
-def _psf(
-    wavefront: Wavefront,
-    diffraction: bool,
-    sides: tuple[int, int],
-    sigma_m: float,
-    wing_share: float,
-    field_error: float,
-    f_number: float,
-    cell_m: float,
-    defocus_m: float,
-    wavelength_m: float,
-) -> FieldPsf:
-    disc_m = abs(defocus_m) / f_number
-    kernel = psf_kernel(
-        f_number, sigma_m, cell_m, wavelength_m, wing_share, disc_m=disc_m, diffraction=diffraction
-    )
-    # Without diffraction the plane out of focus blurs by geometry's disc, which the kernel holds.
-    if not diffraction:
-        return uniform(kernel)
-    return field_psf(
-        wavefront,
-        kernel,
-        f_number=f_number,
-        sigma_m=sigma_m,
-        cell_m=cell_m,
-        wavelength_m=wavelength_m,
-        sides=sides,
-        field_error=field_error,
-        defocus_m=defocus_m,
-    )
+    return aperture_m * np.abs(1 / focus_m - 1 / np.asarray(depth_m, np.float64))

@@ -1,158 +1,326 @@
-# pyright: reportMissingTypeStubs=false
-"""The relay from the panel to the CCD: its numbers and the operator they give."""
+# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+"""From the panel to the CCD: one sparse area-overlap operator, a blur before it, a ghost and a veil.
+
+    ccd = V A ((1 - h) B + h G) energy,    V image = (1 - g) image + g mean over the CCD of image
+
+B is the relay's PSF on the fine panel grid, which may vary over the field, A the overlap of each cell's image
+with the CCD pixels, G the light that comes back from a face and lands mirrored and far out of focus, and g
+the share that veiling glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that
+panel pixels hold it.
+
+A cell's image is taken as an upright rectangle around its warped centre, as large as the map makes it there.
+Under a rotation phi its corners are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad,
+with no energy gained or lost. Images are stored upright: the inversion by the relay and the mirror flip by
+the splitter are undone by the order of readout, so panel row and CCD row increase together.
+
+Not modelled: shading of the relay. Light is of one wavelength, and the geometry is that wavelength's.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
-from optsim.forward.field_blur import FieldPsf, make_field_blur
-from optsim.forward.psf import SomeBlur
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.forward.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
-from optsim.forward.wings import near_half, winged
-from optsim.optics.lens import LensGroup
+from optsim.core.compiled import FEW, compiled
+from optsim.core.quantities import Bools, Doubles, Ints
+from optsim.optics.fringing import add_whole_cells, whole_cells
+from optsim.optics.ghost import mirrored
+from optsim.optics.integrate import cell_means
+from optsim.optics.psf import SomeBlur
 
-# A PSF's wings, which work on panel pixels, begin so far from its middle or farther, and have at most so much
-# of its light: of the prototype's 0.4 %, and 0.02 % comes to lie up to two fine cells off.
-_NEAR_PIXELS, _WINGS_SHARE = 8, 5e-3
-_COLOURS_M = 200e-9  # of which lateral colour is told
+_OUTLINE = 101  # points along a side of the panel
 
 
-class Relay(LensGroup):
-    """Lenses that image the panel onto the CCD.
+@dataclass(frozen=True)
+class RelayGeometry:
+    """Where the fine panel grid lands on the CCD.
 
     Parameters
     ----------
+    rows, cols : int
+        Fine cells on the panel.
+    ccd_rows, ccd_cols : int
+        CCD pixels; the centre of the panel lands on their centre, plus the shift.
+    cell_px : float
+        Side of a fine cell's image, CCD pixels.
     magnification : float
-        Magnification from the panel to the CCD, without ``magnification_error``.
-    f_number : float
-        f-number of the fastest cone that it lets onto the CCD.
-    transmission : float
-        Share of the light that passes its lenses, all passes together.
-    defocus_m : float
-        Distance of the CCD from the sharp image; positive where its share in the wavefront is, as of positive
-        curvature. Without diffraction it blurs by a disc, as in geometrical optics.
-    ghost_share : float
-        Share of the light that comes back from a face, mirrored through the axis and out of focus.
-    ghost_blur_px : float
-        Standard deviation of the ghost's blur, panel pixels; no source.
+        From the panel to the CCD.
     shift_y_px, shift_x_px : float
-        Shift of the panel's image from the centre of the CCD, CCD pixels; positive is down, and to the right.
+        Shift of the image, CCD pixels.
     rotation_rad : float
-        Rotation of the panel's image, rad; positive from the columns' axis x towards the rows' axis y, which
-        is clockwise in a picture whose rows go down.
-    magnification_error : float
-        By how much larger than ``magnification`` says the panel's image is, relative; smaller where negative.
+        Rotation of the image about the shifted centre, from x towards y.
     keystone_y, keystone_x : float
-        By how much smaller the last used row, or column, is imaged than the middle one, relative; larger
-        where negative.
+        By how much smaller the last row, or column, is imaged than the middle one, relative: a tilted panel.
     distortion : float
-        Relative change of the distance from the centre at the corners of the used panel; positive is a
-        pincushion, negative a barrel.
-    lateral_colour : float
-        Relative growth of the image, about its centre, from light of 450 nm to light of 650 nm, even in
-        wavelength, smaller where negative; in 550 nm it is as large as ``magnification`` says.
+        Relative change of the distance from the centre at the panel's corners, growing with its square:
+        positive is a pincushion.
     """
 
-    magnification: float = Field(gt=0)
-    f_number: float = Field(gt=0.5)
-    transmission: float = Field(gt=0, le=1)
-    defocus_m: float = 0.0
-    ghost_share: float = Field(default=0.0, ge=0, lt=1)
-    ghost_blur_px: float = Field(default=20.0, gt=0, le=200)
+    rows: int
+    cols: int
+    ccd_rows: int
+    ccd_cols: int
+    cell_px: float
+    magnification: float
     shift_y_px: float = 0.0
     shift_x_px: float = 0.0
-    rotation_rad: float = Field(default=0.0, ge=-0.05, le=0.05)
-    magnification_error: float = Field(default=0.0, ge=-0.02, le=0.02)
-    keystone_y: float = Field(default=0.0, ge=-0.2, le=0.2)
-    keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
-    distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
-    lateral_colour: float = Field(default=0.0, ge=-0.02, le=0.02)
+    rotation_rad: float = 0.0
+    keystone_y: float = 0.0
+    keystone_x: float = 0.0
+    distortion: float = 0.0
 
-    def image_f_number(self, panel_f_number: float) -> float:
-        """f-number of the cone on the CCD: the panel's, demagnified, or the relay's own if that is slower."""
-        return max(self.f_number, panel_f_number * self.magnification)
-
-    def accepted_share(self, panel_f_number: float) -> float:
-        """Share of the panel's cone that passes the relay's stop, in a uniformly filled cone."""
-        return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
-
-    def geometry(
-        self,
-        cells: tuple[int, int],
-        ccd: tuple[int, int],
-        cell_px: float,
-        wavelength_m: float = MONO_WAVELENGTH_M,
-    ) -> RelayGeometry:
-        """Where (y, x) cells on the panel, each of so many CCD pixels in 550 nm, land on a CCD of (y, x)."""
-        larger = 1 + self.lateral_colour * (wavelength_m - MONO_WAVELENGTH_M) / _COLOURS_M
-        larger *= 1 + self.magnification_error
-        return RelayGeometry(
-            rows=cells[0],
-            cols=cells[1],
-            ccd_rows=ccd[0],
-            ccd_cols=ccd[1],
-            cell_px=cell_px * larger,
-            magnification=self.magnification * larger,
-            shift_y_px=self.shift_y_px,
-            shift_x_px=self.shift_x_px,
-            rotation_rad=self.rotation_rad,
-            keystone_y=self.keystone_y,
-            keystone_x=self.keystone_x,
-            distortion=self.distortion,
+    def place(self, y: Doubles, x: Doubles) -> tuple[Doubles, Doubles]:
+        """CCD coordinates (pixel centres at +0.5) of fine coordinates (cell centres at +0.5)."""
+        c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+        dy, dx = (y - self.rows / 2) * self.cell_px, (x - self.cols / 2) * self.cell_px
+        if self.distortion or self.keystone_y or self.keystone_x:
+            half_y, half_x = self.rows / 2 * self.cell_px, self.cols / 2 * self.cell_px
+            scale = 1 + self.distortion * (dy**2 + dx**2) / (half_y**2 + half_x**2)
+            scale = scale / (1 + self.keystone_y * dy / half_y + self.keystone_x * dx / half_x)
+            dy, dx = dy * scale, dx * scale
+        return (
+            c * dy + s * dx + self.ccd_rows / 2 + self.shift_y_px,
+            c * dx - s * dy + self.ccd_cols / 2 + self.shift_x_px,
         )
 
-    def operator(
-        self,
-        geometry: RelayGeometry,
-        panel_f_number: float,
-        cell_m: float,
-        transmission: float,
-        samples_per_pitch: int,
-        wavelength_m: float = MONO_WAVELENGTH_M,
-    ) -> RelayOperator:
-        """Operator from the fine panel grid to the CCD; kept for the next call with the same numbers.
+    def picks(self, pitch: int, side: int = 1) -> tuple[Ints, Ints, Bools]:
+        """CCD pixel at the centre of each panel pixel, and whether the CCD has what is read; each (v, u).
 
         Parameters
         ----------
-        geometry : RelayGeometry
-            Where the fine grid lands.
-        panel_f_number : float
-            f-number of the cone that leaves the panel.
-        cell_m : float
-            Side of a fine cell on the panel, m.
-        transmission : float
-            Of everything that the operator stands for; at most 1.
-        samples_per_pitch : int
+        pitch : int
             Fine cells to a panel pixel.
-        wavelength_m : float
-            Of the light, m.
+        side : int
+            CCD pixels to a side of the square around it that is read.
+
+        Returns
+        -------
+        row, col : ndarray, int64
+            Moved onto the CCD where they are not on it.
+        on_ccd : ndarray, bool
+            Whether their whole squares are.
         """
-        f_number = self.image_f_number(panel_f_number)
-        shape = (geometry.rows, geometry.cols)
-        psf = self.psf(f_number, cell_m * self.magnification, shape, self.defocus_m, wavelength_m)
-        ghost = None
-        if self.ghost_share:
-            ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)
-        return RelayOperator(
-            _blur(psf, shape, samples_per_pitch),
-            _overlap(geometry, transmission),
-            self.glare_share,
-            (geometry.ccd_rows, geometry.ccd_cols),
-            ghost,
-        )
+        y, x = self._pixel_centres(pitch)
+        # A centre on a border, or rounded to just beside it, belongs to the pixel after it.
+        row, col = np.floor(y + 1e-9).astype(np.int64), np.floor(x + 1e-9).astype(np.int64)
+        half = side // 2
+        on_ccd = (row >= half) & (row < self.ccd_rows - half)
+        on_ccd &= (col >= half) & (col < self.ccd_cols - half)
+        return row.clip(0, self.ccd_rows - 1), col.clip(0, self.ccd_cols - 1), on_ccd
+
+    def pick_offsets_px(self, pitch: int) -> Doubles:
+        """Centre of each picked CCD pixel less that of its panel pixel: array (v, u, 2), panel pixels."""
+        row, col, _ = self.picks(pitch)
+        y, x = self._pixel_centres(pitch)
+        return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
+
+    def extent(self) -> tuple[float, float, float, float]:
+        """Top, bottom, left and right of the panel's image, CCD coordinates."""
+        y, x = np.linspace(0, self.rows, _OUTLINE), np.linspace(0, self.cols, _OUTLINE)
+        rim_y = np.concatenate([y, y, 0 * x, 0 * x + self.rows])
+        rim_x = np.concatenate([0 * y, 0 * y + self.cols, x, x])
+        on_y, on_x = self.place(rim_y, rim_x)
+        return float(on_y.min()), float(on_y.max()), float(on_x.min()), float(on_x.max())
+
+    def _pixel_centres(self, pitch: int) -> tuple[Doubles, Doubles]:
+        """CCD coordinates of the centres of the panel pixels, each (v, u)."""
+        v = (np.arange(self.rows // pitch) + 0.5)[:, None] * pitch
+        u = (np.arange(self.cols // pitch) + 0.5) * pitch
+        return self.place(v + 0 * u, u + 0 * v)
 
 
-# Kept apart, so that a change of shift, rotation or focus makes only its own part anew.
-@lru_cache(maxsize=4)
-def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
-    return overlap_operator(geometry, transmission)
+def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
+    """Sparse operator from radiant exposure on the panel to radiant exposure on the CCD.
+
+    Parameters
+    ----------
+    geometry : RelayGeometry
+        Where each cell lands.
+    transmission : float
+        Share of a cell's energy that arrives, if it lands on the CCD.
+
+    Returns
+    -------
+    sparse.csc_array of shape (ccd_rows * ccd_cols, rows * cols), float64
+        J m^-2 to J m^-2: overlap in CCD pixel areas / magnification^2 x transmission. Its transpose is
+        its exact adjoint.
+    """
+    g = geometry
+    boxes = _boxes(g)
+    # A side s overlaps at most floor(s) + 2 pixels.
+    reach = int(np.floor(max(float(boxes[2].max()), float(boxes[3].max())))) + 2
+    if g.rows * g.cols < FEW:
+        return _small_overlap(g, boxes, reach, transmission)
+    counts = np.zeros(g.rows * g.cols + 1, np.int64)
+    empty_rows, empty_values = np.empty(0, np.int32), np.empty(0)
+    ccd = (g.ccd_rows, g.ccd_cols)
+    scale = _scale(g, transmission)
+    _overlaps(ccd, boxes, reach, scale, counts, empty_rows, empty_values, False)
+    pointers = np.cumsum(counts)
+    indices = np.empty(pointers[-1], np.int32)
+    # As exact as what it is applied to: else all of it would be converted each time.
+    values = np.empty(pointers[-1])
+    _overlaps(ccd, boxes, reach, scale, pointers, indices, values, True)
+    shape = (g.ccd_rows * g.ccd_cols, g.rows * g.cols)
+    return sparse.csc_array((values, indices, pointers.astype(np.int32)), shape=shape)
 
 
-@lru_cache(maxsize=4)
-def _blur(psf: FieldPsf, shape: tuple[int, int], pitch: int) -> SomeBlur:
-    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _WINGS_SHARE))
-    return winged(make_field_blur(near, shape), psf.kernel, near.half, pitch)
+def _scale(geometry: RelayGeometry, transmission: float) -> float:
+    """Share of a cell's radiant exposure that a CCD pixel gets of a cell that lands on it alone."""
+    return transmission * geometry.cell_px**2 / geometry.magnification**2
+
+
+def _small_overlap(
+    geometry: RelayGeometry, boxes: Doubles, reach: int, transmission: float
+) -> sparse.csc_array:
+    """As in :func:`overlap_operator`: each pixel that a cell may reach, for all cells together."""
+    top, left, height, width = boxes.reshape(4, -1)
+    found: list[tuple[Doubles, Ints, Ints]] = []
+    for down in range(reach):
+        y = np.floor(top) + down
+        high = np.minimum(top + height, y + 1) - np.maximum(top, y)
+        for right in range(reach):
+            x = np.floor(left) + right
+            wide = np.minimum(left + width, x + 1) - np.maximum(left, x)
+            # Less than a billionth of a pixel is rounding, not overlap.
+            met = (high >= 1e-9) & (wide >= 1e-9)
+            cell = np.flatnonzero(
+                met & (y >= 0) & (y < geometry.ccd_rows) & (x >= 0) & (x < geometry.ccd_cols)
+            )
+            pixel = (y[cell] * geometry.ccd_cols + x[cell]).astype(np.int64)
+            found.append(((high * wide / (height * width))[cell], pixel, cell))
+    shares, pixels, cells = (np.concatenate(each) for each in zip(*found, strict=True))
+    values = shares * _scale(geometry, transmission)
+    shape = (geometry.ccd_rows * geometry.ccd_cols, geometry.rows * geometry.cols)
+    return sparse.csc_array((values, (pixels, cells)), shape=shape)
+
+
+def _boxes(geometry: RelayGeometry) -> Doubles:
+    """Top, left, height and width of each cell's image, CCD pixels: array (4, row, col)."""
+    y = (np.arange(geometry.rows) + 0.5)[:, None]
+    x = np.arange(geometry.cols) + 0.5
+    sides: list[Doubles] = []
+    for step_y, step_x in ((0.5, 0.0), (0.0, 0.5)):
+        ahead = geometry.place(y + step_y + 0 * x, x + step_x + 0 * y)
+        behind = geometry.place(y - step_y + 0 * x, x - step_x + 0 * y)
+        sides.append(np.hypot(ahead[0] - behind[0], ahead[1] - behind[1]))
+    centre_y, centre_x = geometry.place(y + 0 * x, x + 0 * y)
+    return np.stack([centre_y - sides[0] / 2, centre_x - sides[1] / 2, *sides])
+
+
+@compiled()
+def _overlaps(
+    ccd: tuple[int, int],
+    boxes: Doubles,
+    reach: int,
+    scale: float,
+    pointers: Ints,
+    indices: NDArray[np.int32],
+    values: Doubles,
+    fill: bool,
+) -> None:
+    """Count the entries of every column (fill False), or write them from their pointers on."""
+    ccd_rows, ccd_cols = ccd
+    _, rows, cols = boxes.shape
+    for row in range(rows):
+        for col in range(cols):
+            top, left, height, width = boxes[:, row, col]
+            first_y, first_x = int(np.floor(top)), int(np.floor(left))
+            column = row * cols + col
+            at = pointers[column]
+            for y in range(max(first_y, 0), min(first_y + reach, ccd_rows)):
+                high = min(top + height, y + 1.0) - max(top, float(y))
+                # Less than a billionth of a pixel is rounding, not overlap.
+                if high < 1e-9:
+                    continue
+                for x in range(max(first_x, 0), min(first_x + reach, ccd_cols)):
+                    wide = min(left + width, x + 1.0) - max(left, float(x))
+                    if wide < 1e-9:
+                        continue
+                    if fill:
+                        indices[at] = y * ccd_cols + x
+                        values[at] = high * wide / (height * width) * scale
+                        at += 1
+                    else:
+                        pointers[column + 1] += 1
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """Light that lands mirrored through the axis and out of focus; its own adjoint.
+
+    Parameters
+    ----------
+    share : float
+        Of the light.
+    blur_px : float
+        Standard deviation of its blur, panel pixels.
+    pitch : int
+        Fine cells to a panel pixel.
+    """
+
+    share: float
+    blur_px: float
+    pitch: int
+
+    def apply(self, energy: NDArray[np.floating]) -> Doubles:
+        """Image of the fine panel grid on itself, (y, x)."""
+        return whole_cells(self.on_pixels(energy), self.pitch)
+
+    def on_pixels(self, energy: NDArray[np.floating]) -> Doubles:
+        """Find the same image where it is smooth, on panel pixels, (v, u)."""
+        return mirrored(cell_means(energy, self.pitch), self.blur_px)
+
+
+@dataclass(frozen=True, eq=False)
+class RelayOperator:
+    """The whole way from the fine panel grid to the CCD, with its exact adjoint.
+
+    Parameters
+    ----------
+    blur : Blur, FieldBlur or Winged
+        PSF on the fine panel grid.
+    overlap : sparse.csc_array
+        From :func:`overlap_operator`.
+    glare_share : float
+        Share of the light on the CCD that is spread evenly over it.
+    ccd_shape : tuple of int
+        CCD rows and columns.
+    ghost : Ghost, optional
+        Mirrored light.
+    """
+
+    blur: SomeBlur
+    overlap: sparse.csc_array
+    glare_share: float
+    ccd_shape: tuple[int, int]
+    ghost: Ghost | None = None
+
+    def apply(self, energy: NDArray[np.floating]) -> Doubles:
+        """Radiant exposure on the CCD, (y, x) of its pixels, from that on the panel, (y, x) fine; J m^-2."""
+        return self._veil(self.project(self._with_ghost(self.blur.apply(energy), energy)))
+
+    def project(self, energy: Doubles) -> Doubles:
+        """Area overlap alone: no blur, no veil."""
+        image: Doubles = (self.overlap @ energy.ravel()).reshape(self.ccd_shape)
+        return image
+
+    def adjoint(self, image: NDArray[np.floating]) -> Doubles:
+        """Transpose of :meth:`apply`: from the CCD's grid to the fine panel grid."""
+        back = (self.overlap.T @ self._veil(image.astype(np.float64)).ravel()).reshape(self.blur.shape)
+        return self._with_ghost(self.blur.adjoint(back), back)
+
+    def _with_ghost(self, direct: Doubles, energy: NDArray[np.floating]) -> Doubles:
+        """Take the ghost's share from the direct light and add the ghost, which is its own adjoint."""
+        if self.ghost is None or self.ghost.share == 0:
+            return direct
+        direct *= 1 - self.ghost.share
+        add_whole_cells(direct, self.ghost.share * self.ghost.on_pixels(energy))
+        return direct
+
+    def _veil(self, image: Doubles) -> Doubles:
+        return (1 - self.glare_share) * image + self.glare_share * image.mean()

@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 from scipy import ndimage
 
-from optsim.quantities import Doubles, Floats, Ints
+from optsim.core.quantities import Doubles, Floats, Ints
 
 TILE_PX = 4
 # Share of the whole picture's mean that a tile's own statistics can't go below: a tile in which no path has

@@ -21,9 +21,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from optsim.cache import default_folder, hash_of
-from optsim.errors import BackendError, ConfigError, StorageError, unknown_name
-from optsim.files import read_json, write_json
+from optsim.core.cache import default_folder, hash_of
+from optsim.core.errors import BackendError, ConfigError, StorageError, unknown_name
+from optsim.core.files import read_json, write_json
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
 OLDEST_LLVM = 17

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from scipy import ndimage
 
-from optsim.quantities import Bools, Doubles, Floats, Ints, View
+from optsim.core.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.stage import Looks
 from optsim.scene.geometry import Faces
 

@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from optsim.errors import ConfigError, ValueCheckError
-from optsim.quantities import Floats
-from optsim.quantities.arrays import checked
+from optsim.core.errors import ConfigError, ValueCheckError
+from optsim.core.quantities import Floats
+from optsim.core.quantities.arrays import checked
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.errors import ConfigError
-from optsim.quantities import Floats, View
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Floats, View
 from optsim.render.lens import focus_depth_m, ideal
 from optsim.scene.bands import mono
 from optsim.scene.camera_pose import CameraPose

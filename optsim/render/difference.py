@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.quantities import Bools, Doubles, Floats, Ints
+from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.render.allocation import Tiles, smoothed, tally
 from optsim.render.nearby import boxes_around
 from optsim.render.plan import Plan

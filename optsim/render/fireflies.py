@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from optsim.errors import BackendError, ConfigError
-from optsim.progress import Progress, silent
-from optsim.quantities import Doubles, Floats, Ints, View
+from optsim.core.errors import BackendError, ConfigError
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Doubles, Floats, Ints, View
 from optsim.render.backend import activate
 from optsim.render.plan import seed_of
 from optsim.render.stage import Stage

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.quantities import Bools, Doubles, ObjectPose, Passes, View
+from optsim.core.quantities import Bools, Doubles, ObjectPose, Passes, View
 from optsim.render.backend import activate
 from optsim.render.gbuffer import Hits, ObjectIds, camera_to_world, cast, intrinsics, sample_rays
 from optsim.render.lens import distorted, radial_k1

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numba import njit
 
-from optsim.quantities import Bools, Doubles, View
+from optsim.core.quantities import Bools, Doubles, View
 from optsim.render.lens import blur_px
 from optsim.render.lens import margin_px as margin_of
 from optsim.scene.camera_pose import CameraPose

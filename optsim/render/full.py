@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from optsim.progress import Progress, silent
-from optsim.quantities import Block, Doubles, Floats, Segment, Timing, View
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Block, Doubles, Floats, Segment, Timing, View
 from optsim.render.allocation import Tiles
 from optsim.render.backend import activate
 from optsim.render.footprint import path_px

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.quantities import Doubles, Ids, Ints, View
+from optsim.core.quantities import Doubles, Ids, Ints, View
 from optsim.render.describe import unit_m
 from optsim.render.first_hit import FirstHit, first_hit
 from optsim.render.lens import undistorted

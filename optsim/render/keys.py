@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optsim.quantities import Doubles, Floats, Ints
+from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Tiles
 from optsim.render.carried import Key, filled, seen_at
 from optsim.render.difference import Difference

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from optsim.forward.lens import blur_tan, corner_tan, image_scale, object_scale
-from optsim.quantities import Bools, Doubles, Ints, View
+from optsim.core.quantities import Bools, Doubles, Ints, View
+from optsim.optics.lens import blur_tan, corner_tan, image_scale, object_scale
 from optsim.scene.camera_pose import CameraPose
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.quantities import Block, Bools, Doubles, Floats, Ints, Segment
+from optsim.core.quantities import Block, Bools, Doubles, Floats, Ints, Segment
 from optsim.render.allocation import Tiles
 from optsim.render.carried import between
 from optsim.render.difference import Difference

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.quantities import Doubles
+from optsim.core.quantities import Doubles
 from optsim.render.footprint import vertices_at
 from optsim.scene import geometry
 from optsim.scene.geometry import Mesh

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from optsim.cache import Cache, hash_of
-from optsim.progress import Progress
-from optsim.quantities import Bools, Doubles, Floats, Ints, Timing, View
+from optsim.core.cache import Cache, hash_of
+from optsim.core.progress import Progress
+from optsim.core.quantities import Bools, Doubles, Floats, Ints, Timing, View
 from optsim.render.allocation import MOST, Tiles, allocate, relative_deviation
 from optsim.render.footprint import cover, faces_of, vertices_at
 from optsim.render.lens import ideal, touched

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.quantities import Ints, View
+from optsim.core.quantities import Ints, View
 from optsim.render.lens import ideal, margin_px, undistorted
 from optsim.render.sampler import pixel_sampler
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pydantic import Field
 
-from optsim.config import Part
+from optsim.core.config import Part
 
 
 class RenderSettings(Part):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.quantities import Bools, Doubles
+from optsim.core.quantities import Bools, Doubles
 from optsim.render.tracks import Density, Track
 
 # Relative error on a mover's own pixels where it goes one fine sample from pose to pose, or from key to key:

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from optsim.quantities import Bools, Doubles, Floats, Ints, View
+from optsim.core.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.analyser import twice_analysed
 from optsim.render.describe import camera_to_world, describe, parse_static, unit_m
 from optsim.render.first_hit import first_hit

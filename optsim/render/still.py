@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from optsim.quantities import Doubles, Floats, Ints
+from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Tiles, tally
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from optsim.errors import BackendError
-from optsim.quantities import Floats, Ints, View
+from optsim.core.errors import BackendError
+from optsim.core.quantities import Floats, Ints, View
 from optsim.render.analyser import stokes_vector
 from optsim.render.backend import activate
 from optsim.render.rays import camera_rays, pieces, starts

@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from optsim.quantities import Bools, Ints
+from optsim.core.quantities import Bools, Ints
 from optsim.render.footprint import path_px, vertices_at
 from optsim.render.plan import Plan
 

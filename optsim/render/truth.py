@@ -27,10 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from optsim.cache import Cache, hash_of
-from optsim.errors import ConfigError
-from optsim.progress import Progress, silent
-from optsim.quantities import Floats, RadianceVideo, Segment, Timing, View
+from optsim.core.cache import Cache, hash_of
+from optsim.core.errors import ConfigError
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Floats, RadianceVideo, Segment, Timing, View
 from optsim.render import moving
 from optsim.render.allocation import Tiles
 from optsim.render.backend import activate, versions
@@ -314,5 +314,5 @@ def _code_hash() -> str:
     """Hash of the code that decides a render, so that an old cache never answers for new code."""
     rooms = [files("optsim") / room for room in ("scene", "render")]
     whole = [item for room in rooms for item in room.iterdir() if item.name.endswith(".py")]
-    sources = sorted([*whole, files("optsim") / "forward" / "lens.py"], key=lambda item: item.name)
+    sources = sorted([*whole, files("optsim") / "optics" / "lens.py"], key=lambda item: item.name)
     return hash_of(*(source.read_text(encoding="utf-8") for source in sources))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim.errors import ValueCheckError
-from optsim.files import atomic, write_png8
-from optsim.quantities import Bytes, Floats
+from optsim.core.errors import ValueCheckError
+from optsim.core.files import atomic, write_png8
+from optsim.core.quantities import Bytes, Floats
 from optsim.report.pictures import ToneCurve
 from optsim.report.schema import Picture
 

@@ -7,8 +7,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, cast
 
-from optsim.errors import StorageError
-from optsim.files import write_text
+from optsim.core.errors import StorageError
+from optsim.core.files import write_text
 from optsim.metrics.claims import measured
 from optsim.report import headline, plots, words
 from optsim.report.schema import Picture, Results, Section, Series, check_results

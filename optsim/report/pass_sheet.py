@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from optsim.quantities import Bools, Bytes, Doubles, Floats, Ids
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Ids
 from optsim.report.pictures import enlarge, ramp, rgb
 
 _WIDTH_PX = 480

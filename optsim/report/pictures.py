@@ -7,8 +7,8 @@ from typing import cast
 import numpy as np
 from pydantic import Field
 
-from optsim.config import Part
-from optsim.quantities import Bools, Bytes, Doubles, Floats, Words
+from optsim.core.config import Part
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
 from optsim.report.schema import ColourScale, LegendEntry
 from optsim.report.words import number
 

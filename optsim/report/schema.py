@@ -11,7 +11,7 @@ from typing import Any, Literal, NotRequired
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict
 
-from optsim.errors import ValueCheckError
+from optsim.core.errors import ValueCheckError
 from optsim.metrics.claims import Verdict
 from optsim.metrics.pairs import PairRecord
 
@@ -205,7 +205,7 @@ class PooledMask(TypedDict):
 
 @with_config(_STRICT)
 class EvidenceRow(TypedDict):
-    """State of one modelled effect, as ``optsim.evidence.status`` gives it."""
+    """State of one modelled effect, as ``optsim.experiment.evidence.status`` gives it."""
 
     effect: str
     what: str

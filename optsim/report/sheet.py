@@ -9,9 +9,9 @@ from typing import cast
 
 import numpy as np
 
-from optsim.errors import ValueCheckError
-from optsim.files import write_png8
-from optsim.quantities import Bools, Bytes, Doubles, Floats, Words
+from optsim.core.errors import ValueCheckError
+from optsim.core.files import write_png8
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
 from optsim.report import pictures as draw
 from optsim.report.schema import ColourScale, LegendEntry, Picture, Section
 

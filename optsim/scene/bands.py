@@ -7,8 +7,8 @@ from typing import Annotated, cast
 
 from pydantic import BaseModel, Field, TypeAdapter, WrapValidator
 
-from optsim.config import Part, PartT
-from optsim.errors import ConfigError
+from optsim.core.config import Part, PartT
+from optsim.core.errors import ConfigError
 from optsim.scene.fields import Positive, Share
 
 # Where the one band of a scene without bands lies: there the eye's photopic efficacy is known to the scores.

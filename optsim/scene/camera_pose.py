@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import model_validator
 
-from optsim.config import Part
+from optsim.core.config import Part
 from optsim.scene import geometry
 from optsim.scene.fields import Vector
 

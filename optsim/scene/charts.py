@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from optsim.quantities import Doubles
+from optsim.core.quantities import Doubles
 
 PAPER = 0.9
 """Reflectance of the targets' white."""

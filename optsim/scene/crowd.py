@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.config import Part
+from optsim.core.config import Part
 from optsim.scene.fields import Positive
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.vehicle import CarBody, Wheel

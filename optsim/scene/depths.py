@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from optsim.quantities import Doubles
+from optsim.core.quantities import Doubles
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.materials import Diffuse
 from optsim.scene.scene import Scene

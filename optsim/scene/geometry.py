@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optsim.quantities import Doubles
+from optsim.core.quantities import Doubles
 
 Faces = NDArray[np.int32]
 

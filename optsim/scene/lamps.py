@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from optsim.config import Part
-from optsim.errors import ValueCheckError
+from optsim.core.config import Part
+from optsim.core.errors import ValueCheckError
 from optsim.scene.bands import PositiveByBand
 from optsim.scene.fields import Positive, Share, Vector
 from optsim.scene.parts import check_edges

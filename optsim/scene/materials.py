@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Discriminator, Field, Tag, field_validator
 
-from optsim.config import Part
-from optsim.errors import ConfigError
+from optsim.core.config import Part
+from optsim.core.errors import ConfigError
 from optsim.scene.bands import ShareByBand
 from optsim.scene.fields import Positive, Share
 from optsim.scene.textures import check_texture

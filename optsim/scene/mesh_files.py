@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.errors import StorageError
-from optsim.foreign import reading
+from optsim.core.errors import StorageError
+from optsim.core.foreign import reading
 
 _CURE = "cure: export the mesh again, whole, as triangles"
 # Names of PLY's number types, old and new -> numpy's.

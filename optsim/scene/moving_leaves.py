@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from optsim.quantities import Doubles, Floats, Ints
+from optsim.core.quantities import Doubles, Floats, Ints
 
 _POSES = 4  # poses a slot
 _RAYS = 4  # samples a pixel and pose

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from optsim.config import Part
+from optsim.core.config import Part
 from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optsim.config import Part, build, read_toml
-from optsim.errors import ConfigError, unknown_name
+from optsim.core.config import Part, build, read_toml
+from optsim.core.errors import ConfigError, unknown_name
 from optsim.scene.bands import MONO_NM, Band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single

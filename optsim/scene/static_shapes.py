@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 from pydantic import Field, field_validator
 
-from optsim.config import Part
-from optsim.errors import ConfigError, unknown_name
+from optsim.core.config import Part
+from optsim.core.errors import ConfigError, unknown_name
 from optsim.scene.mesh_files import check_mesh
 
 _MATT = ("diffuse", "twosided", "mask", "bumpmap", "normalmap", "blendbsdf")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.quantities import Doubles
+from optsim.core.quantities import Doubles
 
 
 def periodic_blur(image: Doubles, sigma: float | tuple[float, float]) -> Doubles:

@@ -15,8 +15,8 @@ from importlib.resources.abc import Traversable
 
 import numpy as np
 
-from optsim.errors import ConfigError, unknown_name
-from optsim.quantities import Doubles, Floats
+from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.quantities import Doubles, Floats
 from optsim.scene.charts import CHARTS
 from optsim.scene.surfaces import SURFACES, periodic_blur
 

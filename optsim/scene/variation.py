@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from optsim.config import Table, override
-from optsim.errors import ConfigError, unknown_name
+from optsim.core.config import Table, override
+from optsim.core.errors import ConfigError, unknown_name
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from optsim.config import Part
-from optsim.quantities import Doubles
+from optsim.core.config import Part
+from optsim.core.quantities import Doubles
 from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh

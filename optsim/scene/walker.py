@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.config import Part
-from optsim.quantities import Doubles
+from optsim.core.config import Part
+from optsim.core.quantities import Doubles
 from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh

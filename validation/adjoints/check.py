@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from optsim.camera import CodedCamera
-from optsim.forward.fringing import border_shares, fine_image, fine_image_adjoint
-from optsim.hardware import demo
-from optsim.origins import light_paths
-from optsim.quantities import Doubles
-from optsim.reconstruct.coded_blur import coded_blur, spectrum_of
-from optsim.reconstruct.tv_smoothing import smoothed
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import demo
+from optsim.core.quantities import Doubles
+from optsim.decoding.coded_blur import coded_blur, spectrum_of
+from optsim.decoding.tv_smoothing import smoothed
+from optsim.experiment.origins import light_paths
+from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
 
 CLAIM = (
     "<A x, y> = <x, A' y> for the relay with blur, wings, overlap, ghost and veil at several alignments, its "
@@ -30,11 +30,11 @@ SOURCE = (
 TOLERANCE = 1.0
 REASON = "In units of what is allowed: 1e-10 of the norms in float64, 1e-6 in float32."
 FILES = (
-    "optsim/forward/*.py",
-    "optsim/optics/relay.py",
-    "optsim/origins.py",
-    "optsim/reconstruct/coded_blur.py",
-    "optsim/reconstruct/tv_smoothing.py",
+    "optsim/optics/*.py",
+    "optsim/camera/parts/relay.py",
+    "optsim/experiment/origins.py",
+    "optsim/decoding/coded_blur.py",
+    "optsim/decoding/tv_smoothing.py",
 )
 
 _DOUBLE, _SINGLE = 1e-10, 1e-6

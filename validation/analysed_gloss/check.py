@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim.cache import Cache
-from optsim.hardware import demo
-from optsim.quantities import Timing, View
+from optsim.camera.hardware import demo
+from optsim.core.cache import Cache
+from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, render_truth
 from optsim.scene import Scene
 
@@ -29,7 +29,7 @@ FILES = (
     "optsim/render/analyser.py",
     "optsim/render/stage.py",
     "optsim/render/truth.py",
-    "optsim/optics/splitter.py",
+    "optsim/camera/parts/splitter.py",
 )
 
 _IOR, _LAMP = 1.5, 2.0

@@ -14,13 +14,13 @@ from unittest import mock
 
 import numpy as np
 
-import optsim.camera
-from optsim.calibrate import Bench, calibrate_from
-from optsim.camera import CodedCamera
-from optsim.forward.panel import PanelResponse
-from optsim.hardware.cameras import demo
-from optsim.laboratory import measure_bench
-from optsim.quantities import ExposureCode, PanelState
+import optsim.camera.camera
+from optsim.calibration import Bench, calibrate_from
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware.cameras import demo
+from optsim.camera.laboratory import measure_bench
+from optsim.core.quantities import ExposureCode, PanelState
+from optsim.optics.panel import PanelResponse
 
 CLAIM = (
     "from its images alone, the virtual laboratory's bench finds gain and read noise to 1 %, the panel's "
@@ -40,7 +40,7 @@ SOURCE = (
 )
 TOLERANCE = 1.0
 REASON = "The deviation of each number is divided by the bound claimed for it: 1 is the edge of the claim."
-FILES = ("optsim/calibrate/*.py", "optsim/laboratory.py")
+FILES = ("optsim/calibration/*.py", "optsim/camera/laboratory.py")
 
 SHIFT_PX, ROTATION_RAD, RATIO, KEYSTONE_X, BARREL = (1.7, -2.2), 3e-3, 2.97, 4e-3, -5e-3
 # Share of the way that the other law goes more slowly, and how many times.
@@ -148,7 +148,9 @@ def rate_equations(
 @contextmanager
 def driven_by(slow_share: float) -> Iterator[None]:
     """Let the camera's panel follow the rate equations; the calibration keeps its own."""
-    with mock.patch.object(optsim.camera, "slot_weights", partial(rate_equations, slow_share=slow_share)):
+    with mock.patch.object(
+        optsim.camera.camera, "slot_weights", partial(rate_equations, slow_share=slow_share)
+    ):
         yield
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.optics import Objective, form_image
-from optsim.scene.footage import still
+from optsim.camera.parts import Objective, form_image
+from optsim.footage.made import still
 
 CLAIM = "irradiance of a flat scene: pi L T sin^2(theta') on axis and cos^4 of the field angle off it"
 ORACLE = (
@@ -19,10 +19,10 @@ REASON = (
     "the fall-off by less than 0.1 %; the FFT adds 1e-7."
 )
 FILES = (
-    "optsim/forward/radiometry.py",
-    "optsim/forward/psf.py",
-    "optsim/optics/objective.py",
-    "optsim/optics/image_formation.py",
+    "optsim/optics/radiometry.py",
+    "optsim/optics/psf.py",
+    "optsim/camera/parts/objective.py",
+    "optsim/camera/parts/image_formation.py",
 )
 
 _ROWS, _COLS, _CELL_M = 40, 64, 2e-4

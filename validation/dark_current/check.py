@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from optsim.camera import CodedCamera
-from optsim.hardware import demo
-from optsim.quantities import ExposureCode
-from optsim.scene.footage import still
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import demo
+from optsim.core.quantities import ExposureCode
+from optsim.footage.made import still
 
 CLAIM = (
     "a frame in the dark has dark current x time electrons on average, twice as many every 7 K, shot noise "
@@ -25,7 +25,7 @@ REASON = (
     "variance what chance exceeds once in 1e5. The twelve of them raise a false alarm once in 8000 "
     "measures."
 )
-FILES = ("optsim/camera.py", "optsim/sensor/ccd.py", "optsim/hardware/sensors.py")
+FILES = ("optsim/camera/camera.py", "optsim/camera/parts/ccd.py", "optsim/camera/hardware/sensors.py")
 
 _EXACT, _QUANTILE = 1e-12, float(norm.isf(1e-5 / 2))
 _CELSIUS = (-20.0, 25.0, 60.0, 95.0)

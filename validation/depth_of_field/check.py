@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from optsim.quantities import Doubles, View
+from optsim.core.quantities import Doubles, View
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import Scene
@@ -29,7 +29,7 @@ REASON = (
     "(Kolmogorov). A column of the edge is the mean of 15 000 paths: off by as much once in 1e6 columns."
 )
 FILES = (
-    "optsim/forward/lens.py",
+    "optsim/optics/lens.py",
     "optsim/render/lens.py",
     "optsim/render/rays.py",
     "optsim/render/describe.py",

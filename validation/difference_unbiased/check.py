@@ -14,8 +14,8 @@ from unittest import mock
 import numpy as np
 from scipy import stats
 
-from optsim.cache import Cache
-from optsim.quantities import Doubles, RadianceVideo, Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Doubles, RadianceVideo, Timing, View
 from optsim.render import RenderSettings, difference, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover

@@ -14,9 +14,9 @@ import numpy as np
 import tifffile
 from scipy import constants
 
-from optsim.camera import CodedCamera
-from optsim.hardware import prototype
-from optsim.sensor import Ccd
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import prototype
+from optsim.camera.parts import Ccd
 
 ROWS, COLS = 600, 800
 STACK = 50

@@ -17,9 +17,9 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a package
 
-from optsim.errors import StorageError
-from optsim.hardware import icx674, imx174
-from optsim.sensor import Ccd
+from optsim.camera.hardware import icx674, imx174
+from optsim.camera.parts import Ccd
+from optsim.core.errors import StorageError
 from validation.emva1288.bench import LEVELS, camera_of, take_bench
 from validation.emva1288.expected import expected, saturation_photons
 from validation.environments import reference_python
@@ -41,10 +41,10 @@ REASON = (
     "tests/test_sensor_ccd.py."
 )
 FILES = (
-    "optsim/sensor/*.py",
-    "optsim/hardware/sensors.py",
-    "optsim/camera.py",
-    "optsim/forward/radiometry.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/sensors.py",
+    "optsim/camera/camera.py",
+    "optsim/optics/radiometry.py",
 )
 
 _SEED = 7

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.hardware import demo
-from optsim.quantities import ExposureCode, PanelState
-from optsim.scene.footage import still
+from optsim.camera.hardware import demo
+from optsim.core.quantities import ExposureCode, PanelState
+from optsim.footage.made import still
 
 CLAIM = (
     "a bright rectangle on the modulator arrives on the CCD with its energy x transmissions x quantum "
@@ -23,11 +23,11 @@ REASON = (
     "the CCD."
 )
 FILES = (
-    "optsim/camera.py",
-    "optsim/forward/*.py",
+    "optsim/camera/camera.py",
     "optsim/optics/*.py",
-    "optsim/sensor/*.py",
-    "optsim/hardware/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/*.py",
 )
 
 _RADIANCE = 2.0

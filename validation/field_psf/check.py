@@ -17,13 +17,13 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a package
 
-from optsim.camera import CodedCamera
-from optsim.errors import StorageError
-from optsim.forward.aberrations import Wavefront
-from optsim.forward.field_blur import FieldPsf
-from optsim.hardware import prototype
-from optsim.optics import form_image
-from optsim.scene.footage import still
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import prototype
+from optsim.camera.parts import form_image
+from optsim.core.errors import StorageError
+from optsim.footage.made import still
+from optsim.optics.aberrations import Wavefront
+from optsim.optics.field_blur import FieldPsf
 from validation.environments import reference_python
 
 CLAIM = (
@@ -41,11 +41,11 @@ SOURCE = (
 TOLERANCE = 1.0
 REASON = "In units of what each place is allowed, below; it is a share of the point's light."
 FILES = (
-    "optsim/forward/psf.py",
-    "optsim/forward/aberrations.py",
-    "optsim/forward/field_blur.py",
-    "optsim/optics/*.py",
-    "optsim/hardware/cameras.py",
+    "optsim/optics/psf.py",
+    "optsim/optics/aberrations.py",
+    "optsim/optics/field_blur.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/cameras.py",
 )
 
 # At a node: 1e-3 of the light lies beyond the window and is put back, 64 samples across the pupil leave a rim

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from optsim.forward.fringing import border_shares, fine_image
-from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
-from optsim.forward.rims import Rims, cell_weights
+from optsim.optics.fringing import border_shares, fine_image
+from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
+from optsim.optics.rims import Rims, cell_weights
 
 CLAIM = (
     "under fringing fields the weights of fine cells, summed over a frame of random, short and grey codes, "
@@ -24,12 +24,12 @@ REASON = (
     "and steps leave 0.1 %; mixing the neighbours' weights, which plans may fall back to, leaves 37 %."
 )
 FILES = (
-    "optsim/forward/fringing.py",
-    "optsim/forward/panel.py",
-    "optsim/forward/radau.py",
-    "optsim/forward/relaxation.py",
-    "optsim/forward/rims.py",
-    "optsim/forward/rim_loops.py",
+    "optsim/optics/fringing.py",
+    "optsim/optics/panel.py",
+    "optsim/optics/radau.py",
+    "optsim/optics/relaxation.py",
+    "optsim/optics/rims.py",
+    "optsim/optics/rim_loops.py",
 )
 
 # Pixels enough for the compiled loop, and rows for several of its bands.

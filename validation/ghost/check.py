@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from optsim.hardware import demo
+from optsim.camera.hardware import demo
 
 CLAIM = "a lit patch has a ghost of the stated share, mirrored through the axis and blurred by a Gaussian"
 ORACLE = "integral of a two-dimensional Gaussian, as wide as stated, over panel pixels; scipy's normal law"
@@ -17,7 +17,7 @@ REASON = (
     "The Gaussian is cut off at five standard deviations and its own cell is taken out of its variance, "
     "which is right to the fourth order: 3e-6 of the peak at 6 pixels. Float32 nowhere."
 )
-FILES = ("optsim/forward/relay.py", "optsim/optics/relay.py")
+FILES = ("optsim/optics/relay.py", "optsim/camera/parts/relay.py")
 
 _SIGMA_PX, _AT = 6.0, (40, 50)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.calibrate.calibration import Calibration
+from optsim.calibration.calibration import Calibration
 from optsim.coding import HdrMosaic
-from optsim.forward.panel import PanelResponse
-from optsim.quantities import CodedFrame, Floats
-from optsim.reconstruct import HdrMerge
+from optsim.core.quantities import CodedFrame, Floats
+from optsim.decoding import HdrMerge
+from optsim.optics.panel import PanelResponse
 
 CLAIM = (
     "the HDR merge of four mosaic frames gives back a wedge of four decades, saturation and noise included"
@@ -26,22 +26,22 @@ REASON = (
     "Four of them, and 0.1 % for choosing samples by their own noise near the clip."
 )
 FILES = (
-    "optsim/reconstruct/frame_merge.py",
-    "optsim/reconstruct/hdr_merge.py",
-    "optsim/reconstruct/joint_merge.py",
-    "optsim/reconstruct/neighbour_pooling.py",
-    "optsim/reconstruct/hidden_light.py",
-    "optsim/calibrate/glare.py",
-    "optsim/reconstruct/layer.py",
+    "optsim/decoding/frame_merge.py",
+    "optsim/decoding/hdr_merge.py",
+    "optsim/decoding/joint_merge.py",
+    "optsim/decoding/neighbour_pooling.py",
+    "optsim/decoding/hidden_light.py",
+    "optsim/calibration/glare.py",
+    "optsim/decoding/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",
-    "optsim/calibrate/calibration.py",
-    "optsim/calibrate/sample.py",
-    "optsim/forward/motion.py",
-    "optsim/forward/neighbourhoods.py",
-    "optsim/forward/stray_light.py",
-    "optsim/forward/panel.py",
-    "optsim/forward/relaxation.py",
+    "optsim/calibration/calibration.py",
+    "optsim/calibration/sample.py",
+    "optsim/optics/motion.py",
+    "optsim/optics/neighbourhoods.py",
+    "optsim/optics/stray_light.py",
+    "optsim/optics/panel.py",
+    "optsim/optics/relaxation.py",
 )
 
 _SLOTS, _ROWS, _COLS = 36, 240, 240

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.camera import CodedCamera
-from optsim.effects import with_effects
-from optsim.hardware import demo
-from optsim.quantities import Doubles, ExposureCode, Floats
-from optsim.scene.footage import footage
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware import demo
+from optsim.core.quantities import Doubles, ExposureCode, Floats
+from optsim.footage.made import footage
 
 CLAIM = (
     "complementary codes of an instantaneous panel add to all-on plus all-off; all-on, on for long, is a "
@@ -28,7 +28,12 @@ REASON = (
     "Weights, energies and entries of the relay's operator are float32, 6e-8 each; PSF wings that the "
     "panel's edge cuts off differently after a shift leave 1.2e-7. Relative to the brightest pixel."
 )
-FILES = ("optsim/camera.py", "optsim/forward/*.py", "optsim/optics/*.py", "optsim/hardware/*.py")
+FILES = (
+    "optsim/camera/camera.py",
+    "optsim/optics/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/*.py",
+)
 
 _ROWS, _COLS, _SLOTS, _SLOT_S = 120, 160, 4, 1 / 180
 _SHARP = {"objective_blur": "ideal", "relay_blur": "ideal"}

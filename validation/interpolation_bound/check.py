@@ -10,8 +10,8 @@ from unittest import mock
 
 import numpy as np
 
-from optsim.cache import Cache
-from optsim.quantities import Bools, Doubles, Ints, RadianceVideo, Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Bools, Doubles, Ints, RadianceVideo, Timing, View
 from optsim.render import RenderSettings, moving, render_truth, spacing
 from optsim.render.backend import activate
 from optsim.render.footprint import cover

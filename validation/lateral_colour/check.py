@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.camera import CodedCamera
-from optsim.effects import with_effects
-from optsim.hardware import prototype
-from optsim.quantities import Doubles, ExposureCode
-from optsim.scene.footage import still
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware import prototype
+from optsim.core.quantities import Doubles, ExposureCode
+from optsim.footage.made import still
 
 CLAIM = (
     "the relay's image of the panel grows evenly with wavelength about its centre, from 450 to 650 nm by "
@@ -22,10 +22,10 @@ SOURCE = "definition of lateral colour (W. J. Smith, Modern Optical Engineering,
 TOLERANCE = 2e-6
 REASON = "Float32 entries and energies: 6e-8 of lever arms of three pixels, over four pixels along each axis."
 FILES = (
-    "optsim/camera.py",
-    "optsim/forward/relay.py",
+    "optsim/camera/camera.py",
     "optsim/optics/relay.py",
-    "optsim/hardware/cameras.py",
+    "optsim/camera/parts/relay.py",
+    "optsim/camera/hardware/cameras.py",
 )
 
 _GROWTH, _RATIO = 3.9e-4, 2.88

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import j0, j1
 
-from optsim.forward.aberrations import Wavefront
-from optsim.forward.psf import psf_kernel
-from optsim.hardware import prototype
-from optsim.optics import form_image
-from optsim.scene.footage import still
+from optsim.camera.hardware import prototype
+from optsim.camera.parts import form_image
+from optsim.footage.made import still
+from optsim.optics.aberrations import Wavefront
+from optsim.optics.psf import psf_kernel
 
 CLAIM = (
     "a sine pattern keeps the contrast that diffraction at a circular aperture and Gaussian aberrations "
@@ -33,7 +33,7 @@ REASON = (
     "5.7 % with 2 um. Rings, relative to their own light: the mean over an Airy pattern's rings comes "
     "within 2 % of them."
 )
-FILES = ("optsim/forward/psf.py", "optsim/optics/*.py")
+FILES = ("optsim/optics/psf.py", "optsim/camera/parts/*.py")
 
 _PITCH_M, _WAVELENGTH_M, _SIGMA_M = 20e-6, 550e-9, 3e-6
 _CYCLES = (0.05, 0.1, 0.25, 0.4, 0.5)  # a panel pixel

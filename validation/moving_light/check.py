@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import fftconvolve
 
-from optsim.forward import moving_blur
-from optsim.forward.aberrations import Wavefront
-from optsim.forward.moving_psf import MovingPsf
-from optsim.forward.radiometry import MONO_WAVELENGTH_M
-from optsim.hardware import prototype
-from optsim.optics import form_image
-from optsim.quantities import Block, RadianceVideo, Segment
+from optsim.camera.hardware import prototype
+from optsim.camera.parts import form_image
+from optsim.core.quantities import Block, RadianceVideo, Segment
+from optsim.optics import moving_blur
+from optsim.optics.aberrations import Wavefront
+from optsim.optics.moving_psf import MovingPsf
+from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
 CLAIM = (
     "what walks in front of a bright window, and a patch that goes bright and dark, are imaged in every "
@@ -35,9 +35,9 @@ REASON = (
     "line beside its way by some per cent of them."
 )
 FILES = (
-    "optsim/forward/*.py",
     "optsim/optics/*.py",
-    "optsim/quantities/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/core/quantities/*.py",
 )
 
 _ROWS, _COLS, _N = 240, 300, 18

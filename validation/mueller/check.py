@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from optsim.forward.mueller import depolariser, mirror, polariser, retarder_45, turned
-from optsim.hardware import lcr720
-from optsim.optics import Splitter
-from optsim.quantities import Doubles
+from optsim.camera.hardware import lcr720
+from optsim.camera.parts import Splitter
+from optsim.core.quantities import Doubles
+from optsim.optics.mueller import depolariser, mirror, polariser, retarder_45, turned
 
 CLAIM = (
     "polarisers, retarders, mirror, depolariser and panel at any angle are what Jones calculus says; "
@@ -29,7 +29,7 @@ REASON = (
     "Float64: matrices to 1e-15. Eigenvalues of pure states are zero but for rounding, which is that of "
     "the factors while the trace that it is told of may be 1e-3 of theirs, for crossed polarisers."
 )
-FILES = ("optsim/forward/mueller.py", "optsim/optics/modulator.py", "optsim/optics/splitter.py")
+FILES = ("optsim/optics/mueller.py", "optsim/camera/parts/modulator.py", "optsim/camera/parts/splitter.py")
 
 _ANGLES = np.linspace(-np.pi, np.pi, 13)
 _RETARDANCES = (0.0, 0.4, np.pi / 2, 2.0, np.pi, 4.0)

@@ -8,8 +8,8 @@ from unittest import mock
 
 import numpy as np
 
-from optsim.cache import Cache
-from optsim.quantities import Bools, Doubles, Timing, View
+from optsim.core.cache import Cache
+from optsim.core.quantities import Bools, Doubles, Timing, View
 from optsim.render import RenderSettings, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from optsim.quantities import Doubles, View
+from optsim.core.quantities import Doubles, View
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import Scene
@@ -24,7 +24,7 @@ REASON = (
     "0.005."
 )
 FILES = (
-    "optsim/forward/lens.py",
+    "optsim/optics/lens.py",
     "optsim/render/lens.py",
     "optsim/render/rays.py",
     "optsim/render/describe.py",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.forward.panel import PanelResponse, settled_panel, slot_weights
+from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
 
 CLAIM = (
     "mean transmission of each slot follows from exponential relaxation of the retardance, history included, "
@@ -18,8 +18,8 @@ REASON = (
     "retardance carried through the slots some 1e-6."
 )
 FILES = (
-    "optsim/forward/panel.py",
-    "optsim/forward/relaxation.py",
+    "optsim/optics/panel.py",
+    "optsim/optics/relaxation.py",
 )
 
 _SLOT_S, _SLOTS, _PIXELS, _STEPS = 1 / 180, 12, 24, 12_000

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import binom, norm
 
-from optsim.effects import with_effects
-from optsim.hardware import demo, lcr720
-from optsim.quantities import ExposureCode
-from optsim.scene.footage import still
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware import demo, lcr720
+from optsim.core.quantities import ExposureCode
+from optsim.footage.made import still
 
 CLAIM = (
     "a panel's reflectivity varies by the stated rms, differently for each specimen; as many pixels as "
@@ -27,7 +27,7 @@ REASON = (
     "In units of what is allowed: 1e-5 for an rms of float32 numbers about 1, 1e-6 for float32 light; for "
     "the three statistics what chance exceeds once in 1e5, so a false alarm once in 33 000 measures."
 )
-FILES = ("optsim/camera.py", "optsim/optics/modulator.py", "optsim/hardware/lcr720.py")
+FILES = ("optsim/camera/camera.py", "optsim/camera/parts/modulator.py", "optsim/camera/hardware/lcr720.py")
 
 _RMS, _SHARE = 0.02, 1e-5
 _EXACT, _LIGHT, _CHANCE = 1e-5, 1e-6, 1e-5

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.hardware import icx674
-from optsim.sensor import Ccd
+from optsim.camera.hardware import icx674
+from optsim.camera.parts import Ccd
 
 CLAIM = "pairs of flats give back the sensor's gain by the photon-transfer method, with PRNU and DSNU present"
 ORACLE = (
@@ -19,7 +19,7 @@ REASON = (
     "the response takes another 1e-3. Four standard errors more: one false alarm in 15 000 seeds; the "
     "seed is fixed."
 )
-FILES = ("optsim/sensor/*.py", "optsim/hardware/sensors.py")
+FILES = ("optsim/camera/parts/*.py", "optsim/camera/hardware/sensors.py")
 
 _LEVELS_E = np.linspace(100, 7000, 12)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.forward.relay import RelayGeometry, overlap_operator
+from optsim.optics.relay import RelayGeometry, overlap_operator
 
 CLAIM = "each fine cell's energy lands on the CCD pixels that its warped square covers"
 ORACLE = (
@@ -18,7 +18,7 @@ REASON = (
     "it by another 0.2 %: shares within 4e-3. Points on a grid miss a border by half of 1/240 of a side, "
     "along each of two borders: 4e-3."
 )
-FILES = ("optsim/forward/relay.py",)
+FILES = ("optsim/optics/relay.py",)
 
 _POINTS = 240
 _CELL_PX, _ROTATION = 2.88 / 3, 2e-3

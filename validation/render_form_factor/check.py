@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render.backend import activate
 from optsim.render.stage import Stage
 from optsim.scene import Scene

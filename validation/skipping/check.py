@@ -17,8 +17,11 @@ from scipy import ndimage
 
 sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a package
 
-from optsim.camera import CodedCamera
-from optsim.camera_plan import plan_camera
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import ITSELF, changed, with_effects
+from optsim.camera.hardware import demo, imx174, prototype
+from optsim.camera.plan import plan_camera
+from optsim.camera.probe import Illumination
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -30,10 +33,7 @@ from optsim.coding import (
     Scheme,
 )
 from optsim.coding.tiles import TiledCode
-from optsim.effects import ITSELF, changed, with_effects
-from optsim.hardware import demo, imx174, prototype
-from optsim.probe import Illumination
-from optsim.quantities import Block, ExposureCode, RadianceVideo, Segment, made_radiance
+from optsim.core.quantities import Block, ExposureCode, RadianceVideo, Segment, made_radiance
 from optsim.scene import BrightLight
 
 CLAIM = (
@@ -48,14 +48,14 @@ SOURCE = "definition of an effect's size: rms of the change that it makes over t
 TOLERANCE = 1.0
 REASON = "In units of the tolerance asked for: the claim itself."
 FILES = (
-    "optsim/camera.py",
-    "optsim/camera_plan.py",
-    "optsim/probe/*.py",
+    "optsim/camera/camera.py",
+    "optsim/camera/plan.py",
+    "optsim/camera/probe/*.py",
     "optsim/coding/*.py",
-    "optsim/effects.py",
-    "optsim/forward/*.py",
+    "optsim/camera/effects.py",
     "optsim/optics/*.py",
-    "optsim/hardware/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/*.py",
 )
 
 _FULL: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # frames of the full model, which take longest

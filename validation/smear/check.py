@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.hardware import icx674
+from optsim.camera.hardware import icx674
 
 CLAIM = "under steady light smear adds the same charge to all pixels of a column: its light, leak and dwell"
 ORACLE = (
@@ -19,7 +19,7 @@ REASON = (
     "A packet has moved off its own row before the first dwell and comes to rest on it in the readout "
     "before: once is right, and float64 sums leave nothing."
 )
-FILES = ("optsim/sensor/ccd.py",)
+FILES = ("optsim/camera/parts/ccd.py",)
 
 _ROWS, _COLS, _EXPOSURE_S = 60, 5, 0.2
 

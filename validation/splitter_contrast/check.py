@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.hardware import lcr720
-from optsim.optics import Splitter
-from optsim.optics.chain import throughput
+from optsim.camera.hardware import lcr720
+from optsim.camera.parts import Splitter
+from optsim.camera.parts.chain import throughput
 
 CLAIM = (
     "transmission of polarisers, splitter and panel, dark and bright, follows from the parts, with the "
@@ -23,7 +23,7 @@ REASON = (
     "Mueller matrices in the frame of the ray leave out terms of the fourth order in the angle: 0.3 % of "
     "the dark level at f/2.8. Eight rings of twelve rays leave 0.5 % of what skew rays leak."
 )
-FILES = ("optsim/forward/mueller.py", "optsim/optics/*.py", "optsim/hardware/lcr720.py")
+FILES = ("optsim/optics/mueller.py", "optsim/camera/parts/*.py", "optsim/camera/hardware/lcr720.py")
 
 _INDEX, _ACCEPTANCE, _COLLIMATOR = 1.52, 0.035, 75e-3
 _TP, _TS, _RS, _RP, _FACES, _CLEAN, _RATIO = 0.95, 0.001, 0.99, 0.03, 0.97, 0.9, 1000.0

@@ -16,12 +16,12 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[2]))  # the checks are files, not a package
 
-from optsim.calibrate.calibration import Calibration
+from optsim.calibration.calibration import Calibration
+from optsim.camera.hardware import demo
 from optsim.coding import HdrMosaic
-from optsim.forward.panel import PanelResponse
-from optsim.hardware import demo
-from optsim.quantities import CodedFrame, Floats
-from optsim.reconstruct import HdrMerge
+from optsim.core.quantities import CodedFrame, Floats
+from optsim.decoding import HdrMerge
+from optsim.optics.panel import PanelResponse
 from validation.static_hdr.nominal import LIGHT, calibrations, centres, see
 from validation.static_hdr.photographs import PHOTOGRAPHS, photograph
 from validation.static_hdr.pictures import DARK_ROOMS, WINDOWS, picture
@@ -50,22 +50,22 @@ REASON = (
     "always near 1), and over that of each pixel by itself with 0.1 dB more."
 )
 FILES = (
-    "optsim/reconstruct/frame_merge.py",
-    "optsim/reconstruct/hdr_merge.py",
-    "optsim/reconstruct/joint_merge.py",
-    "optsim/reconstruct/neighbour_pooling.py",
-    "optsim/reconstruct/hidden_light.py",
-    "optsim/calibrate/glare.py",
-    "optsim/reconstruct/layer.py",
+    "optsim/decoding/frame_merge.py",
+    "optsim/decoding/hdr_merge.py",
+    "optsim/decoding/joint_merge.py",
+    "optsim/decoding/neighbour_pooling.py",
+    "optsim/decoding/hidden_light.py",
+    "optsim/calibration/glare.py",
+    "optsim/decoding/layer.py",
     "optsim/coding/hdr_mosaic.py",
     "optsim/coding/tiles.py",
-    "optsim/calibrate/calibration.py",
-    "optsim/calibrate/sample.py",
-    "optsim/forward/motion.py",
-    "optsim/forward/neighbourhoods.py",
-    "optsim/forward/stray_light.py",
-    "optsim/forward/panel.py",
-    "optsim/forward/relaxation.py",
+    "optsim/calibration/calibration.py",
+    "optsim/calibration/sample.py",
+    "optsim/optics/motion.py",
+    "optsim/optics/neighbourhoods.py",
+    "optsim/optics/stray_light.py",
+    "optsim/optics/panel.py",
+    "optsim/optics/relaxation.py",
 )
 
 _ROWS, _COLS = 180, 240

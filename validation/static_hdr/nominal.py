@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optsim.calibrate import Calibration, calibrate_from
-from optsim.camera import CodedCamera
+from optsim.calibration import Calibration, calibrate_from
+from optsim.camera.camera import CodedCamera
+from optsim.camera.known_calibration import true_calibration
+from optsim.camera.laboratory import measure_bench
 from optsim.coding import HdrMosaic
-from optsim.known_calibration import true_calibration
-from optsim.laboratory import measure_bench
-from optsim.quantities import CodedFrame, PanelState
-from optsim.reconstruct import HdrMerge
-from optsim.scene.footage import still
+from optsim.core.quantities import CodedFrame, PanelState
+from optsim.decoding import HdrMerge
+from optsim.footage.made import still
 
 # Share of the light of the ideal setting. There, one pixel in 200 saturates its shortest exposure; here the
 # blur of the relay adds light of neighbours with up to 36 times that exposure, and many more would.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.quantities import View
+from optsim.core.quantities import View
 from optsim.render.stokes import render_stokes
 from optsim.scene import Scene
 

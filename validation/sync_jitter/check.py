@@ -7,11 +7,11 @@ from itertools import product
 import numpy as np
 from scipy.stats import chi2, norm
 
-from optsim.camera import CodedCamera
-from optsim.effects import with_effects
-from optsim.hardware import demo
-from optsim.quantities import Doubles, ExposureCode, PanelState
-from optsim.scene.footage import footage
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import with_effects
+from optsim.camera.hardware import demo
+from optsim.core.quantities import Doubles, ExposureCode, PanelState
+from optsim.footage.made import footage
 
 CLAIM = (
     "a slot of an instantaneous panel lasts from its delay, late or early, to that of the next, row by row: "
@@ -30,10 +30,10 @@ REASON = (
     "three statistics what chance exceeds once in 1e5, so a false alarm once in 33 000 measures."
 )
 FILES = (
-    "optsim/camera.py",
-    "optsim/forward/panel.py",
-    "optsim/forward/relaxation.py",
-    "optsim/optics/modulator.py",
+    "optsim/camera/camera.py",
+    "optsim/optics/panel.py",
+    "optsim/optics/relaxation.py",
+    "optsim/camera/parts/modulator.py",
 )
 
 _EXACT, _CHANCE = 1e-6, 1e-5

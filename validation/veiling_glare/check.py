@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from optsim.hardware import demo
-from optsim.quantities import ExposureCode
-from optsim.scene.footage import still
+from optsim.camera.hardware import demo
+from optsim.core.quantities import ExposureCode
+from optsim.footage.made import still
 
 CLAIM = "a black patch in a bright field shows the stated share of the field's mean, for each lens group"
 ORACLE = (
@@ -16,7 +16,7 @@ ORACLE = (
 SOURCE = "ISO 9358:1994, veiling glare of image forming systems (black patch method)"
 TOLERANCE = 1e-4
 REASON = "Float32 images and operator entries."
-FILES = ("optsim/forward/relay.py", "optsim/optics/*.py")
+FILES = ("optsim/optics/relay.py", "optsim/camera/parts/*.py")
 
 _SHARES = (0.012, 0.007)
 

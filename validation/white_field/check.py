@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from optsim.camera import CodedCamera
-from optsim.hardware import demo
-from optsim.quantities import Doubles, ExposureCode
-from optsim.scene.footage import still
+from optsim.camera.camera import CodedCamera
+from optsim.camera.hardware import demo
+from optsim.core.quantities import Doubles, ExposureCode
+from optsim.footage.made import still
 
 CLAIM = (
     "a uniform radiance, all-on for long, frees in every pixel inside the image the electrons of the photon "
@@ -31,11 +31,11 @@ REASON = (
     "and to the steps of the panel's pattern is another 0.05 %, measured with a PSF that does not vary."
 )
 FILES = (
-    "optsim/camera.py",
-    "optsim/forward/*.py",
+    "optsim/camera/camera.py",
     "optsim/optics/*.py",
-    "optsim/sensor/*.py",
-    "optsim/hardware/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/parts/*.py",
+    "optsim/camera/hardware/*.py",
 )
 
 _RADIANCE, _SLOTS, _SLOT_S, _PITCH_M = 0.1, 36, 1 / 180, 20e-6

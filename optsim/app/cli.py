@@ -1,0 +1,356 @@
+"""The command line: thin; every command imports what it needs when it runs.
+
+Exit codes: 0 success, 1 a check failed, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optsim import __version__
+from optsim.app.error_net import guarded
+from optsim.app.groups import cache_app, config_app
+from optsim.app.measure import bench, validate
+from optsim.app.options import (
+    Backend,
+    ExperimentName,
+    Json,
+    Seed,
+    Set,
+    Tolerance,
+    print_json,
+    refuse_without,
+    with_tolerance,
+)
+from optsim.app.reconstruct import reconstruct_files
+from optsim.app.train import train
+from optsim.core.errors import ConfigError, unknown_name
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Validate an adaptive pixel-wise coded-exposure camera before its hardware exists.",
+    epilog="Start with: optsim doctor, then optsim run demo",
+)
+app.add_typer(config_app, name="config")
+app.add_typer(cache_app, name="cache")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"optsim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice: debug.")] = 0,
+) -> None:
+    """Validate an adaptive pixel-wise coded-exposure camera before its hardware exists."""
+    level = {0: logging.WARNING, 1: logging.INFO}.get(verbose, logging.DEBUG)
+    logging.basicConfig(level=level, format="%(name)s: %(message)s", stream=sys.stderr)
+
+
+@app.command()
+def run(
+    experiment: ExperimentName,
+    assignments: Set = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default reports/runs/NAME-TIME.")] = None,
+    seed: Seed = None,
+    tolerance: Tolerance = None,
+    backend: Backend = None,
+    as_json: Json = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, render nothing.")] = False,
+    export_truth: Annotated[bool, typer.Option(help="Copy the truth into the run folder.")] = False,
+) -> None:
+    """Render, expose, decode and score an experiment; write a run folder with report.html."""
+    from optsim.core.console import page, people, progress_bars
+    from optsim.core.folder_claims import free_folder, output_folder
+    from optsim.experiment import job
+    from optsim.experiment.experiment import load_experiment
+    from optsim.experiment.explain import too_short
+    from optsim.experiment.finished import finished_run
+
+    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
+    if out is not None:
+        job.run_folder(loaded, out)
+    if dry_run:
+        folder = out or free_folder(loaded.name)
+        needs = job.check(loaded, folder, backend)
+        if as_json:
+            print_json({"experiment": loaded.model_dump(mode="json"), "folder": str(folder), **needs})
+        else:
+            people.print(f"{loaded.name}: fine. Would write to {folder} on backend {needs['backend']}.")
+            if short := too_short(loaded.n_frames, loaded.camera.latency_frames):
+                people.print(short)
+        return
+    command = " ".join(["optsim", *sys.argv[1:]])
+    with output_folder(out, loaded.name) as folder:
+        job.check(loaded, folder, backend)
+        results, why = finished_run(loaded, folder, backend=backend, export_truth=export_truth)
+        if results is not None:
+            people.print(f"{folder} holds a finished run of this experiment, by this code: nothing to do.")
+        else:
+            if why:
+                people.print(f"{folder} holds a finished run of this experiment, made anew because: {why}.")
+            try:
+                with progress_bars() as progress:
+                    results = job.execute(
+                        loaded,
+                        folder,
+                        command=command,
+                        backend=backend,
+                        export_truth=export_truth,
+                        progress=progress,
+                    )
+            except KeyboardInterrupt:
+                if (folder / job.UNFINISHED).exists():
+                    people.print(
+                        f"Finished frames are in {folder}: with --out {folder} the same command finds them."
+                    )
+                raise
+    if as_json:
+        print_json(results)
+    else:
+        page.print(job.summary(results))
+        page.print(f"Report: {folder / 'report.html'}")
+
+
+@app.command()
+def render(
+    experiment: ExperimentName,
+    assignments: Set = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write slot means as OpenEXR into this folder.")
+    ] = None,
+    backend: Backend = None,
+    passes: Annotated[
+        bool,
+        typer.Option(
+            "--passes",
+            help="Write one OpenEXR a slot into --out instead: radiance on the fine grid, depth, normals, "
+            "albedo, ids, flow, masks and poses.",
+        ),
+    ] = False,
+    slots: Annotated[
+        str | None, typer.Option(metavar="FIRST:LAST", help="With --passes: which slots, LAST not included.")
+    ] = None,
+    half: Annotated[
+        bool, typer.Option("--half", help="With --passes: radiance, normals and albedo in 16 bit.")
+    ] = False,
+    light_groups: Annotated[
+        bool, typer.Option("--light-groups", help="With --passes: the light of each group of lamps too.")
+    ] = False,
+    stokes: Annotated[bool, typer.Option("--stokes", help="With --passes: Stokes radiance too.")] = False,
+    denoise: Annotated[bool, typer.Option("--denoise", help="With --passes: denoised radiance too.")] = False,
+    samples: Annotated[
+        int | None, typer.Option(help="Of a fine sample and slot, for light groups, Stokes and bands [64].")
+    ] = None,
+) -> None:
+    """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""
+    from contextlib import nullcontext
+
+    from optsim.core.console import people, progress_bars
+    from optsim.core.folder_claims import claimed_empty
+    from optsim.experiment import job
+    from optsim.experiment.experiment import load_experiment
+    from optsim.experiment.truth import render_truth
+
+    loaded = load_experiment(experiment, assignments or [])
+    if not passes:
+        of_passes = {
+            "--slots": slots,
+            "--half": half,
+            "--light-groups": light_groups,
+            "--stokes": stokes,
+            "--denoise": denoise,
+            "--samples": samples,
+        }
+        refuse_without("--passes", "--passes", of_passes)
+    elif out is None:
+        raise ConfigError("--passes: got no --out, expected a folder for its files; cure: add --out DIR")
+    job.check(loaded, out, backend)
+    if passes and out is not None:
+        from optsim.dataset import choose_extras, export_passes, parse_slots
+
+        chosen = None if slots is None else parse_slots(slots)
+        wanted = {"light_groups": light_groups, "stokes": stokes, "denoise": denoise}
+        extras = choose_extras(loaded, samples, **wanted)
+        with progress_bars() as progress:
+            export_passes(loaded, out, chosen, half=half, extras=extras, backend=backend, progress=progress)
+        people.print(f"The passes are in {out}; {out / 'passes.png'} shows them.")
+        return
+    with nullcontext() if out is None else claimed_empty(out), progress_bars() as progress:
+        radiance = render_truth(loaded, backend=backend, progress=progress)
+        if out is not None:
+            job.export_radiance(radiance, out, loaded, progress)
+    people.print("The truth is in the cache." if out is None else f"The truth is in {out}.")
+
+
+@app.command()
+def trace(
+    experiment: ExperimentName,
+    pixel: Annotated[str, typer.Option(metavar="Y,X", help="CCD pixel: row and column, from 0.")],
+    frame: Annotated[
+        int | None, typer.Option(help="Coded frame, from 0; default the first steady one, else the last.")
+    ] = None,
+    method: Annotated[str | None, typer.Option(metavar="NAME", help="Method; default the first.")] = None,
+    assignments: Set = None,
+    tolerance: Tolerance = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default reports/runs/trace-NAME-TIME.")] = None,
+    backend: Backend = None,
+    as_json: Json = False,
+) -> None:
+    """Follow the light of one CCD pixel in one exposure; write trace.json and trace.svg."""
+    from dataclasses import asdict
+
+    from optsim.core.console import page, progress_bars
+    from optsim.core.files import write_json, write_text
+    from optsim.core.folder_claims import claimed_empty, output_folder
+    from optsim.experiment import job
+    from optsim.experiment.experiment import load_experiment
+    from optsim.experiment.trace import choose_aim, show, trace_experiment
+    from optsim.report.trace_plot import trace_plot
+
+    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
+    aim = choose_aim(loaded, pixel, frame, method)
+    with output_folder(out, f"trace-{loaded.name}") as folder, claimed_empty(folder):
+        job.check(loaded, folder, backend)
+        with progress_bars() as progress:
+            found = trace_experiment(loaded, aim, backend=backend, progress=progress)
+        write_json(folder / "trace.json", asdict(found))
+        write_text(folder / "trace.svg", trace_plot(found))
+    if as_json:
+        print_json(asdict(found))
+    else:
+        for item in show(found):
+            page.print(item)
+        page.print(f"Picture: {folder / 'trace.svg'}")
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say what was chosen on this machine and why, and the cure for each problem."""
+    from dataclasses import asdict
+
+    from optsim.app import doctor as physician
+    from optsim.core.console import page, table
+
+    findings = physician.diagnose()
+    if as_json:
+        print_json([asdict(f) for f in findings])
+    else:
+        for f in findings:
+            page.print("ok " if f.ok else "BAD", style="green" if f.ok else "red", end=" ")
+            page.print(f"{f.what}: {f.found}")
+            if f.cure and not f.ok:
+                page.print(f"    cure: {f.cure}")
+        page.print(table("", ("findings", "problems"), [(len(findings), sum(not f.ok for f in findings))]))
+    if not all(f.ok for f in findings):
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name, or a scene folder.")],
+    variation: Annotated[str, typer.Option(help="Which of its variations, or a number.")] = "main",
+    backend: Backend = None,
+    as_json: Json = False,
+) -> None:
+    """Look for fireflies in a scene with a quick pilot, and name the light paths that make them."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.render import fireflies
+    from optsim.scene import load_scene
+
+    loaded = load_scene(scene, variation).in_band()
+    with progress_bars(quiet=as_json) as progress:
+        found = fireflies.pilot(loaded, backend=backend, progress=progress)
+    record = fireflies.record(loaded, found)
+    if as_json:
+        print_json(record)
+    else:
+        page.print(fireflies.headline(loaded))
+        for one in found:
+            page.print(one.text())
+            if one.fireflies:
+                page.print(table("", fireflies.COLUMNS, one.by_cause()))
+    if not record["fit"]:
+        raise typer.Exit(1)
+
+
+@app.command()
+def explain(
+    experiment: ExperimentName, assignments: Set = None, tolerance: Tolerance = None, as_json: Json = False
+) -> None:
+    """Geometry fit, photon ledger, latency, size of each imperfection and what is left out; no rendering."""
+    # Its matrices are small, and BLAS's threads wait for work at full speed, in the way of others.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from optsim.core.console import page
+    from optsim.experiment.experiment import experiment_path
+    from optsim.experiment.explain import explanation, show
+
+    experiment_path(experiment)
+    record = explanation(experiment, with_tolerance(assignments, tolerance))
+    if as_json:
+        print_json(record)
+    else:
+        for item in show(record):
+            page.print(item)
+    if not record["geometry"]["fits"]:
+        raise typer.Exit(2)
+
+
+app.command("reconstruct")(reconstruct_files)
+app.command("train")(train)
+app.command("bench")(bench)
+app.command("validate")(validate)
+LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")
+
+
+@app.command("list")
+def list_names(
+    what: Annotated[str, typer.Argument(metavar=f"[{'|'.join(LISTS)}]")] = "presets", as_json: Json = False
+) -> None:
+    """List what is shipped, with one line each."""
+    from optsim.app.catalogue import catalogue
+
+    if what not in LISTS:
+        raise unknown_name("list", what, LISTS)
+    rows = catalogue(what)
+    if as_json:
+        print_json([{"name": name, "about": about} for name, about in rows])
+    else:
+        width = max(len(name) for name, _ in rows)
+        for name, about in rows:
+            typer.echo(f"{name:<{width}}  {about}")
+
+
+@app.command()
+def init(
+    preset: Annotated[str, typer.Argument(metavar="NAME", help="Preset to copy.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
+) -> None:
+    """Copy a preset to edit."""
+    from optsim.core.files import write_new_text
+    from optsim.experiment.experiment import experiment_path
+
+    source = experiment_path(preset)
+    target = out or Path(f"{source.stem}.toml")
+    write_new_text(target, source.read_text(encoding="utf-8"))
+    typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
+
+
+def main() -> None:
+    """Run the command line; errors a user can cause end with exit code 2 and one message."""
+    command = typer.main.get_command(app)
+    raise SystemExit(guarded(lambda: command.main(standalone_mode=False)))

@@ -1,0 +1,54 @@
+"""Commands in groups: ``optsim config ...`` and ``optsim cache ...``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+
+from optsim.app.options import ExperimentName, Json, Set, print_json
+
+config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
+cache_app = typer.Typer(
+    no_args_is_help=True,
+    help="Show or clear the cache of rendered truth.",
+    epilog="OPTSIM_CACHE chooses its folder, OPTSIM_CACHE_MAX_GB its size [20]: the oldest entries go first.",
+)
+
+
+@config_app.command("show")
+def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
+    """Print an experiment with every default resolved, as JSON."""
+    from optsim.experiment.experiment import load_experiment
+
+    print_json(load_experiment(experiment, assignments or []).model_dump(mode="json"))
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of an experiment: meaning, unit, sign, typical value and source of each key."""
+    from optsim.experiment.schema import experiment_schema
+
+    print_json(experiment_schema())
+
+
+@cache_app.command("show")
+def cache_show(as_json: Json = False) -> None:
+    """Print where the cache is and what it holds."""
+    from optsim.core.cache import Cache
+
+    record: dict[str, Any] = Cache().show()
+    if as_json:
+        print_json(record)
+    else:
+        for key, value in record.items():
+            typer.echo(f"{key}: {value}")
+
+
+@cache_app.command("clear")
+def cache_clear() -> None:
+    """Remove everything from the cache."""
+    from optsim.core.cache import Cache
+
+    freed = Cache().clear()
+    typer.echo(f"Freed {freed / 1e6:.1f} MB.")

@@ -1,0 +1,45 @@
+"""Arguments and output that several commands share."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Annotated
+
+import typer
+
+from optsim.core.errors import ConfigError
+
+ExperimentName = Annotated[str, typer.Argument(metavar="EXPERIMENT", help="A preset's name or a TOML file.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key; repeatable.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="Error that leaving out may make, rms, relative to a frame's noise; 0 models everything [0.1]."
+    ),
+]
+Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
+Backend = Annotated[
+    str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
+Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
+
+
+def with_tolerance(assignments: list[str] | None, tolerance: float | None) -> list[str]:
+    """Put the tolerance of a command line among its overrides."""
+    return [*(assignments or []), *([] if tolerance is None else [f"tolerance={tolerance!r}"])]
+
+
+def refuse_without(option: str, cure: str, options: Mapping[str, object]) -> None:
+    """Refuse options that say how another one is meant which wasn't given, by the names of those given."""
+    lost = [name for name, value in options.items() if value is not None and value is not False]
+    if lost:
+        raise ConfigError(f"{', '.join(lost)}: got without {option}, of which this is said; cure: add {cure}")
+
+
+def print_json(record: object) -> None:
+    """Print a record on stdout; NaN and infinity are errors, never output."""
+    typer.echo(json.dumps(record, indent=1, allow_nan=False))

@@ -1,0 +1,20 @@
+"""Bench files -> Calibration. Knows no camera, so the files of a real bench work too."""
+
+from optsim.calibration.bench import Bench, Flat, Patches, Step
+from optsim.calibration.calibration import Calibration, Observation
+from optsim.calibration.estimate import calibrate_from
+from optsim.calibration.glare import Glare
+from optsim.calibration.stored import read_calibration, write_calibration
+
+__all__ = [
+    "Bench",
+    "Calibration",
+    "Flat",
+    "Glare",
+    "Observation",
+    "Patches",
+    "Step",
+    "calibrate_from",
+    "read_calibration",
+    "write_calibration",
+]

@@ -1,0 +1,385 @@
+# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
+"""A coded frame as each panel pixel saw it by itself: the light of the neighbours taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, cast
+
+import numpy as np
+
+from optsim.calibration.calibration import Calibration
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Ints, PanelState
+from optsim.optics.motion import Bounds, bounds
+
+Crosstalk = Literal["undone", "row_summed"]
+_REMAINDER = 1e-4
+LEAST_EXPOSURE = 1e-6
+"""Slots; what gathered less says nothing of its irradiance."""
+# Of its own light a pixel must keep so much, or its neighbours' light can't be told from its own.
+_LEAST_SHARE = 1 / 3
+# Iterating by shares above a half converges for sure, the faster the larger they are. Below, it would
+# overshoot where light is even: there the step is that of a larger share. Slowest rate that is waited for.
+_ENOUGH, _LARGER, _SLOWEST = 0.5, 0.6, 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One coded frame on the panel grid: ``signal = sum over slots of weight x irradiance``, with its error.
+
+    Parameters
+    ----------
+    weights : ndarray of shape (slot, v, u), float32
+        Weights that belong to ``signal``.
+    exposure : ndarray of shape (v, u), float32
+        Their sum over the slots.
+    gathered : ndarray of shape (v, u), float32
+        What ``measured`` would be of 1 W m^-2 everywhere: with crosstalk neighbours' exposures have a share.
+    measured : ndarray of shape (v, u), float32
+        The signal with crosstalk, W m^-2 slots; a lower bound where saturated.
+    signal : ndarray of shape (v, u), float32
+        The signal of each pixel by itself (or ``measured``, with row-summed weights).
+    variance : ndarray of shape (v, u), float32
+        Variance of ``signal`` by noise and by attribution.
+    attribution : ndarray of shape (v, u), float32
+        Part of it that is :func:`attribution_variance`.
+    saturated, valid : ndarray of shape (v, u), bool
+        As in :class:`~optsim.calibration.calibration.Observation`.
+    tainted : ndarray of shape (v, u), bool
+        Light of a saturated neighbour, of unknown amount, is in ``signal``: it is an upper bound.
+    """
+
+    weights: Floats
+    exposure: Floats
+    gathered: Floats
+    measured: Floats
+    signal: Floats
+    variance: Floats
+    attribution: Floats
+    saturated: Bools
+    valid: Bools
+    tainted: Bools
+
+    @property
+    def even(self) -> Floats:
+        """Irradiance if all around were as bright, W m^-2, (v, u): the least there is where saturated."""
+        return (self.measured / np.maximum(self.gathered, np.float32(1e-6))).astype(np.float32, copy=False)
+
+    @property
+    def least(self) -> Floats:
+        """Irradiance of a saturated pixel if it had gathered through its own code alone, W m^-2, (v, u).
+
+        0 for the others. More than there is where the neighbours' longer exposures brought light; less than
+        there is where the pixel saturated by far: all that is known of one that saturates in every frame.
+        """
+        bound = self.measured / np.maximum(self.exposure, np.float32(1e-6))
+        return np.where(self.saturated & self.valid, bound, 0).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Brightness:
+    """What other frames say of each pixel, for those in which it saturates.
+
+    Parameters
+    ----------
+    irradiance : ndarray of shape (v, u), float32
+        W m^-2; NaN where no frame says.
+    least : ndarray of shape (v, u), float32
+        What saturated samples say (:attr:`Sample.least`), W m^-2.
+    """
+
+    irradiance: Floats
+    least: Floats
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, int]) -> Brightness:
+        """Before there is a frame."""
+        return cls(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
+
+    def after(self, sample: Sample) -> Brightness:
+        """With what one more frame says: the newest measurement counts, or the highest bound since."""
+        measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
+        mean = sample.signal / np.maximum(sample.exposure, np.float32(1e-6))
+        return Brightness(
+            np.where(measured, mean, self.irradiance).astype(np.float32),
+            np.where(measured, 0, np.maximum(self.least, sample.least)).astype(np.float32),
+        )
+
+
+def take(
+    calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
+) -> tuple[Sample, PanelState]:
+    """Observe a frame and separate its pixels.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The camera as the bench knows it.
+    frame : CodedFrame
+        The frame.
+    panel : PanelState or None
+        The panel when the frame started; None for the first frame of an experiment.
+    crosstalk : {"undone", "row_summed"}
+        "undone" inverts the calibrated kernel, which acts on the image after the slots have been summed, so
+        this is right for every code and scene; "row_summed" leaves the light where it is and adds the
+        neighbours' share to the weights, right only where the scene is the same over the kernel.
+
+    Returns
+    -------
+    sample : Sample
+    panel : PanelState
+        The panel when the next frame starts.
+
+    Raises
+    ------
+    ConfigError
+        When "undone" is asked for and the kernel is too wide to invert by iteration.
+    """
+    seen = calibration.observe(frame)
+    weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
+    weights, panel = weigh(frame.code, panel)
+    exposure = weights.sum(axis=0, dtype=np.float64).astype(np.float32)
+    sample = Sample(
+        weights,
+        exposure,
+        calibration.mix(exposure) if crosstalk == "undone" else exposure,
+        seen.signal,
+        seen.signal,
+        seen.variance,
+        np.zeros_like(seen.variance),
+        seen.saturated,
+        seen.valid,
+        np.zeros_like(seen.valid),
+    )
+    if crosstalk == "undone":
+        noise = separated_variance(calibration, seen.variance)
+        sample = separate(calibration, replace(sample, variance=noise), Brightness.unknown(calibration.shape))
+        opened = np.maximum(sample.exposure, np.float32(1e-6))
+        rough = np.maximum(sample.signal / opened, np.float32(0))
+        error = attribution_variance(
+            calibration, sample.exposure, rough, (noise / opened**2).astype(np.float32)
+        )
+        sample = replace(sample, variance=noise + error, attribution=error)
+    return sample, panel
+
+
+def take_next(
+    calibration: Calibration,
+    frame: CodedFrame,
+    panel: PanelState | None,
+    seen: Brightness,
+    crosstalk: Crosstalk,
+) -> tuple[Sample, PanelState, Brightness]:
+    """Take the next frame of a film: as :func:`take`, and frames before say how bright saturated pixels are.
+
+    Parameters
+    ----------
+    calibration, frame, panel, crosstalk
+        As of :func:`take`.
+    seen : Brightness
+        What the frames before say of each pixel.
+
+    Returns
+    -------
+    sample : Sample
+    panel : PanelState
+        The panel when the next frame starts.
+    seen : Brightness
+        With what this frame says.
+    """
+    sample, panel = take(calibration, frame, panel, crosstalk)
+    if crosstalk == "undone":
+        sample = separate(calibration, sample, seen)
+    return sample, panel, seen.after(sample)
+
+
+def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
+    """Refuse to undo crosstalk that cannot be undone.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    if crosstalk == "undone":
+        _own_share(calibration)
+
+
+def sampled(
+    frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
+) -> Iterator[tuple[CodedFrame, Sample]]:
+    """Take the frames of a film: earlier ones say how bright saturated pixels are.
+
+    Raises
+    ------
+    ConfigError
+        When crosstalk cannot be undone, before the first frame is asked for.
+    """
+    check_crosstalk(calibration, crosstalk)
+    panel: PanelState | None = None
+    seen = Brightness.unknown(calibration.shape)
+    for frame in frames:
+        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        yield frame, sample
+
+
+def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:
+    """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
+
+    Saturated pixels give what other frames say they did, but no less than if all around were as bright: by
+    their neighbours' exposures they may have gathered several times the light that their own let through.
+    Pixels that are not valid are taken to look like the nearest valid one.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Holds the kernel.
+    sample : Sample
+        The frame.
+    elsewhere : Brightness
+        What other frames say of the pixels.
+    """
+    share = _own_share(calibration)
+    centre = np.where(share > _ENOUGH, share, np.float32(_LARGER))
+    known = np.isfinite(elsewhere.irradiance)
+    pinned = sample.saturated | ~sample.valid
+    pins = sample.measured
+    if pinned.any():
+        even = sample.even
+        if not sample.valid.all() and sample.valid.any():
+            even = even[nearest(sample.valid)]
+        told = np.fmax(elsewhere.irradiance, elsewhere.least)
+        pins = np.fmax(even, told) * sample.exposure
+    # The signal of an earlier call is a good start; at first it is what was measured.
+    signal = np.where(pinned, pins, sample.signal)
+    # Glare is little and smooth: it is looked up again when all else has settled.
+    for _ in range(_rounds(calibration.glare.share(calibration.reach))):
+        near, before = sample.measured - calibration.mix_far(signal), signal.copy()
+        for _ in range(_rounds(float(((1 - share) / share).max()))):
+            change = (near - calibration.mix_near(signal)) / centre
+            change[pinned] = 0
+            signal += change
+            if _settled(change, signal):
+                break
+        if _settled(signal - before, signal):
+            break
+    loud = (sample.saturated & ~known).astype(np.float32)
+    tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
+    return replace(sample, signal=signal, tainted=tainted)
+
+
+def _rounds(rate: float) -> int:
+    """Count steps until an error that shrinks by ``rate`` in each is negligible; at least one."""
+    return 1 if rate < 1e-6 else int(np.ceil(np.log(_REMAINDER) / np.log(min(rate, _SLOWEST))))
+
+
+def _settled(change: Floats | Doubles, signal: Floats) -> bool:
+    return bool(np.abs(change).max() <= _REMAINDER * np.abs(signal).max())
+
+
+def attribution_variance(
+    calibration: Calibration, exposure: Floats, irradiance: Floats, variance: Floats | None = None
+) -> Floats:
+    """Variance of a separated signal by not knowing whose light it is that crosstalk brings.
+
+    The kernel is measured on flats. There a neighbour's light that spreads here looks like the own light
+    that the neighbour's code lets through (fringing fields, and blur across an edge that lies within a
+    pixel). Anything between the two may be true, as likely as not (a sensible default; no source): the
+    difference over the square root of three around the one that :meth:`Calibration.mix` takes.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Holds the kernel.
+    exposure : ndarray of shape (v, u), float32
+        Sum over the slots of the weights, slots.
+    irradiance : ndarray of shape (v, u), float32
+        Of each pixel, W m^-2.
+    variance : ndarray of shape (v, u), float32, optional
+        Of the irradiance, (W m^-2)^2: what neighbours differ by two standard deviations is no difference.
+    """
+    own = calibration.own_share
+    theirs, opened = calibration.spread(np.stack([irradiance * exposure, exposure]))
+    opened -= own * exposure
+    difference = (theirs - own * irradiance * exposure - irradiance * opened) / own
+    squared = difference**2
+    if variance is not None:
+        noise = calibration.spread_variance(exposure**2 * variance) + opened**2 * variance
+        squared = np.maximum(squared - 4 * noise / own**2, 0)
+    return (squared / 3).astype(np.float32)
+
+
+def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
+    """Noise variance after crosstalk was undone: own noise and, to first order, that of the neighbours.
+
+    What is left out is 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
+    """
+    centre = _own_share(calibration)
+    around = calibration.spread_variance(variance)
+    return ((variance + around / centre**2) / centre**2).astype(np.float32)
+
+
+def noise_variance(calibration: Calibration, measured: Floats) -> Floats:
+    """Predicted shot and read noise of a signal that is known, W^2 m^-4 slots^2."""
+    dn = np.maximum(measured, 0) * calibration.responsivity_dn
+    variance = (dn * calibration.dn_per_e + calibration.read_noise_dn**2) / calibration.responsivity_dn**2
+    return variance.astype(np.float32)
+
+
+def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: Floats) -> Floats:
+    """Variance of a separated signal, by noise and attribution, where the irradiance is known.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Holds the kernel.
+    exposure, irradiance : ndarray of shape (v, u), float32
+        As of :func:`attribution_variance`; none negative.
+    """
+    noise = noise_variance(calibration, calibration.mix(irradiance * exposure))
+    return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
+
+
+def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
+    """Bounds of a frame's irradiance, with the calibration's own uncertainties as model error."""
+    leaked = calibration.response.leak * calibration.coded_slots
+    # Pixels that are alike are rounded alike: that is no noise that averages out.
+    alike = np.minimum(sample.attribution + 1 / (12 * calibration.responsivity_dn**2), sample.variance)
+    return bounds(
+        sample.signal,
+        sample.exposure,
+        sample.variance,
+        alike.astype(np.float32),
+        (calibration.dn_per_e / calibration.responsivity_dn).astype(np.float32),
+        sample.saturated,
+        sample.tainted,
+        sample.valid,
+        gain_uncertainty=calibration.gain_uncertainty,
+        exposure_uncertainty=calibration.leak_uncertainty * leaked,
+        map_residual_px=calibration.map_residual_px,
+    )
+
+
+def nearest(found: Bools) -> tuple[Ints, Ints]:
+    """Row and column of the nearest pixel of a mask, for every pixel."""
+    from scipy import ndimage
+
+    transform = cast("Callable[..., Ints]", ndimage.distance_transform_edt)
+    rows, cols = transform(~found, return_distances=False, return_indices=True)
+    return rows, cols
+
+
+def _own_share(calibration: Calibration) -> Floats:
+    share = calibration.own_share
+    least = float(share.min())
+    if least <= _LEAST_SHARE:
+        kept = (
+            f"keeps only {least:.2f} of its light" if least > 0 else "keeps none of its light that was found"
+        )
+        raise ConfigError(
+            f"crosstalk: a pixel {kept}; expected more than a third to undo it; "
+            "cure: a sharper relay, or crosstalk = 'row_summed'"
+        )
+    return share

@@ -1,0 +1,115 @@
+"""Read noise, gain and saturation of the CCD, from darks, repeated flats and clipped flats.
+
+The photon transfer of EMVA Standard 1288 release 4.0, section 6: the temporal variance of a pixel rises
+with its mean by the gain, since photon noise is Poisson; differences of two frames of the same light
+leave no fixed pattern in it. Non-linearity is not modelled, and variance feels it twelve times as much as
+the signal where it grows with the fifth power: so the flats stay below half of full well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.calibration.bench import Bench
+from optsim.core.errors import BenchError
+from optsim.core.quantities import Bools, Floats, Words
+
+# One clipped sample in 30 000 (Gaussian) falls below the threshold and passes as good.
+_SATURATION_SIGMAS = 4.0
+# No source, a sensible default: frames that fill the wells several times are smeared by a little more than
+# those to come, so the clip is taken to be lower by this share.
+_SMEAR_MARGIN = 1e-3
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """What darks and flats say of the CCD.
+
+    Parameters
+    ----------
+    read_noise_dn : float
+        Temporal noise in the dark, quantisation included, DN.
+    dn_per_e : float
+        System gain, DN per electron.
+    """
+
+    read_noise_dn: float
+    dn_per_e: float
+
+    def of_mean(self, n_pixels: int) -> SensorNoise:
+        """Noise of the mean of some pixels, which is to the sum of their electrons as one's is to its own."""
+        return SensorNoise(self.read_noise_dn / np.sqrt(n_pixels), self.dn_per_e / n_pixels)
+
+
+def temporal_variance(frames: Words) -> float:
+    """Variance in time, averaged over pixels, from differences of successive frames (n, ...), DN^2."""
+    difference = np.diff(frames.astype(np.float32), axis=0)
+    return float(np.mean(np.square(difference), dtype=np.float64)) / 2
+
+
+def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) -> SensorNoise:
+    """Estimate read noise and gain.
+
+    Parameters
+    ----------
+    bench : Bench
+        Its darks and flats.
+    black_dn : ndarray of shape (y, x), float32
+        Black level.
+    lit : tuple of slice
+        CCD rows and columns that the panel lights.
+
+    Raises
+    ------
+    BenchError
+        When the flats are too dim to show photon noise.
+    """
+    read_variance = temporal_variance(bench.darks)
+    signal = excess = 0.0
+    for flat in bench.flats:
+        frames = flat.dn[:, *lit]
+        signal += float(np.mean(frames, dtype=np.float64) - np.mean(black_dn[lit], dtype=np.float64))
+        excess += temporal_variance(frames) - read_variance
+    if signal <= 0 or excess <= 0.1 * read_variance:
+        raise BenchError(
+            f"bench flats: their temporal variance exceeds that of the darks by {excess:.3g} DN^2 only, so "
+            "the gain cannot be told; take flats up to half of full well"
+        )
+    # Darks that are all alike still were rounded.
+    return SensorNoise(float(np.sqrt(max(read_variance, 1 / 12))), excess / signal)
+
+
+def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise) -> Floats:
+    """Least raw DN that counts as saturated: the clipped mean of each pixel less four standard deviations.
+
+    And less a thousandth of itself, for smear.
+
+    Parameters
+    ----------
+    clipped : ndarray of shape (frame, v, u), uint16
+        Frames that should be saturated, at the pixels wanted.
+    black_dn : ndarray of shape (v, u), float32
+        Black level there.
+    inside : ndarray of shape (v, u), bool
+        Pixels that were lit.
+    noise : SensorNoise
+        Gain and read noise.
+
+    Raises
+    ------
+    BenchError
+        When the frames still follow the light.
+    """
+    mean = clipped.mean(axis=0, dtype=np.float64)
+    variance = temporal_variance(clipped[:, inside])
+    signal = float((mean - black_dn)[inside].mean())
+    if variance > noise.read_noise_dn**2 + 0.5 * noise.dn_per_e * signal:
+        raise BenchError(
+            f"bench saturated: their temporal noise of {np.sqrt(variance):.1f} DN is that of light, not of "
+            "a clip; take them with at least three times the light that fills the wells"
+        )
+    sigma = max(float(np.sqrt(variance)), noise.read_noise_dn)
+    margin = _SATURATION_SIGMAS * sigma + _SMEAR_MARGIN * np.maximum(mean - black_dn, 0)
+    return (mean - margin).astype(np.float32)

@@ -1,0 +1,222 @@
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportMissingTypeStubs=false
+"""When and how fast the panel answers, from flashes around a change of its level.
+
+Under constant light a frame shows little but the difference of the two time constants; so the bench
+looks inside a slot, with flashes much shorter than it. Rows are written one after the other, so bands of
+rows are looked at by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from optsim.calibration.bench import Step
+from optsim.calibration.shading import Picker
+from optsim.core.errors import BenchError
+from optsim.core.quantities import Bools, Bytes, Doubles, Ints
+from optsim.optics.panel import (
+    PanelResponse,
+    mean_intensity,
+    settled_panel,
+    settled_retardance,
+    slot_weights,
+)
+
+# Bounds and start of the fit as shares of a slot; below the lower one a panel counts as instantaneous.
+_LEAST, _FIRST, _MOST = 1e-4, 0.15, 5.0
+# Flashes look for a panel that is early from half a slot before a step on.
+_EARLIEST = 0.45
+_LIT = 0.5
+_BANDS = 48
+_LEAST_SPAN = 0.25
+_INSTANTLY_S = 1e-12
+
+
+def step_weights(
+    steps: Sequence[Step], response: PanelResponse, row_delays_s: Doubles, slot_s: float
+) -> Doubles:
+    """Weight of rows during each step's flash, by the closed form of the relaxing retardance.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Flashes, with the panel settled at the first level before it changes.
+    response : PanelResponse
+        Of the panel; its own row delays are not used.
+    row_delays_s : ndarray of shape (row,), float64
+        When each row turns to a slot's level, s.
+    slot_s : float
+        Duration of a slot, s.
+
+    Returns
+    -------
+    ndarray of shape (step, row), float64
+    """
+    ends = np.array([[s.before, s.after] for s in steps], np.uint8)
+    held = settled_retardance(ends, response).astype(np.float64)
+    flash_s = np.array([[s.flash_s] for s in steps])
+    # Times since the row's turn; the change comes with the second slot of a frame, hence the second field.
+    begin = np.array([[s.delay_s] for s in steps]) - row_delays_s
+    drive = response.field_drive
+    gamma = np.broadcast_to(held[:, :1] * drive[0], begin.shape)
+    light = np.clip(-begin, 0, flash_s) * np.sin(gamma / 2) ** 2
+    for slot in range(int(np.ceil((begin + flash_s).max() / slot_s))):
+        target = held[:, 1:] * drive[(slot + 1) % len(drive)]
+        tau = np.maximum(np.where(target > gamma, response.tau_on_s, response.tau_off_s), _INSTANTLY_S)
+        first = np.clip(begin - slot * slot_s, 0, slot_s)
+        length = np.clip(begin + flash_s - slot * slot_s, 0, slot_s) - first
+        start = target + (gamma - target) * np.exp(-first / tau)
+        light += length * mean_intensity(start, target, np.maximum(length, _INSTANTLY_S), tau)
+        gamma = target + (gamma - target) * np.exp(-slot_s / tau)
+    return response.leak + (1 - response.leak) / response.white * light / flash_s
+
+
+def response_times(
+    steps: tuple[Step, ...], picker: Picker, valid: Bools, slot_s: float, known: PanelResponse
+) -> PanelResponse:
+    """Fit time constants and the turns of the rows to the signals of bands of rows, by least squares.
+
+    The flash's energy is free in each band: it need not light all alike, nor all of them; if it lights a
+    quarter of the rows or less, all rows count as written at once.
+
+    Parameters
+    ----------
+    steps : tuple of Step
+        Flashes around changes in both directions.
+    picker : Picker
+        Where to read.
+    valid : ndarray of shape (v, u), bool
+        Panel pixels to average over.
+    slot_s : float
+        Duration of a slot, s.
+    known : PanelResponse
+        Its leak, grey curve and fields are taken as they are.
+
+    Returns
+    -------
+    PanelResponse
+        With the rest as estimated.
+
+    Raises
+    ------
+    BenchError
+        When a direction is missing, or no light is seen.
+    """
+    from scipy.optimize import least_squares
+
+    if not any(s.after > s.before for s in steps) or not any(s.after < s.before for s in steps):
+        raise BenchError("bench steps: expected steps to a higher and to a lower level; take both")
+    lit = _lit(steps, picker, valid)
+    rows = len(valid)
+    bands = np.minimum(np.nonzero(lit)[0] * _BANDS // rows, _BANDS - 1)
+    used, counts = np.unique(bands, return_counts=True)
+    places = np.array([(np.nonzero(lit)[0][bands == band].mean() + 0.5) / rows for band in used])
+    signal = _band_means(steps, picker, lit, bands, used)
+    peak, noise = float(signal.max()), picker.noise
+    samples = np.array([len(s.dn) for s in steps])[:, None] * counts
+    sigma = np.sqrt((noise.dn_per_e * np.maximum(signal, 0) + noise.read_noise_dn**2) / samples) / peak
+    signal = signal / peak
+
+    # Few rows cannot tell how the others are scanned.
+    tells_scan = float(np.ptp(places) > _LEAST_SPAN)
+
+    def response(guess: Doubles) -> PanelResponse:
+        on, off, delay, scan = (float(value) for value in guess * slot_s * [1, 1, 1, tells_scan])
+        return known.model_copy(update={"tau_on_s": on, "tau_off_s": off, "delay_s": delay, "scan_s": scan})
+
+    def misfit(guess: Doubles) -> Doubles:
+        panel = response(guess)
+        weights = step_weights(steps, panel, panel.delay_s + panel.scan_s * places, slot_s)
+        energy = (weights * signal / sigma**2).sum(axis=0) / ((weights / sigma) ** 2).sum(axis=0)
+        return ((energy * weights - signal) / sigma).ravel()
+
+    start, low = [_FIRST, _FIRST, 0.01, 0.01], [_LEAST, _LEAST, -_EARLIEST, 0.0]
+    return response(least_squares(misfit, start, bounds=(low, [_MOST, _MOST, 0.5, 0.49]), x_scale="jac").x)
+
+
+def field_drive(
+    fields: tuple[Step, ...], picker: Picker, valid: Bools, slot_s: float, response: PanelResponse
+) -> PanelResponse:
+    """Relative retardance of successive slots, from flashes as long as a slot with the panel held.
+
+    Parameters
+    ----------
+    fields : tuple of Step
+        Of one grey level and of a level fully on, at delays of whole slots; empty: all slots count as alike.
+    picker : Picker
+        Where to read.
+    valid : ndarray of shape (v, u), bool
+        Panel pixels to average over.
+    slot_s : float
+        Duration of a slot, s.
+    response : PanelResponse
+        As known otherwise.
+
+    Returns
+    -------
+    PanelResponse
+        With the drives of the fields, their mean 1: flashes do not tell by how much all of them are off.
+
+    Raises
+    ------
+    BenchError
+        When a slot lacks one of its two flashes.
+    """
+    if not fields:
+        return response
+    from scipy.optimize import least_squares
+
+    level = min(s.before for s in fields)
+    slots = {(s.before, round(s.delay_s / slot_s)): i for i, s in enumerate(fields)}
+    n = len(fields) // 2
+    wanted = [(lv, slot) for lv in (level, 255) for slot in range(n)]
+    if n < 2 or level == 255 or set(slots) != set(wanted):
+        raise BenchError(
+            "bench fields: expected a flash in each of two or more successive slots, from the first one on, "
+            "once with the panel held at a grey level and once at 255; take them all"
+        )
+    lit = _lit(fields, picker, valid)
+    every = np.zeros(int(lit.sum()), np.int64)
+    signal = _band_means(fields, picker, lit, every, np.zeros(1, np.int64))[:, 0]
+    dark, bright = (signal[[slots[lv, slot] for slot in range(n)]] for lv in (level, 255))
+    held: Bytes = np.full((2 * n, 1, 1), level, np.uint8)
+
+    def weights(drive: Doubles, levels: Bytes) -> Doubles:
+        driven = response.model_copy(update={"field_drive": tuple(drive / drive.mean())})
+        whole, _ = slot_weights(levels, settled_panel(levels[0], driven), driven, slot_s)
+        return whole[n:, 0, 0].astype(np.float64)
+
+    def misfit(drive: Doubles) -> Doubles:
+        ratio = weights(drive, held) / weights(drive, np.full_like(held, 255))
+        measured = dark / bright
+        return np.append(ratio / ratio.mean() - measured / measured.mean(), drive.mean() - 1)
+
+    # Steps of float32's root, since weights are float32.
+    fit = least_squares(misfit, np.ones(n), diff_step=1e-3)
+    drives = fit.x / fit.x.mean()
+    return response.model_copy(update={"field_drive": tuple(float(d) for d in drives)})
+
+
+def _lit(steps: tuple[Step, ...], picker: Picker, valid: Bools) -> Bools:
+    """Panel pixels that the flash lights; where it is weak there is nothing to learn."""
+    row, col, black = picker.row[valid], picker.col[valid], picker.black_dn[valid]
+    brightest = max(steps, key=lambda s: float(np.mean(s.dn[:, row, col])))
+    light = brightest.dn[:, row, col].mean(axis=0) - black
+    full = float(np.percentile(light, 99.9))
+    if full < 20 * picker.noise.read_noise_dn:
+        raise BenchError(
+            f"bench steps: even the brightest has {full:.1f} DN only; check that flash and exposure meet"
+        )
+    lit = valid.copy()
+    lit[valid] = light > _LIT * full
+    return lit
+
+
+def _band_means(steps: tuple[Step, ...], picker: Picker, lit: Bools, bands: Ints, used: Ints) -> Doubles:
+    """Mean signal of each band of lit pixels in each step, DN: array (step, band)."""
+    row, col, black = picker.row[lit], picker.col[lit], picker.black_dn[lit]
+    light = np.stack([s.dn[:, row, col].mean(axis=0, dtype=np.float64) - black for s in steps])
+    return np.stack([light[:, bands == band].mean(axis=1) for band in used], axis=1)

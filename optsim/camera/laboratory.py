@@ -1,0 +1,229 @@
+"""The virtual laboratory: a camera goes in, the raw images that a real bench would give come out.
+
+Everything is measured with the camera's true parameters and its photon noise. The source for flats is
+an integrating sphere that fills the field; its radiance is known, so is the f-number, hence the nominal
+irradiance on the modulator. A second source is a pulsed LED, synchronised to the panel, that lights a strip
+down the middle of the modulator for a tenth of a slot or a whole one: so the panel can be seen inside a slot
+although the shutter only knows whole frames.
+
+What a real bench has and this one has not: an error of the source's scale or uniformity, drift, dust,
+vibration between the frames. Its irradiance scale is exact: all light that decoders tell is as wrong as a
+real one's. Of the panel it is told one number that it cannot measure, the retardance of white, by the data
+sheet (``modulator.stated_half_wave_m``), which may be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.random import Generator
+
+from optsim.calibration import Bench, Flat, Patches, Step
+from optsim.camera.camera import CodedCamera
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import (
+    Block,
+    Bytes,
+    ExposureCode,
+    Floats,
+    IrradianceVideo,
+    Segment,
+    Words,
+    made_radiance,
+)
+from optsim.optics.panel import settled_panel
+
+# Shares of the least of full well and converter range that a fully lit pixel reaches. Interline CCDs bend
+# above half of it; off frames get ten times the light of the brightest flat, dots and greys the same.
+_FLAT_SHARES = (0.15, 0.3, 0.45)
+_FLASH_SHARE = 0.45
+_SATURATED_SHARE = 4.0
+_OFF_BOOST = 10.0
+_DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _GLARE_FRAMES, _SATURATED_FRAMES = 16, 8, 4, 2, 8, 4
+_GREYS = (96, 160, 208)
+_DOT_SPACING = 10
+_FLASHES_PER_SLOT = 10
+# Delays of the flash from half a slot before the step to two slots after, in flashes.
+_DELAYS = range(-5, 20)
+_STEP_SLOTS = 4
+_FIELDS, _FIELD_LEVEL = 6, 128
+_STRIP_PX = 16
+_LEAST_GLARE_PX = 24
+LEAST_PANEL_PX = 24
+"""Panel pixels each way below which the dots are too few for a map."""
+
+
+def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
+    """Put a camera on the bench and take all images that its calibration needs.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        The camera, with its true parameters; at least LEAST_PANEL_PX panel pixels each way.
+    rng : Generator
+        Of all shot and read noise on the bench.
+
+    Returns
+    -------
+    Bench
+        Images and stated settings; no true parameter is in it.
+    """
+    check_panel(camera)
+    lab = _Laboratory(camera, rng)
+    brightest = lab.irradiance(_FLAT_SHARES[-1])
+    rows, cols = lab.panel
+    corners = ((rows // 4, cols // 4), (rows // 4, 3 * cols // 4), (3 * rows // 4, cols // 4))
+    shifts = (3, 3 + _DOT_SPACING // 2)
+    half = min(rows, cols) // 2
+    return Bench(
+        slot_s=camera.slot_s,
+        slots_per_frame=camera.slots_per_frame,
+        coded_slots=camera.coded_slots,
+        panel_shape=lab.panel,
+        darks=lab.flat(0, 0.0, _DARK_FRAMES).dn,
+        flats=tuple(lab.flat(255, lab.irradiance(share), _FLAT_FRAMES) for share in _FLAT_SHARES),
+        off=lab.flat(0, _OFF_BOOST * brightest, _OFF_FRAMES),
+        greys=tuple(lab.flat(level, brightest, _DOT_FRAMES) for level in _GREYS),
+        saturated=lab.flat(255, lab.irradiance(_SATURATED_SHARE), _SATURATED_FRAMES),
+        anchors=tuple(lab.patches((v,), (u,), 3, brightest) for v, u in corners),
+        dots=tuple(
+            lab.patches(range(v, rows - 3, _DOT_SPACING), range(u, cols - 3, _DOT_SPACING), 1, brightest)
+            for v in shifts
+            for u in shifts
+        ),
+        # On a small panel no place is far enough from a patch to tell its veil from its blur.
+        glare=tuple(
+            lab.patches((v,), (u,), half, brightest, _GLARE_FRAMES)
+            for v, u in ((0, 0), (rows - half, cols - half))
+        )
+        if half >= _LEAST_GLARE_PX
+        else (),
+        steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
+        white_rad=camera.modulator.stated_white_rad(camera.wavelength_m),
+        fields=tuple(lab.field(level, slot) for level in (_FIELD_LEVEL, 255) for slot in range(_FIELDS)),
+    )
+
+
+def check_panel(camera: CodedCamera) -> None:
+    """Refuse a panel on which the bench finds too few dots for its map.
+
+    Raises
+    ------
+    ConfigError
+        With the cure.
+    """
+    least = min(camera.panel_rows, camera.panel_cols)
+    if least < LEAST_PANEL_PX:
+        raise ConfigError(
+            f"calibration = 'bench' needs at least {LEAST_PANEL_PX} panel pixels each way, got {least}; "
+            "raise camera.panel_rows and camera.panel_cols, or set calibration=ideal"
+        )
+
+
+class _Laboratory:
+    """A camera, its light sources and the noise of the day."""
+
+    def __init__(self, camera: CodedCamera, rng: Generator) -> None:
+        self.camera, self.rng = camera, rng
+        self.shown = 0  # slots before the next image: whole rounds of the panel's fields
+        self.panel = (camera.panel_rows, camera.panel_cols)
+        sensor = camera.sensor
+        well_e = sensor.most_e
+        electrons_a_slot = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
+        # Any starting value would do: a bench turns the lamp until the histogram is right.
+        self._fills_well_w_m2_slot = well_e / electrons_a_slot * camera.irradiance_per_radiance
+
+    def irradiance(self, share: float, slots: float | None = None) -> float:
+        """Irradiance on the modulator that fills a share of the wells on axis, W m^-2."""
+        return share * self._fills_well_w_m2_slot / (slots or self.camera.coded_slots)
+
+    def flat(self, level: int, irradiance_w_m2: float, n_frames: int) -> Flat:
+        """Sphere on, whole panel held at a level."""
+        levels = np.full(self.panel, level, np.uint8)
+        return Flat(level, irradiance_w_m2, self._held(levels, irradiance_w_m2, n_frames))
+
+    def patches(
+        self,
+        rows: Sequence[int],
+        cols: Sequence[int],
+        size: int,
+        irradiance_w_m2: float,
+        n_frames: int = _DOT_FRAMES,
+    ) -> Patches:
+        """Sphere on, bright patches held on black."""
+        levels = np.zeros(self.panel, np.uint8)
+        for row in range(size):
+            for col in range(size):
+                levels[np.ix_(np.add(rows, row), np.add(cols, col))] = 255
+        dn = self._held(levels, irradiance_w_m2, n_frames)
+        return Patches(tuple(rows), tuple(cols), size, irradiance_w_m2, dn)
+
+    def _held(self, levels: Bytes, irradiance_w_m2: float, n_frames: int) -> Words:
+        camera = self.camera
+        view, n = camera.view, camera.slots_per_frame
+        radiance = np.full(
+            (view.rows, view.cols), irradiance_w_m2 / camera.irradiance_per_radiance, np.float32
+        )
+        sphere = made_radiance(
+            view, camera.slot_s, lambda _: Segment(radiance, radiance, (), n), slots_per_segment=n, n_slots=n
+        )
+        return self._take(camera, camera.form_image(sphere), levels, levels, n_frames)
+
+    def step(self, before: int, after: int, delay: int) -> Step:
+        """LED flashes ``delay`` flash lengths after the panel, held at one level, got another.
+
+        The shutter is open for four slots around the flash; the panel changes when the second begins.
+        """
+        slot, instant = divmod(_FLASHES_PER_SLOT + delay, _FLASHES_PER_SLOT)
+        pulse = np.zeros(_FLASHES_PER_SLOT, np.float32)
+        pulse[instant] = self.irradiance(_FLASH_SHARE, 1 / _FLASHES_PER_SLOT)
+        flash_s = self.camera.slot_s / _FLASHES_PER_SLOT
+        return Step(
+            before, after, delay * flash_s, flash_s, self._flashed(before, after, pulse, slot, _STEP_SLOTS)
+        )
+
+    def field(self, level: int, slot: int) -> Step:
+        """LED on for one whole slot, counted from 0, with the panel held at a level."""
+        pulse = np.full(1, self.irradiance(_FLASH_SHARE, 1), np.float32)
+        slot_s = self.camera.slot_s
+        return Step(level, level, slot * slot_s, slot_s, self._flashed(level, level, pulse, slot, _FIELDS))
+
+    def _flashed(self, before: int, after: int, pulse: Floats, slot: int, n_slots: int) -> Words:
+        """One frame of some slots, one of which the LED lights as ``pulse`` says, instant by instant."""
+        camera = self.camera.model_copy(update={"slots_per_frame": n_slots, "overlap": True})
+        view = camera.view
+        width = min(_STRIP_PX * view.samples_per_pitch, view.cols)
+        strip = np.broadcast_to(pulse[:, None, None], (len(pulse), view.rows, width))
+        black = np.zeros((view.rows, view.cols), np.float32)
+        flash = Block(0, (view.cols - width) // 2, np.ascontiguousarray(strip))
+        led = IrradianceVideo(
+            rows=view.rows,
+            cols=view.cols,
+            samples_per_pitch=view.samples_per_pitch,
+            slot_s=camera.slot_s,
+            instants_per_slot=len(pulse),
+            slots_per_segment=1,
+            n_slots=n_slots,
+            load=lambda index: Segment(black, black, (flash,) if index == slot else (), len(pulse)),
+        )
+        first, second = (np.full(self.panel, level, np.uint8) for level in (before, after))
+        return self._take(camera, led, first, second, 1)
+
+    def _take(
+        self, camera: CodedCamera, light: IrradianceVideo, first: Bytes, then: Bytes, n_frames: int
+    ) -> Words:
+        """Frames of a panel held at ``first`` until the second slot begins, and then told ``then``."""
+        levels = np.repeat(then[None], camera.slots_per_frame, axis=0)
+        levels[0] = first
+        code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
+        # Each image comes at a time of its own, as late as the panel's jitter makes it.
+        held = replace(settled_panel(first, camera.panel_response), slots_shown=self.shown)
+        self.shown += _FIELDS
+        expected_e, _ = camera.expected_electrons(light, 0, code, held)
+        frames = [
+            camera.sensor.digitise(expected_e, camera.exposure_s, camera.serial_number, self.rng)[0]
+            for _ in range(n_frames)
+        ]
+        return np.stack(frames)

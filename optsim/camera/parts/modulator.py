@@ -1,0 +1,232 @@
+"""The liquid-crystal panel: its numbers, its Mueller matrix and its fixed patterns."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from optsim.core.config import Part
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, PanelState
+from optsim.optics.mueller import depolariser, mirror, retarder_45
+from optsim.optics.panel import PanelResponse
+from optsim.optics.radiometry import MONO_WAVELENGTH_M
+from optsim.optics.rims import RimModel, Rims
+
+_PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
+_TAU_PER_DEGREE = 0.03
+_SHARP_PX = 1e-3  # narrower borders have no rims to speak of
+_FARTHEST = 4.0  # standard deviations of jitter at most: it lies beyond once in 16 000 frames
+_Drive = Annotated[float, Field(ge=0.5, le=1.5)]
+
+
+class Modulator(Part):
+    """A reflective panel as one equivalent retarder at 45 degrees, with first-order response.
+
+    Parameters
+    ----------
+    pitch_m : float
+        Pixel pitch, m.
+    rows, cols : int
+        Pixels of the whole panel, of which the camera uses some in the middle.
+    field_rate_hz : float
+        Patterns a second: one slot lasts one field.
+    mirror_reflectivity : float
+        Share of the light that the pixels' mirrors reflect, gaps left out.
+    fill_factor : float
+        Share of a pitch cell that its mirror covers. The fine grid is too coarse to show the gaps, so
+        their loss and their light are spread evenly.
+    gap_reflectivity : float
+        Share of the light that the gaps between the mirrors reflect. Nothing drives the crystal there, and
+        all states of polarisation come back: as unpolarised light.
+    tau_on_s, tau_off_s : float
+        Time constants towards larger and smaller retardance, at 25 degrees C.
+    temperature_c : float
+        Temperature of the crystal, degrees C, negative in frost: the time constants fall by 3 % a degree (no
+        source, a sensible default).
+    half_wave_m : float
+        Wavelength at which level 255 is a half wave there and back, the brightest there is: in other light
+        its retardance is larger or smaller by the ratio of the two, since the path difference is taken to be
+        the same (dispersion of the crystal's birefringence is not modelled). 550 nm has no source.
+    stated_half_wave_m : float or None
+        ``half_wave_m`` as a data sheet tells it, which is all that a bench is told; None: the data sheet is
+        right. Where it is 2 % wrong the bench's weights of slots are 0.12 % off, rms; 5 % make 0.31 %: the
+        grey curve's exponent and ``tau_on_s``, 8 and 20 % off, take up the rest.
+    drive_exponent : float
+        Exponent of retardance against drive level: white times (level / 255) to this power.
+    field_drive : tuple of three float
+        Relative retardance of the three colour fields, shown in turn; all 1 for a panel without colours.
+    polarity_drive : float
+        Relative change of the retardance with the sign of the voltage, which turns from slot to slot.
+    delay_s : float
+        When the first row of the used panel turns to a slot's level, after the shutter's clock; negative is
+        early. The last slot of a frame then ends with the level of its first: the next code isn't known yet.
+    scan_s : float
+        How much later than the first the row after the panel's last one would turn; rows go downwards.
+    jitter_s : float
+        Standard deviation of the delay from frame to frame, which is never more than four of these off.
+    fringing_px : float
+        Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
+    rim_model : {"fine", "coarse", "mixed"}
+        How finely the rims that they bend are found (:mod:`optsim.optics.rims`); ``mixed`` leaves it at
+        mixing the weights of neighbours.
+    depolarised_share : float
+        Share of the reflected light that is no longer polarised; half of it passes the analyser.
+    nonuniformity_rms : float
+        Rms of the relative reflectivity over the panel, smooth.
+    stuck_share : float
+        Share of the pixels that stand still, dark or bright.
+    """
+
+    pitch_m: float = Field(gt=0, le=1e-3)
+    rows: int = Field(ge=1)
+    cols: int = Field(ge=1)
+    field_rate_hz: float = Field(gt=0)
+    mirror_reflectivity: float = Field(gt=0, le=1)
+    fill_factor: float = Field(gt=0, le=1)
+    gap_reflectivity: float = Field(default=0.0, ge=0, le=1)
+    tau_on_s: float = Field(ge=0, le=10)
+    tau_off_s: float = Field(ge=0, le=10)
+    temperature_c: float = Field(default=25.0, ge=-20, le=90)
+    half_wave_m: float = Field(default=550e-9, gt=0)
+    stated_half_wave_m: float | None = Field(default=None, gt=0)
+    drive_exponent: float = Field(gt=0)
+    field_drive: tuple[_Drive, _Drive, _Drive] = (1.0, 1.0, 1.0)
+    polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
+    delay_s: float = 0.0
+    scan_s: float = Field(default=0.0, ge=0)
+    jitter_s: float = Field(default=0.0, ge=0)
+    fringing_px: float = Field(default=0.0, ge=0, le=0.25)
+    rim_model: RimModel = "fine"
+    depolarised_share: float = Field(ge=0, le=1)
+    nonuniformity_rms: float = Field(ge=0, le=0.2)
+    stuck_share: float = Field(ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _rows_turn_within_a_slot(self) -> Modulator:
+        latest_s = self.delay_s + self.scan_s + _FARTHEST * self.jitter_s
+        if latest_s >= 1 / self.field_rate_hz:
+            raise ValueError(
+                f"delay_s + scan_s + {_FARTHEST:g} jitter_s: got {latest_s:g} s, "
+                f"expected less than a slot of {1 / self.field_rate_hz:g} s; lower one of them"
+            )
+        earliest_s = self.delay_s - _FARTHEST * self.jitter_s
+        if earliest_s <= -1 / self.field_rate_hz:
+            raise ValueError(
+                f"delay_s - {_FARTHEST:g} jitter_s: got {earliest_s:g} s, expected more than minus a slot of "
+                f"{1 / self.field_rate_hz:g} s; raise delay_s, or lower jitter_s"
+            )
+        return self
+
+    @property
+    def reflectivity(self) -> float:
+        """Of the mirrors, on a whole pitch cell."""
+        return self.mirror_reflectivity * self.fill_factor
+
+    @property
+    def drives(self) -> tuple[float, ...]:
+        """Relative retardance of six successive slots: three colours, whose sign turns from slot to slot."""
+        signs = (1, -1) * 3
+        return tuple(
+            field * (1 + sign * self.polarity_drive)
+            for sign, field in zip(signs, self.field_drive * 2, strict=True)
+        )
+
+    def white_rad(self, wavelength_m: float) -> float:
+        """Round-trip retardance of level 255 in light of a wavelength, rad."""
+        return np.pi * (self.half_wave_m / wavelength_m)
+
+    def stated_white_rad(self, wavelength_m: float) -> float:
+        """Return what :meth:`white_rad` is by the data sheet, rad."""
+        return np.pi * ((self.stated_half_wave_m or self.half_wave_m) / wavelength_m)
+
+    def response(self, leak: float, rows: int, wavelength_m: float = MONO_WAVELENGTH_M) -> PanelResponse:
+        """How the panel answers its drive.
+
+        Parameters
+        ----------
+        leak : float
+            Off over on of the whole chain.
+        rows : int
+            Rows used, from the middle of the panel.
+        wavelength_m : float
+            Of the light, m.
+        """
+        slower = np.exp(-_TAU_PER_DEGREE * (self.temperature_c - 25))
+        # More rows than there are don't fit (geometry.py says so); here they only scan as a larger panel's.
+        there = max(self.rows, rows)
+        first = (there - rows) / 2 / there
+        drive = self.drives
+        return PanelResponse(
+            tau_on_s=self.tau_on_s * slower,
+            tau_off_s=self.tau_off_s * slower,
+            leak=leak,
+            white_rad=self.white_rad(wavelength_m),
+            drive_exponent=self.drive_exponent,
+            field_drive=drive if len(set(drive)) > 1 else (drive[0],),
+            delay_s=self.delay_s + self.scan_s * first,
+            scan_s=self.scan_s * rows / there,
+        )
+
+    def rims(
+        self,
+        levels: Bytes,
+        start: PanelState,
+        response: PanelResponse,
+        slot_s: float,
+        instants_per_slot: int,
+        leaks: Doubles,
+        pitch: int,
+    ) -> Rims | None:
+        """Rims of pixels of ``pitch`` fine cells, else as :class:`Rims`; None where mixing has to do."""
+        if self.fringing_px < _SHARP_PX or self.rim_model == "mixed":
+            return None
+        blur = self.fringing_px, pitch, self.rim_model
+        return Rims(levels, start, response, slot_s, instants_per_slot, leaks, *blur)
+
+    def lateness_s(self, slots_shown: int, serial_number: int) -> float:
+        """How much more than ``delay_s`` a frame is late that begins after so many slots, s."""
+        if not self.jitter_s:
+            return 0.0
+        rng = np.random.default_rng([serial_number, _PATTERN, 2, slots_shown])
+        return self.jitter_s * float(np.clip(rng.standard_normal(), -_FARTHEST, _FARTHEST))
+
+    def mueller(self, retardance_rad: float) -> Doubles:
+        """Mueller matrix of the panel in reflection, the mirror's flip included once.
+
+        The round-trip retardance is that of one equivalent retarder before the mirror: with the flip
+        after it, retardance 0 stays dark and pi is bright between crossed polarisers.
+        """
+        retarder = mirror() @ retarder_45(retardance_rad)
+        pixels = self.reflectivity * depolariser(self.depolarised_share) @ retarder
+        return pixels + (1 - self.fill_factor) * self.gap_reflectivity * depolariser(1.0)
+
+    def gain(self, rows: int, cols: int, serial_number: int) -> Floats:
+        """Relative reflectivity of the used pixels, (v, u), mean about 1."""
+        return _smooth_pattern(rows, cols, self.nonuniformity_rms, serial_number)
+
+    def stuck(self, rows: int, cols: int, serial_number: int) -> tuple[Bools, Bytes]:
+        """Pixels that stand still, (v, u), and the level, 0 or 255, that each would stand at."""
+        rng = np.random.default_rng([serial_number, _PATTERN, 1])
+        stuck = rng.random((rows, cols)) < self.stuck_share
+        return stuck, rng.integers(0, 2, (rows, cols), dtype=np.uint8) * np.uint8(255)
+
+
+@lru_cache(maxsize=8)
+def _smooth_pattern(rows: int, cols: int, rms: float, serial_number: int) -> Floats:
+    """One plus a random mixture of the 15 lowest cosines of the rectangle, of a given rms."""
+    rng = np.random.default_rng([serial_number, _PATTERN, 0])
+    y = (np.arange(rows) + 0.5) / rows
+    x = (np.arange(cols) + 0.5) / cols
+    pattern = np.zeros((rows, cols))
+    for i in range(4):
+        for j in range(4):
+            if i or j:
+                pattern += rng.standard_normal() * np.outer(np.cos(np.pi * i * y), np.cos(np.pi * j * x))
+    # A line of pixels sees the cosines across it as a constant, and a single pixel has no spread.
+    pattern -= pattern.mean()
+    spread = pattern.std()
+    # The largest rms may reach below nothing in a corner.
+    return np.maximum(1 + rms * pattern / (spread if spread > 0 else 1), 0).astype(np.float32)

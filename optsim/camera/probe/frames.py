@@ -1,0 +1,219 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+"""What a change of the camera does to a probe's frame.
+
+The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
+frame's predicted noise; noise that it brings adds in squares. What a calibration takes out again, such as
+shading, counts in full. There is a frame for each of some schemes, and the largest size counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
+from optsim.camera.effects import Changes, changed
+from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.probe.made_code import Schemes, made_code
+from optsim.core.quantities import Bools, Doubles, Floats, RadianceVideo
+
+T = TypeVar("T")
+
+NOTHING: Changes = {}
+# Probes of a plan mix the rims of panel pixels, let PSFs be the same all over the field and wings of moving
+# light be coarse, which saves most of their time and changes other sizes by at most a sixth for the nominal
+# camera (the sensor's bend by a quarter), a third for a pessimistic one. Only what asks for one of these is
+# compared with it whole, by the names of effects and short cuts.
+PLAIN: Changes = {
+    "modulator": {"rim_model": "mixed"},
+    "objective": {"field_error": 1.0, "moving_wing_share": MOVING_WING_SHARE},
+    "relay": {"field_error": 1.0},
+}
+FINEST_FIELD = 5e-3  # of a point's light is misplaced
+# Where rims are a part of an effect, 5 % of theirs is enough; the finest take three times as long.
+_RIMS: Changes = {"modulator": {"rim_model": "coarse"}}
+_OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
+_RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
+_WHOLE: dict[str, Changes] = {
+    "fringing": _RIMS,
+    "response": _RIMS,
+    "fields": _RIMS,
+    "fringing_rims": {"modulator": {"rim_model": "fine"}},
+    "moving_wings": {"objective": {"moving_wing_share": 0.0}},
+    "objective_blur": _OBJECTIVE,
+    "objective_field": _OBJECTIVE,
+    "relay_blur": _RELAY,
+    "relay_field": _RELAY,
+}
+MARGIN_PX = 4
+"""CCD pixels around a small panel's image, by as many of which pixels may be moved."""
+Which = Literal["near", "far"]
+# What lands all over the picture has no room on a near probe; a ghost may be as wide.
+_SHOWN: dict[str, tuple[Which, ...]] = {
+    "objective_glare": ("far",),
+    "relay_glare": ("far",),
+    "smear": ("far",),
+    "ghost": ("near", "far"),
+}
+
+
+def compared_with(name: str) -> Changes:
+    """Return what an effect or short cut is compared with: nothing, or what a plain probe lacks."""
+    return _WHOLE.get(name, NOTHING)
+
+
+def shown_on(name: str) -> tuple[Which, ...]:
+    """Return which probes tell the size of an effect: the largest is it."""
+    return _SHOWN.get(name, ("near",))
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A small camera before its scene.
+
+    Parameters
+    ----------
+    camera : CodedCamera
+        Behind the neutral density of the light rule.
+    radiance : RadianceVideo
+        The scene.
+    schemes : mapping
+        Whose codes its panel shows: name -> scheme.
+    lamp_px : float
+        Panel pixels that the brightest light covers, not of this camera but of the one that it stands for.
+    mapping : Changes
+        What moves the pixels of this probe's image as far as those of the camera that it stands for.
+    """
+
+    camera: CodedCamera
+    radiance: RadianceVideo
+    schemes: Schemes
+    lamp_px: float
+    mapping: Changes = field(default_factory=dict[str, dict[str, float]])
+
+    @property
+    def parts(self) -> int:
+        """Parts of a frame, in one of which something moves."""
+        return self.radiance.n_slots // self.radiance.slots_per_segment
+
+    # Most changes leave most of what a frame is made from as it is.
+    @cached_property
+    def _made(self) -> dict[object, Any]:
+        return {}
+
+    def _once(self, key: object, make: Callable[[], T]) -> T:
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    def frame(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
+        """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
+        camera = changed(self.camera, changes)
+        expected = camera.electrons_of(self._image(camera, scheme))
+        edges = (min(2 * MARGIN_PX, (n - 1) // 2) for n in expected.shape)
+        inner = tuple(slice(edge, n - edge) for edge, n in zip(edges, expected.shape, strict=True))
+        signal = camera.sensor.signal_e(expected, camera.exposure_s, camera.serial_number)
+        return signal[inner], (expected < camera.sensor.most_e)[inner]
+
+    def _image(self, camera: CodedCamera, scheme: str) -> Doubles:
+        """Radiant exposure of the CCD."""
+        lens, relay = _image_of(camera, "objective"), _image_of(camera, "relay")
+        parts = camera.modulator.model_dump_json(), camera.splitter.model_dump_json()
+        opening, gain = self._once(
+            ("gate", *parts, camera.objective.working_f_number, camera.coded_slots), lambda: _gate(camera)
+        )
+        opened = scheme, opening
+        behind = lens, opened, gain
+
+        def energy() -> Floats:
+            light = self._once(("light", lens), lambda: camera.form_image(self.radiance))
+            code = partial(made_code, self.schemes[scheme], camera, self.radiance, self.lamp_px)
+            shutter = self._once(("shutter", opened), lambda: camera.shutter(code(), None, 1)[0])
+            return camera.panel_energy(light, 0, shutter)
+
+        def image() -> Doubles:
+            return camera.relay_operator().apply(self._once(("energy", behind), energy))
+
+        return self._once(("image", behind, relay, camera.relay_geometry()), image)
+
+    def change_e(self, changes: Changes, of: Changes, scheme: str) -> float:
+        """Rms difference that changes make to a frame with the changes ``of``, electrons.
+
+        Infinite where every pixel clips, with the changes or without.
+        """
+        more = {part: {**of.get(part, {}), **changes.get(part, {})} for part in of.keys() | changes.keys()}
+        whole, usable = self._whole(of, scheme)
+        without, unclipped = self.frame(more, scheme)
+        both = usable & unclipped
+        if not both.any():
+            return float("inf")
+        dark, less = (changed(self.camera, each).sensor.dark_noise_e ** 2 for each in (of, more))
+        return float(np.sqrt(np.mean((whole - without)[both] ** 2) + abs(dark - less)))
+
+    def noise_e(self, scheme: str) -> tuple[float, float]:
+        """Noise of the frame, rms, electrons: all of it, and what of it is the light's own.
+
+        Of a frame that has no pixels or clips in all of them, it is that of the dark.
+        """
+        whole, usable = self._whole(NOTHING, scheme)
+        light = float(np.mean(whole[usable])) if usable.any() else 0.0
+        return (light + self.camera.sensor.dark_noise_e**2) ** 0.5, light**0.5
+
+    def _whole(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
+        return self._once(("frame", repr(changes), scheme), lambda: self.frame(changes, scheme))
+
+
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """Both probes of a camera.
+
+    Parameters
+    ----------
+    near, far : Probe
+        Of the same pixels and of the same panel, with the same schemes.
+    """
+
+    near: Probe
+    far: Probe
+
+    def sizes(
+        self, changes: Changes, of: Changes = NOTHING, on: tuple[Which, ...] = ("near",)
+    ) -> Iterator[tuple[float, str]]:
+        """Rms difference that changes make to a frame with the changes ``of``, over the frame's noise.
+
+        One for each scheme, with its name, found when it is asked for: the larger one, if on both probes.
+        Infinite where every pixel clips, with the changes or without.
+        """
+        for scheme, (noise_e, _) in self.noise_e.items():
+            yield max(getattr(self, which).change_e(changes, of, scheme) for which in on) / noise_e, scheme
+
+    @cached_property
+    def noise_e(self) -> dict[str, tuple[float, float]]:
+        """Noise of a frame, rms, electrons, by its scheme: all of it, and what of it is the light's own."""
+        return {scheme: self.far.noise_e(scheme) for scheme in self.far.schemes}
+
+
+def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
+    """f-number and side of a fine sample, m, in the image of objective or relay."""
+    f_number, sample_m = camera.objective.working_f_number, camera.modulator.pitch_m / SAMPLES_PER_PITCH
+    if part == "relay":
+        return camera.relay.image_f_number(f_number), sample_m * camera.relay.magnification
+    return f_number, sample_m
+
+
+def _gate(camera: CodedCamera) -> tuple[object, bytes]:
+    """Key of what decides how long pixels of the panel are open, and what they let through."""
+    opening = camera.modulator.model_dump_json(), camera.column_leaks.tobytes(), camera.coded_slots
+    return opening, camera.panel_gain.tobytes()
+
+
+def _image_of(camera: CodedCamera, part: str) -> tuple[str, int]:
+    """Key of the image of objective or relay: errors over the field that have as many nodes have one."""
+    lens, view = getattr(camera, part), camera.view
+    defocus_m = camera.relay.defocus_m if part == "relay" else 0.0
+    psf = lens.psf(*cone_and_sample(camera, part), (view.rows, view.cols), defocus_m, camera.wavelength_m)
+    return lens.model_dump_json(exclude={"field_error"}), len(psf.cores)

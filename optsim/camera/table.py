@@ -1,0 +1,99 @@
+"""A ``[camera]`` table as it is written: over which data sheets it is laid, and what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import cast
+
+from pydantic import BaseModel
+
+from optsim.camera import hardware
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import ITSELF, switched
+from optsim.camera.parts import Ccd
+from optsim.core.config import Table, merged
+from optsim.core.errors import ConfigError, nearest_name, unknown_name
+
+
+def check_hardware(table: Table, camera: object, where: str, keys: Collection[str]) -> None:
+    """Refuse a camera that is none: no part of it can be guessed.
+
+    Parameters
+    ----------
+    table : dict
+        Of the experiment, of which ``keys`` may be.
+    camera : object
+        What it has as its camera.
+    where : str
+        Name of the file, for messages.
+    keys : collection of str
+        What an experiment has.
+
+    Raises
+    ------
+    ConfigError
+        With the key that was probably meant.
+    """
+    if not isinstance(camera, dict):
+        if isinstance(camera, str) and camera in hardware.ALL:
+            raise ConfigError(f"{where}: camera: got {camera!r}, expected a table; set camera.hardware to it")
+        return
+    parts = cast("Table", camera)
+    _check_more("camera", parts, CodedCamera, ("hardware", "effects"), where)
+    if isinstance(parts.get("sensor"), dict):
+        _check_more("camera.sensor", cast("Table", parts["sensor"]), Ccd, ("hardware",), where)
+    needed = [key for key, field in CodedCamera.model_fields.items() if field.is_required()]
+    missing = [key for key in needed if key not in parts]
+    if "hardware" in parts or not missing:
+        return
+    near = nearest_name([key for key in table if key not in keys], "camera") if not parts else None
+    raise ConfigError(
+        f"{where}: camera: got {', '.join(parts) or 'nothing'}, expected hardware = one of "
+        f"{', '.join(hardware.ALL)}, or all parts; missing: {', '.join(missing)}"
+        + (f"; did you mean 'camera' by {near!r}?" if near else "")
+    )
+
+
+def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str], where: str) -> None:
+    """Refuse a misspelt key of those that a table may have beside its part's own."""
+    for key in table:
+        names = [*part.model_fields, *more]
+        near = nearest_name(names, key, alike=0.7)
+        if key not in names and near in more:
+            raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {near!r}?")
+
+
+def on_hardware(table: object) -> object:
+    """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
+
+    So does its ``sensor`` table, or is the name itself.
+    The switches of its ``effects`` table come between: over the hardware, under what is set by hand. Those of
+    what drifts have no part in the camera (:func:`~optsim.camera.effects.drifted`).
+    """
+    if not isinstance(table, dict):
+        return table
+    keys = dict(cast("Table", table))
+    under: Table = {}
+    if "hardware" in keys:
+        name = str(keys.pop("hardware"))
+        if name not in hardware.ALL:
+            raise unknown_name("camera.hardware", name, hardware.ALL)
+        under = hardware.ALL[name]().model_dump()
+    sensor = keys.get("sensor")
+    if isinstance(sensor, str):
+        sensor = keys["sensor"] = {"hardware": sensor}
+    if isinstance(sensor, dict) and "hardware" in sensor:
+        keys["sensor"] = by_hand = dict(cast("Table", sensor))
+        name = str(by_hand.pop("hardware"))
+        if name not in hardware.SENSORS:
+            raise unknown_name("camera.sensor.hardware", name, hardware.SENSORS)
+        under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
+    switches = keys.pop("effects", {})
+    if not isinstance(switches, dict):
+        raise ConfigError(
+            f"camera.effects: got {switches!r}, expected a table such as {{ fringing = 'ideal' }}; cure: "
+            "camera.effects.all=ideal switches all off"
+        )
+    changes = switched(cast("Table", switches))
+    changes |= changes.pop(ITSELF, {})
+    return merged(merged(under, changes), keys)

@@ -1,0 +1,1 @@
+"""Values that cross rooms, errors, configuration and units, files, cache, progress; no physics."""

@@ -1,0 +1,46 @@
+"""What the keys of parts mean, taken from where it is written for readers of the code: the docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+from optsim.core.units import unit_of
+
+_ENTRY = re.compile(r"^(\w+(?:, \w+)*)(?: : .*)?$")
+_ROLE = re.compile(r":\w+:`~?([^`]*)`")
+
+
+def describe(part: type, key: str) -> str:
+    """Say what a key of a part means, and its unit.
+
+    Parameters
+    ----------
+    part : type
+        A class with a ``Parameters`` section in its docstring, or in that of a class that it inherits from.
+    key : str
+        One of its fields; ``kind`` is told by the first sentence about the class.
+    """
+    if key == "kind":
+        return inspect.cleandoc(part.__doc__ or "").partition("\n")[0]
+    texts = [entries[key] for each in part.__mro__ if key in (entries := _entries(each))]
+    unit = unit_of(key)
+    return " ".join([*texts[:1], *([f"Unit: {unit}."] if unit else [])])
+
+
+def _entries(part: type) -> dict[str, str]:
+    """Texts of a ``Parameters`` section by key; one of several keys is that of each."""
+    found: dict[str, str] = {}
+    _, _, section = inspect.cleandoc(part.__doc__ or "").partition("Parameters\n----------\n")
+    keys: list[str] = []
+    lines: list[str] = []
+    # A blank line ends the section.
+    for line in [*section.partition("\n\n")[0].splitlines(), ""]:
+        entry = _ENTRY.match(line)
+        if entry or not line:
+            text = _ROLE.sub(r"\1", " ".join(lines)).replace("``", "")
+            found |= dict.fromkeys(keys, text)
+            keys, lines = entry[1].split(", ") if entry else [], []
+        else:
+            lines.append(line.strip())
+    return found

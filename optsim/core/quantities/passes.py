@@ -1,0 +1,145 @@
+"""What a scene is at one instant, without light: surfaces, objects, motion, camera and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.core.errors import ValueCheckError
+from optsim.core.quantities.arrays import Bools, Doubles, Floats, checked
+
+Ids = NDArray[np.uint32]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPose:
+    """Where a mover is at the three instants of a :class:`Passes`.
+
+    Parameters
+    ----------
+    matrices : ndarray of shape (3, 4, 4), float64, or None
+        World at time 0 -> world at t-, t, t+: a rigid motion. None for a mover that deforms.
+    reason : str
+        Why there is no matrix, with the largest deviation from a rigid motion; empty for a rigid mover.
+    center_m : ndarray of shape (3, 3), float64
+        Mean of the mover's vertices at t-, t, t+, m: the reference point of a mover that deforms.
+    """
+
+    matrices: Doubles | None
+    reason: str
+    center_m: Doubles
+
+    def __post_init__(self) -> None:
+        if self.matrices is not None:
+            _shaped("object pose", self.matrices, (3, 4, 4))
+        _shaped("object centre", self.center_m, (3, 3))
+        if (self.matrices is None) != bool(self.reason):
+            raise ValueCheckError("object pose: expected either matrices or a reason why there are none")
+
+
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """Passes of one instant t on the fine grid: one ray through the centre of every sample, never filtered.
+
+    A sample shows the first surface along its ray, be it glass, a mirror or a lamp. Where there is none, the
+    object id is 0, every other pass is 0 and both occlusion masks are set: no infinity, no NaN.
+
+    Flow is where the surface point of a sample is seen at another instant minus where it is now, in fine
+    samples: forward at t+, backward at t-. The surface point is carried along by its object, and the camera
+    moves too. Flow is also given for a point that is hidden then, or outside of the picture; the occlusion
+    mask says so. A point then behind the camera has flow 0 and is masked.
+
+    The camera frame is that of OpenCV: x right, y down, z forward. ``intrinsics_px`` takes it to (column,
+    row), whose origin is the outer corner of the first sample, so that sample centres are at +0.5. Before
+    that, a lens that distorts displaces x/z and y/z by the factor 1 + ``radial_k1`` ((x/z)^2 + (y/z)^2).
+
+    The ray through a sample is its chief ray, through the middle of the lens: passes are never out of focus.
+
+    Parameters
+    ----------
+    times_s : tuple of 3 floats
+        Instants t-, t, t+, s.
+    depth_m : ndarray of shape (y, x), float32
+        Planar depth: the camera's z of the surface point, m.
+    distance_m : ndarray of shape (y, x), float32
+        Distance along the ray, from the pinhole to the surface point, m.
+    normal : ndarray of shape (y, x, 3), float32
+        Unit shading normal in the world (interpolated between vertices where an object is smooth), on the
+        camera's side: its product with the viewing ray is not positive.
+    albedo : ndarray of shape (y, x), float32
+        Diffuse reflectance in the band, 0..1; of the base under a coat; 0 for metal, glass and lamps.
+    ids : ndarray of shape (y, x), uint32
+        Object seen; 0 for nothing.
+    moving : ndarray of shape (y, x), bool
+        The object is one of the scene's movers, even if it rests at this instant.
+    flow_forward_px, flow_backward_px : ndarray of shape (y, x, 2), float32
+        Flow to t+ and to t-, (row, column) in fine samples.
+    occluded_forward, occluded_backward : ndarray of shape (y, x), bool
+        The surface point is not seen at t+ or t-: hidden, outside of the picture or of the depth range.
+    id_table : Mapping
+        Object id -> name, ``lamp/...``, ``object/...``, ``mover/...`` or ``static/...`` (a shape of the
+        scene's own file), whether in view or not.
+    intrinsics_px : ndarray of shape (3, 3), float64
+        Camera frame -> (column, row, 1) times depth, in fine samples, of the image without distortion.
+    radial_k1 : float
+        Distortion, as OpenCV's k1; 0 for none, negative for a barrel.
+    camera_to_world : ndarray of shape (3, 4, 4), float64
+        Camera frame -> world at t-, t, t+.
+    object_poses : Mapping
+        Name of a mover, as in the table -> its poses.
+    """
+
+    times_s: tuple[float, float, float]
+    depth_m: Floats
+    distance_m: Floats
+    normal: Floats
+    albedo: Floats
+    ids: Ids
+    moving: Bools
+    flow_forward_px: Floats
+    flow_backward_px: Floats
+    occluded_forward: Bools
+    occluded_backward: Bools
+    id_table: Mapping[int, str]
+    intrinsics_px: Doubles
+    radial_k1: float
+    camera_to_world: Doubles
+    object_poses: Mapping[str, ObjectPose]
+
+    def __post_init__(self) -> None:
+        shape = self.ids.shape
+        plane: tuple[str, ...] = ("y", "x")
+        for name, unit, axes in (
+            ("depth_m", "m", plane),
+            ("distance_m", "m", plane),
+            ("normal", "unit vector", (*plane, "xyz")),
+            ("albedo", "1", plane),
+            ("flow_forward_px", "fine samples", (*plane, "row col")),
+            ("flow_backward_px", "fine samples", (*plane, "row col")),
+        ):
+            signed = name.startswith(("normal", "flow"))
+            checked(name, getattr(self, name), axes=axes, dtype=np.float32, unit=unit, nonnegative=not signed)
+        for name in ("moving", "occluded_forward", "occluded_backward"):
+            checked(name, getattr(self, name), axes=plane, dtype=np.bool_, unit="mask")
+        checked("ids", self.ids, axes=plane, dtype=np.uint32, unit="object id")
+        for name, size in (("normal", 3), ("flow_forward_px", 2), ("flow_backward_px", 2)):
+            _shaped(name, getattr(self, name), (*shape, size))
+        for name in ("depth_m", "distance_m", "albedo", "moving", "occluded_forward", "occluded_backward"):
+            _shaped(name, getattr(self, name), shape)
+        if float(self.albedo.max()) > 1:
+            raise ValueCheckError(f"albedo: got {self.albedo.max()}, expected 0..1")
+        strange = sorted(set(np.unique(self.ids).tolist()) - {0} - set(self.id_table))
+        if strange or 0 in self.id_table:
+            raise ValueCheckError(
+                f"ids: {strange or [0]} must be in the table; 0, which is nothing, must not"
+            )
+        _shaped("intrinsics_px", self.intrinsics_px, (3, 3))
+        _shaped("camera_to_world", self.camera_to_world, (3, 4, 4))
+
+
+def _shaped(name: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise ValueCheckError(f"{name}: got an array of shape {array.shape}, expected {shape}")

@@ -1,0 +1,292 @@
+"""Export of the truth with everything that belongs to it: one OpenEXR a slot, a manifest, one picture.
+
+Radiance is the mean over the slot; all other passes are of the instant in the middle of the slot, and flow
+goes to the middles of the next and of the last slot.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from optsim.camera.effects import with_effects
+from optsim.core.cache import hash_of
+from optsim.core.errors import ConfigError, StorageError
+from optsim.core.files import CLAIM, read_exr, read_json, write_exr, write_json, write_png8
+from optsim.core.folder_claims import claimed
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Passes, RadianceVideo
+from optsim.dataset.channels import CONVENTIONS, HALF_CHANNELS, UNITS, channels_of, noise_sigma, slot_mean
+from optsim.dataset.extras import ExtraChannels, Extras, channel_names
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.job import versions
+from optsim.experiment.truth import chosen_scene, render_truth, renderer, truth_view, whole_scene
+from optsim.report.pass_sheet import pass_sheet
+
+_KIND = "optsim passes 1"
+_MANIFEST = "manifest.json"
+_PICTURE = "passes.png"
+# Bytes of a sample in a file, before compression: 18 channels of 32 bits.
+_SAMPLE_BYTES = 72
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Export:
+    """Where an export goes, and what it is of."""
+
+    folder: Path
+    experiment: Experiment
+    identity: str
+    half: tuple[str, ...]
+    extras: Extras
+    band_nm: float
+    made_by: dict[str, str]
+
+    def path(self, slot: int) -> Path:
+        return self.folder / f"slot{slot:06d}.exr"
+
+    def header(self) -> Record:
+        """Tell what manifest and files have in common."""
+        return {
+            "kind": _KIND,
+            "identity": self.identity,
+            "units": UNITS,
+            "conventions": CONVENTIONS,
+            "half": list(self.half),
+            "extras": self.extras.model_dump(mode="json"),
+            "slot_s": self.experiment.timing.slot_s,
+            "band_nm": self.band_nm,
+            "scene": self.experiment.model_dump(mode="json")["scene"],
+            "render": self.experiment.render.model_dump(mode="json"),
+            "versions": self.made_by,
+        }
+
+
+def export_passes(
+    experiment: Experiment,
+    folder: Path,
+    slots: range | None = None,
+    *,
+    half: bool = False,
+    extras: Extras | None = None,
+    backend: str | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Write slots of an experiment's truth with all passes: ``slot000000.exr``, manifest and a picture.
+
+    An interrupted export resumes, and a later one with other slots adds to it: whole files are kept.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        It must have a scene: footage has no surfaces.
+    folder : Path
+        New, empty, or with an export of the same truth.
+    slots : range, optional
+        Which slots, default all.
+    half : bool
+        Store radiance, normals and albedo as 16 bit; ids, depth, flow and noise never.
+    extras : Extras, optional
+        Further channels; none by default.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+    progress : Progress
+        Told of each slot, as "passes".
+
+    Raises
+    ------
+    ConfigError
+        For footage, slots outside of the experiment, or denoising that is not installed.
+    StorageError
+        When the folder holds anything else, another process writes into it, or the disk is too full.
+    BackendError
+        When polarised light is wanted and only the scalar fallback works.
+    """
+    from optsim.render import PassRenderer
+
+    slots, extras = check_slots(experiment, slots), extras or Extras()
+    extras.check(backend)
+    scene, view, slot_s = chosen_scene(experiment), truth_view(experiment), experiment.timing.slot_s
+    made_by = {**versions(), "variant": renderer(experiment, backend)[0]}
+    if extras.denoise:
+        made_by["mitsuba-oidn"] = version("mitsuba-oidn")
+    settings = experiment.render.model_dump(mode="json")
+    whole = whole_scene(experiment)
+    more = channel_names(extras, whole)
+    identity = hash_of(
+        *(_KIND, scene.model_dump(mode="json"), whole.model_dump(mode="json"), asdict(view), slot_s),
+        *(settings, half, extras.model_dump(mode="json"), made_by),
+    )
+    short = (*HALF_CHANNELS, *more) if half else ()
+    export = _Export(folder, experiment, identity, short, extras, experiment.camera.wavelength_nm, made_by)
+    with claimed(folder):
+        files = _found(export)
+        missing = [slot for slot in slots if slot not in files]
+        _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
+        _write_manifest(export, files, complete=not missing)
+        if missing:
+            # For others, without this camera's splitter: polarisation is a channel of its own.
+            plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
+            light = experiment.model_copy(update={"camera": plain})
+            radiance = render_truth(light, backend=backend, progress=progress)
+            look = PassRenderer(scene, view, backend=backend)
+            further = ExtraChannels(extras, experiment, backend=backend)
+            for done, slot in enumerate(missing, start=1):
+                passes = look.at((slot + 0.5) * slot_s, slot_s)
+                _write_slot(export, slot, passes, radiance, further)
+                files[slot] = _record(export.path(slot), slot)
+                progress("passes", done, len(missing))
+            _write_manifest(export, files, complete=True)
+        _write_picture(export, slots[len(slots) // 2])
+
+
+def _write_slot(
+    export: _Export, slot: int, passes: Passes, radiance: RadianceVideo, further: ExtraChannels
+) -> None:
+    noise = radiance.half_difference
+    sigma = None if noise is None else noise_sigma(slot_mean(noise, slot), passes.ids)
+    mean = slot_mean(radiance, slot)
+    more, said = further.of(slot, passes, mean)
+    write_exr(
+        export.path(slot),
+        {**channels_of(passes, mean, sigma), **more},
+        attributes={**_attributes(export, passes, slot), "further": said},
+        half=export.half,
+    )
+
+
+def parse_slots(text: str) -> range:
+    """Read ``FIRST:LAST``, LAST not included, as a range.
+
+    Raises
+    ------
+    ConfigError
+        For anything else.
+    """
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdecimal() and last.isdecimal() and int(first) < int(last)):
+        raise ConfigError(
+            f"--slots: got {text!r}, expected FIRST:LAST, LAST not included, for example 0:36 for a frame"
+        )
+    return range(int(first), int(last))
+
+
+def check_slots(experiment: Experiment, slots: range | None) -> range:
+    """Return the slots wanted, all by default; a ConfigError unless they are some of the experiment's."""
+    n_slots = experiment.timing.n_slots
+    if slots is None:
+        return range(n_slots)
+    if not slots or slots[0] < 0 or slots[-1] >= n_slots:
+        raise ConfigError(
+            f"--slots: got {slots.start}:{slots.stop}, expected some of the {n_slots} slots 0:{n_slots} of "
+            f"{experiment.name}; for more, --set n_frames=..."
+        )
+    return slots
+
+
+def _found(export: _Export) -> dict[int, Record]:
+    """Find the slots that are already there and whole, by number; refuse a folder of anything else."""
+    folder = export.folder
+    # What a killed export left half-written is hidden and ends so; it is no content.
+    halves = list(folder.glob(".*.part.*"))
+    if {*folder.iterdir()} <= {*halves, folder / CLAIM}:
+        return {}
+    if not (folder / _MANIFEST).is_file():
+        raise StorageError(
+            f"--out {folder} is not empty and holds no export of passes; choose a new or an empty folder"
+        )
+    manifest: Record = read_json(folder / _MANIFEST)
+    if manifest.get("identity") != export.identity:
+        raise StorageError(
+            f"--out {folder} holds an export of another truth: another scene, render settings, versions, "
+            "further channels or --half; choose another folder"
+        )
+    for half in halves:
+        half.unlink(missing_ok=True)
+    listed: dict[int, str] = {int(item["slot"]): item["sha256"] for item in manifest["files"]}
+    files: dict[int, Record] = {}
+    for path in sorted(folder.glob("slot*.exr")):
+        slot = int(path.stem.removeprefix("slot"))
+        record = _record(path, slot)
+        # A listed file that was damaged since has another hash; one finished after the list was written is
+        # asked itself.
+        known = listed.get(slot)
+        if known == record["sha256"] or (known is None and _is_ours(export, path, slot)):
+            files[slot] = record
+    return files
+
+
+def _is_ours(export: _Export, path: Path, slot: int) -> bool:
+    try:
+        attributes = read_exr(path)[1]
+    except StorageError:
+        return False
+    return attributes.get("identity") == export.identity and attributes.get("slot") == slot
+
+
+def _record(path: Path, slot: int) -> Record:
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return {"file": path.name, "slot": slot, "bytes": path.stat().st_size, "sha256": digest}
+
+
+def _write_manifest(export: _Export, files: dict[int, Record], *, complete: bool) -> None:
+    view = export.experiment.camera.view
+    write_json(
+        export.folder / _MANIFEST,
+        {
+            **export.header(),
+            "complete": complete,
+            "shape": [view.rows, view.cols],
+            "samples_per_panel_pixel": view.samples_per_pitch,
+            "experiment": export.experiment.model_dump(mode="json"),
+            "picture": _PICTURE,
+            "files": [files[slot] for slot in sorted(files)],
+        },
+    )
+
+
+def _check_disk(folder: Path, need_bytes: int) -> None:
+    existing = next(p for p in [folder.absolute(), *folder.absolute().parents] if p.exists())
+    free_mb, need_mb = shutil.disk_usage(existing).free / 1e6, need_bytes / 1e6
+    if need_mb > free_mb:
+        raise StorageError(
+            f"not enough disk for the passes at {folder}: up to {need_mb:.0f} MB are needed, "
+            f"{free_mb:.0f} MB are free; cure: fewer slots by --slots FIRST:LAST, --half, or another --out"
+        )
+
+
+def _attributes(export: _Export, passes: Passes, slot: int) -> Record:
+    slot_s = export.experiment.timing.slot_s
+    return {
+        **export.header(),
+        "slot": slot,
+        "slot_start_s": slot * slot_s,
+        "slot_stop_s": (slot + 1) * slot_s,
+        "times_s": list(passes.times_s),
+        "intrinsics_px": passes.intrinsics_px.tolist(),
+        "radial_k1": passes.radial_k1,
+        "camera_to_world": passes.camera_to_world.tolist(),
+        "id_table": {str(number): name for number, name in passes.id_table.items()},
+        "object_poses": {
+            name: {
+                "world_at_0_to_world": None if pose.matrices is None else pose.matrices.tolist(),
+                "reason": pose.reason,
+                "center_m": pose.center_m.tolist(),
+            }
+            for name, pose in passes.object_poses.items()
+        },
+    }
+
+
+def _write_picture(export: _Export, slot: int) -> None:
+    channels, said = read_exr(export.path(slot))
+    names = {int(number): name for number, name in said["id_table"].items()}
+    title = f"{export.experiment.name}, slot {slot}, t = {1e3 * said['times_s'][1]:.3f} ms"
+    write_png8(export.folder / _PICTURE, pass_sheet(channels, names, title))

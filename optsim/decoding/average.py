@@ -1,0 +1,40 @@
+"""Mean of two videos of the same coded image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import tee
+from typing import Literal
+
+from optsim.calibration.calibration import Calibration
+from optsim.core.quantities import CodedFrame
+from optsim.decoding.branches import GaussianMixture, SparseCoding
+from optsim.decoding.layer import Branch, Layer
+
+
+class Average(Branch):
+    """Mean of sparse coding and Gaussian mixture: their errors are alike in size and partly independent.
+
+    Parameters
+    ----------
+    sparse, mixture : decoder
+        The two decoders, with their keys.
+    """
+
+    kind: Literal["average"] = "average"
+    sparse: SparseCoding = SparseCoding()
+    mixture: GaussianMixture = GaussianMixture(stride_px=1)
+
+    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+        """As :meth:`decode`, with the opacity of the seam."""
+        one, other = tee(frames)
+        pairs = zip(
+            self.sparse.layers(one, calibration), self.mixture.layers(other, calibration), strict=True
+        )
+        for a, b in pairs:
+            yield replace(
+                a,
+                irradiance_w_m2=(a.irradiance_w_m2 + b.irradiance_w_m2) / 2,
+                opacity=(a.opacity + b.opacity) / 2,
+            )

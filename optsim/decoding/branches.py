@@ -1,0 +1,17 @@
+"""The decoders that others are made of."""
+
+from optsim.decoding.gaussian_mixture import GaussianMixture
+from optsim.decoding.hdr_merge import HdrMerge
+from optsim.decoding.interpolation import Interpolation
+from optsim.decoding.motion_deblurring import MotionDeblurring
+from optsim.decoding.sparse_coding import SparseCoding
+from optsim.decoding.total_variation import TotalVariation
+
+__all__ = [
+    "GaussianMixture",
+    "HdrMerge",
+    "Interpolation",
+    "MotionDeblurring",
+    "SparseCoding",
+    "TotalVariation",
+]

@@ -1,0 +1,166 @@
+# pyright: reportMissingTypeStubs=false
+"""What decoders that work patch by patch start from, and how they hand over what they painted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from optsim.calibration.calibration import Calibration
+from optsim.calibration.sample import LEAST_EXPOSURE, Crosstalk, nearest, sampled
+from optsim.core.quantities import Bools, CodedFrame, Floats
+from optsim.decoding.layer import Layer, positive_mean
+
+# Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
+_AROUND = 8
+# Share of measured pixels below which patches can't tell what lies between them: sparse coding paints
+# 0.4 measured as well as all, 0.1 with dark gaps (no source for the value between).
+_TOO_FEW = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class CodedImage:
+    """A coded frame on the panel grid, each pixel by itself.
+
+    Zero where not usable; but where few pixels around are, those that aren't have the nearest one's sample.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (v, u), float32
+        Sum over the slots of weight times irradiance.
+    exposure : ndarray of shape (v, u), float32
+        Sum of the weights.
+    variance : ndarray of shape (v, u), float32
+        Noise variance of the signal.
+    weights : ndarray of shape (v, u, slot), float32
+        Weights.
+    usable : ndarray of shape (v, u), bool
+        Where there is a signal.
+    saturated : ndarray of shape (v, u), bool
+        Where it is only known to be so large at least.
+    """
+
+    signal: Floats
+    exposure: Floats
+    variance: Floats
+    weights: Floats
+    usable: Bools
+    saturated: Bools
+
+
+def coded_images(
+    frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
+) -> Iterator[tuple[CodedFrame, CodedImage]]:
+    """Frames with their pixels separated, as :func:`~optsim.calibration.sample.sampled` takes them."""
+    for frame, sample in sampled(frames, calibration, crosstalk):
+        usable = sample.valid & (sample.exposure > LEAST_EXPOSURE)
+        yield (
+            frame,
+            _gaps_filled(
+                CodedImage(
+                    np.where(usable, sample.signal, 0).astype(np.float32),
+                    np.where(usable, sample.exposure, 0).astype(np.float32),
+                    np.where(usable, sample.variance, 0).astype(np.float32),
+                    np.ascontiguousarray(np.moveaxis(np.where(usable, sample.weights, 0), 0, -1)),
+                    usable,
+                    sample.saturated,
+                )
+            ),
+        )
+
+
+def _gaps_filled(image: CodedImage) -> CodedImage:
+    """Repeat the nearest sample in gaps too wide for a patch to bridge, in place; small ones stay zero."""
+    if image.usable.any() and not image.usable.all():
+        gap = ~image.usable & (box_mean(image.usable, _AROUND) < _TOO_FEW)
+        rows, cols = (each[gap] for each in nearest(image.usable))
+        for part in (image.signal, image.exposure, image.variance, image.weights):
+            part[gap] = part[rows, cols]
+    return image
+
+
+def covered(
+    frame: CodedFrame,
+    image: CodedImage,
+    total: Floats,
+    count: Floats,
+    full: Floats,
+    variance: Floats | None = None,
+) -> Layer:
+    """Mean of the patches over each pixel; the fewer of all patches there are, the less opaque.
+
+    Patches over a pixel have seen the same samples with the same prior, so their errors are nearly the same
+    error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation
+    can make the mean's error larger than that.
+
+    What saturates is known to be so bright at least, or by other frames: it counts as interpolated, and as
+    uncertain as bright. So does a moving pixel without a sample, which isn't valid.
+
+    What came out negative or nearly so is brought to its :func:`positive_mean`, with the error that negative
+    light nearby shows.
+
+    Parameters
+    ----------
+    frame, image
+        From :func:`coded_images`.
+    total : ndarray of shape (v, u, slot), float32
+        Sum of all patches over each pixel; used up.
+    count, full : ndarray of shape (v, u), float32
+        How many patches that were, and how many there are on the whole grid.
+    variance : ndarray of shape (v, u, slot), float32, optional
+        Mean of the variances of the patches over each pixel; used up.
+    """
+    total /= np.maximum(count, 1)[:, :, None]
+    spread = None
+    if variance is not None:
+        spread = np.ascontiguousarray(np.moveaxis(np.sqrt(variance, out=variance), -1, 0))
+    video = np.ascontiguousarray(np.moveaxis(total, -1, 0))
+    seen = count > 0
+    error = _error_variance(image, video, seen)[seen]
+    # One slot at a time stays in the processor's cache.
+    for slot in video:
+        slot[seen] = positive_mean(slot[seen], error)
+    moving = frame.code.moving
+    interpolated = moving & (image.saturated | ~image.usable)
+    if spread is not None:
+        spread[:, interpolated] = np.maximum(spread[:, interpolated], video[:, interpolated])
+    return Layer(
+        frame.index,
+        video,
+        (count / full).astype(np.float32),
+        image.usable & moving & seen,
+        interpolated,
+        moving,
+        total.shape[2],
+        spread,
+    )
+
+
+def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
+    """Squared error of dark pixels, as negative light around them shows it.
+
+    No light is negative, so where there is next to none of it half of the squared errors are seen. Nor can a
+    patch decoder know better than the noise of all that was gathered around a pixel.
+    """
+    # What is said of slots with the shutter closed is nobody's error.
+    slots = np.flatnonzero(image.weights.any(axis=(0, 1)))
+    squares = np.zeros(seen.shape, np.float32)
+    for slot in slots:
+        squares += np.square(np.minimum(video[slot], 0))
+    squares /= max(1, len(slots))
+    shown = box_mean(squares, _AROUND) / np.maximum(box_mean(seen, _AROUND), 1 / _AROUND**2)
+    variance, exposure = box_mean(image.variance, _AROUND), box_mean(image.exposure, _AROUND)
+    gathered = np.zeros_like(variance)
+    np.divide(variance, _AROUND**2 * exposure**2, out=gathered, where=exposure > 1e-6)
+    return (2 * shown + gathered).astype(np.float32)
+
+
+def box_mean(image: Floats | Bools, side: int) -> Floats:
+    """Mean over the square around each pixel, mirrored at the border: (v, u), float32."""
+    from scipy import ndimage
+
+    mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
+    return mean(image.astype(np.float32, copy=False), side)

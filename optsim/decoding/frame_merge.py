@@ -1,0 +1,191 @@
+"""Frames of light that stands still, merged pixel by pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from optsim.calibration.calibration import Calibration
+from optsim.calibration.sample import (
+    LEAST_EXPOSURE,
+    Brightness,
+    Crosstalk,
+    Sample,
+    noise_variance,
+    predicted_variance,
+    separate,
+)
+from optsim.core.quantities import Bools, Doubles, Floats
+from optsim.decoding.hidden_light import told_by_glare
+from optsim.decoding.joint_merge import solved_together
+
+# Saturated neighbours and the samples between them are estimated from each other. Where that doesn't settle
+# (to these standard deviations) they are found together, with all to which they bring such a share of light.
+_PASSES = 3
+_SETTLED_SIGMAS = 0.1
+_COUPLED = 0.01
+# How often glare is asked how bright hidden regions are, and how often each by itself; when that has settled;
+# and how many frames it takes.
+_GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 6, 2, 0.02, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """What several frames say about each pixel.
+
+    Parameters
+    ----------
+    mean : ndarray of shape (v, u), float32
+        Irradiance, W m^-2; noise may make it negative.
+    variance : callable
+        Of irradiance as of ``mean``, nowhere negative: the variance that the mean would have by it, W^2 m^-4.
+    found : ndarray of shape (v, u), bool
+        Where there is an unsaturated sample.
+    least : ndarray of shape (v, u), float32
+        What saturated samples say that there is at least, W m^-2.
+    tainted : ndarray of shape (v, u), float32
+        Share of the kernel that brings light that nobody knows.
+    """
+
+    mean: Floats
+    variance: Callable[[Floats], Floats]
+    found: Bools
+    least: Floats
+    tainted: Floats
+
+
+def merged(
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    alive: Sequence[Bools],
+    least: Floats,
+    crosstalk: Crosstalk,
+) -> Merged:
+    """Frames in which a pixel stood still, as one.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the camera.
+    samples : sequence of Sample
+        Newest first.
+    alive : sequence of ndarray of shape (v, u), bool
+        Which pixels of each have not changed since.
+    least : ndarray of shape (v, u), float32
+        What saturated samples say that there is at least, W m^-2.
+    crosstalk : {"undone", "row_summed"}
+        How the samples were made.
+    """
+    usable = [
+        ok & s.valid & ~s.saturated & (s.exposure > LEAST_EXPOSURE)
+        for s, ok in zip(samples, alive, strict=True)
+    ]
+    found = np.logical_or.reduce(usable)
+    certainty = _sum([s.exposure for s in samples], usable)
+    mean = _ratio(_sum([s.signal for s in samples], usable), certainty)
+    change = np.zeros_like(mean)
+    by_glare = np.zeros(mean.shape)
+    guess = partial(_pass, calibration, usable=usable, found=found, crosstalk=crosstalk)
+    for _ in range(_PASSES):
+        samples, certainty, change = guess(samples, mean, least=least)
+        mean += change
+    if crosstalk == "undone":
+        # Before all frames of a mosaic's period have seen a light, its pixels' bounds follow their codes.
+        hidden = ~found & (least > 0) & np.logical_and.reduce(alive)
+        for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) >= _PERIOD else 0):
+            # Regions compete: told apart more often, they are so by the errors of the rounds before.
+            factor, by_glare = told_by_glare(
+                calibration, samples, alive, usable, mean, least, hidden, apart=done < _APART
+            )
+            least = least * factor
+            if np.abs(factor - 1).max() < _SAME_FACTOR:
+                break
+            samples, certainty, change = guess(samples, mean, least=least)
+            mean += change
+        together = _unsettled(calibration, samples, alive, found, mean, np.abs(change) * np.sqrt(certainty))
+        if together.any():
+            mean = solved_together(calibration, samples, alive, usable, mean, least, together)
+            # What they are changes the stray light of all.
+            _, certainty, change = guess(samples, mean, least=least)
+            mean += np.where(together, 0, change)
+    tainted = np.zeros_like(mean)
+    for sample, use in zip(samples, usable, strict=True):
+        unknown = (sample.saturated & ~found).astype(np.float32)
+        tainted = np.maximum(tainted, np.where(use, calibration.spread(unknown[None])[0], 0))
+
+    def variance(light: Floats) -> Floats:
+        each = _variances(calibration, samples, light, crosstalk)
+        certainty = _sum([s.exposure**2 / v for s, v in zip(samples, each, strict=True)], usable)
+        return (_ratio(np.ones(light.shape), certainty) + by_glare**2).astype(np.float32)
+
+    return Merged(mean, variance, found, least, tainted)
+
+
+def _pass(
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    mean: Floats,
+    *,
+    usable: Sequence[Bools],
+    found: Bools,
+    least: Floats,
+    crosstalk: Crosstalk,
+) -> tuple[Sequence[Sample], Doubles, Floats]:
+    """Separate the frames by the pooled estimate; its certainty, one over its variance, and its change."""
+    light = np.maximum(mean, 0)
+    if crosstalk == "undone":
+        # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
+        known = Brightness(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
+        samples = [separate(calibration, s, known) for s in samples]
+    pairs = list(zip(samples, _variances(calibration, samples, light, crosstalk), strict=True))
+    certainty = _sum([s.exposure**2 / variance for s, variance in pairs], usable)
+    top = _sum([s.signal * s.exposure / variance for s, variance in pairs], usable)
+    return samples, certainty, np.where(found, _ratio(top, certainty) - mean, np.float32(0))
+
+
+def _variances(
+    calibration: Calibration, samples: Sequence[Sample], light: Floats, crosstalk: Crosstalk
+) -> list[Floats]:
+    """Of the frames' signals if such were the light, which is nowhere negative."""
+    if crosstalk == "undone":
+        return [predicted_variance(calibration, s.exposure, light) for s in samples]
+    return [noise_variance(calibration, light * s.exposure) for s in samples]
+
+
+def _unsettled(
+    calibration: Calibration,
+    samples: Sequence[Sample],
+    alive: Sequence[Bools],
+    found: Bools,
+    mean: Floats,
+    sigmas: Doubles,
+) -> Bools:
+    """Where the estimate still changes by saturated neighbours or contradicts saturation, and around it."""
+    bright = np.zeros(calibration.shape, np.bool_)
+    short = bright.copy()
+    for sample, ok in zip(samples, alive, strict=True):
+        saturated = ok & sample.valid & sample.saturated
+        light = np.where(ok & found, np.maximum(mean, 0) * sample.exposure, sample.signal)
+        short |= found & saturated & (calibration.mix(light) < sample.measured)
+        bright |= saturated
+
+    def around(pixels: Bools) -> Bools:
+        return calibration.spread(pixels[None].astype(np.float32))[0] > _COUPLED
+
+    result = found & around(short | (sigmas > _SETTLED_SIGMAS) & around(bright))
+    # What no frame measured is found from what lies around it.
+    return result | bright & ~found & around(result)
+
+
+def _ratio(top: Doubles, bottom: Doubles) -> Floats:
+    return np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0).astype(np.float32)
+
+
+def _sum(images: Sequence[Floats], usable: Sequence[Bools]) -> Doubles:
+    total = np.zeros(usable[0].shape)
+    for image, ok in zip(images, usable, strict=True):
+        total += np.where(ok, image, 0)
+    return total

@@ -1,0 +1,103 @@
+# pyright: reportMissingTypeStubs=false
+"""What a branch of a decoder hands over before branches are joined, and what a branch is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erfcx
+
+from optsim.calibration.calibration import Calibration
+from optsim.core.config import Part
+from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
+
+# Farther from zero, in standard deviations, than where the cut-off still moves the mean (by 1e-8 of one).
+_FAR = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One branch's picture of one coded frame.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    irradiance_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32
+        Mean irradiance in each slot, or the same for all slots; never negative.
+    opacity : ndarray of shape (v, u), float32
+        How much of the joined picture this layer makes, 0..1.
+    valid, interpolated, moving : ndarray of shape (v, u), bool
+        As in :class:`~optsim.core.quantities.Reconstruction`.
+    slots : int
+        Slots of the frame's period.
+    uncertainty_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32, or None
+        Standard deviation of the irradiance as the decoder predicts it; None where it doesn't know.
+    """
+
+    index: int
+    irradiance_w_m2: Floats
+    opacity: Floats
+    valid: Bools
+    interpolated: Bools
+    moving: Bools
+    slots: int
+    uncertainty_w_m2: Floats | None = None
+
+    def finished(self) -> Reconstruction:
+        """As a reconstruction by itself: all slots."""
+        video = self.irradiance_w_m2
+        shape = (self.slots, *video.shape[1:])
+        spread = self.uncertainty_w_m2
+        return Reconstruction(
+            self.index,
+            np.broadcast_to(video, shape),
+            self.valid,
+            self.interpolated,
+            self.moving,
+            None if spread is None else np.broadcast_to(spread, shape),
+        )
+
+
+def positive_mean(mean: Floats, variance: Floats) -> Floats:
+    """Mean of what may be, given that it isn't negative: a Gaussian cut off at zero.
+
+    Dark pixels are as likely below zero as above, by noise; to clip those below would make them black.
+
+    Parameters
+    ----------
+    mean, variance : ndarray, float32
+        Estimate and its variance, of shapes that broadcast to the mean's.
+
+    Source: mean of a truncated normal distribution, N. L. Johnson, S. Kotz and N. Balakrishnan, *Continuous
+    Univariate Distributions* 1, 2nd ed. (1994), 13.10.1.
+    """
+    sigma = np.broadcast_to(np.sqrt(np.maximum(variance, 1e-30)), mean.shape)
+    result = mean.copy()
+    near = mean < _FAR * sigma
+    x, s = mean[near].astype(np.float64), sigma[near].astype(np.float64)
+    # Far below zero these two cancel but for rounding.
+    result[near] = np.maximum(x + s * np.sqrt(2 / np.pi) / erfcx(-x / s / np.sqrt(2)), 0)
+    return result
+
+
+class Branch(Part, ABC):
+    """A decoder that works by itself and that others join with theirs."""
+
+    @abstractmethod
+    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+        """As :meth:`decode`, with the opacity of a seam."""
+
+    def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
+        """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
+
+        Raises
+        ------
+        ConfigError
+            When what is learned does not fit the frames.
+        """
+        for layer in self.layers(frames, calibration):
+            yield layer.finished()

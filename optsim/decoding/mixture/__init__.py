@@ -1,0 +1,1 @@
+"""Posteriors of patches under a Gaussian mixture."""

@@ -1,0 +1,157 @@
+# pyright: reportUntypedFunctionDecorator=false
+"""What a mixture of Gaussians says of a patch that a code has measured.
+
+With ``signal = A (base + basis' z + rest) + noise`` the posterior of z is again a mixture: shares by how
+likely each component makes the signal, means by the linear estimator of least mean square error (S. M. Kay,
+*Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, theorem 11.1). The eigenvectors of
+each component's signal covariance are found once for all patches that share A: then every patch may have
+a noise of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.core.compiled import compiled
+from optsim.core.quantities import Bools, Doubles, Floats
+from optsim.priors.mixture import Mixture
+
+# Components that are less likely than this beside the best one are left out of a patch.
+_NEGLIGIBLE = 1e-3
+# Noise variance, relative to the strongest direction's power, that is the least believed: signals in float32
+# have some 1e-7 of rounding, so less would be noise taken for signal.
+_LEAST_NOISE = np.float32(1e-12)
+_TINY = np.float32(1e-30)
+# Numbers from 1 to 1 / _LEAST_NOISE whose product float64 holds: a logarithm costs ten multiplications.
+_MULTIPLIED = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A mixture as a matrix of weights shows it; k components, m measurements, rank r.
+
+    Parameters
+    ----------
+    log_shares : ndarray of shape (k,), float64
+        Logarithms of the shares.
+    signals : ndarray of shape (k, m), float32
+        Mean signal of each component.
+    turns : ndarray of shape (k, m, m), float32
+        Eigenvectors of each component's signal covariance, in columns.
+    powers : ndarray of shape (k, m), float32
+        Eigenvalues.
+    means : ndarray of shape (k, r), float32
+        Mean of z.
+    backs : ndarray of shape (k, m, r), float32
+        Covariance of the turned signal with z.
+    rest : ndarray of shape (k,), float32
+        Mean variance of a measurement by what the basis leaves out.
+    """
+
+    log_shares: Doubles
+    signals: Floats
+    turns: Floats
+    powers: Floats
+    means: Floats
+    backs: Floats
+    rest: Floats
+
+
+def seen_through(mixture: Mixture, weights: Floats) -> Seen:
+    """Prepare a mixture for weights of shape (pixel, slot)."""
+    pixels, slots = weights.shape
+    matrix = np.einsum("rpt,pt->pr", mixture.basis.reshape(-1, pixels, slots), weights, optimize=True)
+    base = (mixture.base.reshape(pixels, slots) * weights).sum(axis=1)
+    exact = matrix.astype(np.float64)
+    back = exact @ mixture.covariances
+    powers, turns = np.linalg.eigh(back @ exact.T)
+    return Seen(
+        np.log(mixture.shares),
+        (mixture.means @ exact.T + base).astype(np.float32),
+        turns.astype(np.float32),
+        powers.clip(0).astype(np.float32),
+        mixture.means.astype(np.float32),
+        (turns.transpose(0, 2, 1) @ back).astype(np.float32),
+        (mixture.rest * (weights.astype(np.float64) ** 2).sum(axis=1).mean()).astype(np.float32),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known of p patches seen through the same weights, component by component.
+
+    Parameters
+    ----------
+    seen : Seen
+        The prior behind the weights.
+    chance : ndarray of shape (p, k), float64
+        Shares of the components; 0 for those left out.
+    turned : list of k ndarray of shape (p, m), float32
+        Signals less the component's mean, along its eigenvectors.
+    noise : ndarray of shape (p, k), float32
+        Variance of a measurement: noise, and what the basis leaves out of each component.
+    """
+
+    seen: Seen
+    chance: Doubles
+    turned: list[Floats]
+    noise: Floats
+
+    def some(self, rows: Bools) -> Posterior:
+        """Of some of the patches."""
+        return Posterior(self.seen, self.chance[rows], [part[rows] for part in self.turned], self.noise[rows])
+
+    def mean(self) -> Floats:
+        """Mean of z: array of shape (p, r), float32."""
+        seen, chance = self.seen, self.chance
+        z = (chance.astype(np.float32)) @ seen.means
+        for k, part in enumerate(self.turned):
+            some = np.flatnonzero(chance[:, k])
+            if some.size:
+                pull = part[some] / (seen.powers[k] + self.noise[some, k, None])
+                z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
+        return z
+
+
+def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
+    """Ask a mixture about patches that were measured.
+
+    Parameters
+    ----------
+    seen : Seen
+        The prior behind the weights.
+    signals : ndarray of shape (p, m), float32
+        Signals whose brightness has been divided out.
+    variance : ndarray of shape (p,), float32
+        Noise variance of each patch's measurements.
+    """
+    least = np.maximum(_LEAST_NOISE * seen.powers.max(), _TINY)
+    noise = np.maximum(variance[:, None] + seen.rest, least)
+    turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]
+    logs = np.empty((len(signals), len(turned)))
+    for k, part in enumerate(turned):
+        _log_density(part, seen.powers[k], noise[:, k], seen.log_shares[k], logs[:, k])
+    chance = np.exp(logs - logs.max(axis=1, keepdims=True))
+    chance[chance < _NEGLIGIBLE] = 0
+    chance /= chance.sum(axis=1, keepdims=True)
+    return Posterior(seen, chance, turned, noise)
+
+
+@compiled(fastmath={"reassoc", "contract", "arcp"})
+def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
+    """Logarithm of a component's share times its density, but for what all components share."""
+    n = len(powers)
+    for p in range(len(turned)):
+        level = np.float64(noise[p])
+        scale, logs = 1 / level, n * np.log(level)
+        squares = np.float32(0)
+        for j in range(n):
+            squares += turned[p, j] * turned[p, j] / (powers[j] + noise[p])
+        for first in range(0, n, _MULTIPLIED):
+            product = 1.0
+            for j in range(first, min(first + _MULTIPLIED, n)):
+                product *= scale * (powers[j] + level)
+            logs += np.log(product)
+        found[p] = log_share - 0.5 * (logs + squares)

@@ -1,0 +1,132 @@
+"""What a pixel can't measure well by itself, its neighbours tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import cast
+
+import numpy as np
+from scipy import ndimage  # type: ignore[import-untyped]
+
+from optsim.core.quantities import Bools, Doubles, Floats
+from optsim.decoding.layer import positive_mean
+
+# Linear interpolation between the samples of one exposure of a 2 x 2 mosaic; the pixel itself is apart.
+_AROUND = {(0, 1): 0.5, (0, -1): 0.5, (1, 0): 0.5, (-1, 0): 0.5} | dict.fromkeys(
+    [(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25
+)
+# Six passes more change the PSNR of `night_street` by 0.05 dB.
+_PASSES = 4
+_LEAST = 1e-30  # of variances, W^2 m^-4: divisions
+# Standard deviation of the window in which neighbours' differences are measured, pixels, and how much they
+# are guessed to be, over the light, to weigh one pair against another. Photographs of
+# `validation/static_hdr` change by 0.1 dB with half the window, and by as much with a guess of 0.05 or 0.5.
+_WINDOW_PX = 2.0
+_GUESS = 0.2
+# Standard deviations beyond which a difference is an edge, whatever the window says.
+_SURELY = 2.0
+_MOST = 100.0  # largest mean square of the differences, over that of the light
+
+
+def pooled(
+    mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, least: Floats, contrast: float
+) -> tuple[Floats, Floats]:
+    """Mean of each pixel and those of its eight neighbours that were measured, and its variance.
+
+    Normalised convolution (H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081): a pixel's
+    certainty is one over its variance, a neighbour's is less by as much as neighbours differ. How much they
+    do is measured around each pixel: the mean square of the differences, less what noise makes of it, as in
+    local statistics (J.-S. Lee, IEEE PAMI 2, 1980, doi:10.1109/TPAMI.1980.4766994). Noise is averaged where
+    it rules, and texture above it stays. Means are not made positive before, and variances are those of the
+    pooled light, not of each pixel's own: both would bias the dark.
+
+    A pixel that wasn't measured is told by its neighbours alone. Their differences to it are taken to be
+    Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
+    doi:10.1016/0167-2789(92)90242-F), so that edges stay.
+
+    Parameters
+    ----------
+    mean : ndarray of shape (v, u), float32
+        Irradiance, W m^-2; below zero by noise. A guess, and positive, where nothing was measured.
+    variance : callable
+        Of irradiance as of ``mean``, nowhere negative: the variance that the mean would have by it, W^2 m^-4.
+    measured : ndarray of shape (v, u), bool
+        What isn't tells its neighbours nothing.
+    least : ndarray of shape (v, u), float32
+        Irradiance below which saturated samples let no pixel fall; none where it is zero.
+    contrast : float
+        Scale of the differences to a pixel that wasn't measured, over its light.
+
+    Returns
+    -------
+    light, variance : ndarray of shape (v, u), float32
+        Irradiance that isn't negative, and its variance: that of the mean, more where neighbours contradict
+        it by more than was allowed for (R. T. Birge, Phys. Rev. 40, 1932, doi:10.1103/PhysRev.40.207), but no
+        more than the pixel's own. What is at ``least`` is as uncertain as bright.
+    """
+    means, known = np.pad(mean, 1), np.pad(measured, 1)
+    heard = [share * known[around] for share, around in _neighbours(mean.shape)]
+    floor = np.where(least > 0, least, np.float32(-np.inf))
+
+    def again(estimate: Floats) -> tuple[Floats, Doubles, Doubles, Floats]:
+        """Estimate, its variance if all agree, how far they do, and the pixel's own variance."""
+        light = np.maximum(estimate, 0)
+        own = np.maximum(variance(light), _LEAST)
+        texture = _texture(mean, light, own, measured)
+        variances, there, lights = (np.pad(image, 1) for image in (own, estimate, light))
+        certainty, total = 1 / own.astype(np.float64), mean / own.astype(np.float64)
+        misfit = np.zeros_like(certainty)
+        for told, (_, around) in zip(heard, _neighbours(mean.shape), strict=True):
+            apart = np.abs(there[around] - estimate)
+            beyond_noise = apart.astype(np.float64) ** 2 - _SURELY**2 * (own + variances[around])
+            differ = np.where(
+                measured,
+                np.maximum(texture * _squares(light, lights[around]), beyond_noise),
+                contrast * light * apart,
+            )
+            weight = told / np.maximum(variances[around] + differ, _LEAST)
+            certainty += weight
+            total += weight * means[around]
+            misfit += weight * (means[around] - estimate) ** 2
+        surprise = misfit / np.maximum(sum(heard), 1)
+        return np.maximum((total / certainty).astype(np.float32), floor), 1 / certainty, surprise, own
+
+    estimate, spread, surprise, own = again(mean)
+    for _ in range(_PASSES - 1):
+        estimate, spread, surprise, own = again(estimate)
+    spread = spread.astype(np.float32)
+    light = np.where(measured, positive_mean(estimate, spread), np.maximum(estimate, 0))
+    error = np.where(estimate <= floor, light**2, spread * np.maximum(surprise, 1))
+    return light, np.minimum(error, own).astype(np.float32)
+
+
+def _texture(mean: Floats, light: Floats, own: Floats, measured: Bools) -> Doubles:
+    """Mean square of neighbours' differences without their noise, over the squares of both lights.
+
+    A least-squares fit in a window, each pair weighed by one over the variance of its squared difference.
+    """
+    means, lights, variances = (np.pad(image, 1) for image in (mean, light, own))
+    known = np.pad(measured, 1)
+    excess, squares = np.zeros(mean.shape), np.zeros(mean.shape)
+    for share, around in _neighbours(mean.shape):
+        scale = _squares(light, lights[around])
+        noise = own.astype(np.float64) + variances[around]
+        weight = (
+            share * (measured & known[around]) / np.maximum(noise + _GUESS**2 * scale, _LEAST) ** 2 * scale
+        )
+        excess += weight * ((mean.astype(np.float64) - means[around]) ** 2 - noise)
+        squares += weight * scale
+    window = cast("Callable[..., Doubles]", ndimage.gaussian_filter)
+    above, below = (window(image, _WINDOW_PX, truncate=3) for image in (excess, squares))
+    return np.clip(np.divide(above, below, out=np.zeros_like(below), where=below > 0), 0, _MOST)
+
+
+def _squares(one: Floats, other: Floats) -> Doubles:
+    return one.astype(np.float64) ** 2 + other.astype(np.float64) ** 2
+
+
+def _neighbours(shape: tuple[int, ...]) -> Iterator[tuple[float, tuple[slice, slice]]]:
+    """Weight of each neighbour, and where it is in an image padded by one."""
+    rows, cols = shape
+    for (row, col), share in _AROUND.items():
+        yield share, (slice(1 + row, 1 + row + rows), slice(1 + col, 1 + col + cols))

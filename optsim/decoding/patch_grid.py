@@ -1,0 +1,35 @@
+"""Where the overlapping patches of a picture lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from optsim.core.quantities import Bools, Floats, Ints
+
+
+def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
+    """First rows and columns of the patches that touch a mask: array of shape (n, 2), raster order."""
+    v, u = _starts(mask.shape[0], patch, stride), _starts(mask.shape[1], patch, stride)
+    sums = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    top, left = v[:, None], u
+    touched = sums[top + patch, left + patch] - sums[top, left + patch]
+    touched += sums[top, left] - sums[top + patch, left]
+    rows, cols = np.nonzero(touched)
+    return np.stack([v[rows], u[cols]], axis=1)
+
+
+def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
+    """How many patches of the whole grid cover each pixel: array of shape (v, u), float32."""
+    counts: list[Floats] = []
+    for length in shape:
+        count = np.zeros(length, np.float32)
+        for start in _starts(length, patch, stride):
+            count[start : start + patch] += 1
+        counts.append(count)
+    return counts[0][:, None] * counts[1]
+
+
+def _starts(length: int, patch: int, stride: int) -> Ints:
+    """Where patches start along an axis; the last one sits at the edge, so that every pixel is covered."""
+    starts = np.arange(0, length - patch + 1, stride)
+    return starts if starts[-1] == length - patch else np.append(starts, length - patch)

@@ -1,0 +1,238 @@
+# pyright: reportUntypedFunctionDecorator=false
+"""Weights that patches have in common because a code repeats; the period is found from the weights.
+
+Preparing a prior for a matrix of weights costs more than decoding a patch with it, so patches that begin at
+the same place of a repeated tile share one. Weights are calibrated: they carry noise, there are holes, some
+pixels just come out of another code, and rows that are written one after the other drift away from each
+other. So the period is that of most pixels, and who isn't as the tile says keeps weights of its own: a
+wrong period costs time, never accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optsim.core.compiled import compiled
+from optsim.core.quantities import Bools, Doubles, Floats, Ints
+
+# Longest period that is looked for, panel pixels: the longest tile of a scheme.
+_LONGEST = 64
+# Pixels that are compared with their partners; pairs that a lag needs to be judged by.
+_COMPARED, _LEAST_PAIRS = 1024, 16
+# Two pixels differ when their distance, relative to the rms over pixels, is more than this many tolerances:
+# three standard deviations for noise that a patch may just have. Codes differ by far more.
+_APART = 4
+# A lag at which more pairs than this differ is no period.
+_MOST_DIFFERING = 0.5
+# Pixels that the weights of a place in the tile are taken from.
+_AVERAGED = 101
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class SharedWeights:
+    """Which patches see through the same weights, and these weights.
+
+    Parameters
+    ----------
+    tile : ndarray of shape (v, u, slot), float32
+        Weights of the repeated tile; as many rows or columns as the picture where there is no period.
+    phase : ndarray of shape (p,), int64
+        Where in the tile each patch begins, row by row; -1 for patches with weights of their own.
+    patch : int
+        Side of a patch, panel pixels.
+    """
+
+    tile: Floats
+    phase: Ints
+    patch: int
+
+    def weights(self, phase: int) -> Floats:
+        """Weights (pixel, slot) of the patches that begin at a place of the tile."""
+        rows, cols, slots = self.tile.shape
+        first_v, first_u = divmod(phase, cols)
+        v = np.mod(first_v + np.arange(self.patch), rows)
+        u = np.mod(first_u + np.arange(self.patch), cols)
+        return self.tile[v[:, None], u].reshape(self.patch**2, slots)
+
+    @property
+    def matrices(self) -> int:
+        """Different weights of all patches."""
+        return len(np.unique(self.phase[self.phase >= 0])) + int((self.phase < 0).sum())
+
+
+def shared_weights(
+    weights: Floats, mask: Bools, corners: Ints, patch: int, tolerance: float
+) -> SharedWeights:
+    """Find what patches share.
+
+    Where the found tile leaves many patches out, because weights drift over the rows or columns, only
+    patches of the same rows, or columns, share.
+
+    Parameters
+    ----------
+    weights : ndarray of shape (v, u, slot), float32
+        Of each pixel.
+    mask : ndarray of shape (v, u), bool
+        Pixels that count: those with the code and with a measurement.
+    corners : ndarray of shape (p, 2), int64
+        First row and column of each patch.
+    patch : int
+        Side of a patch, panel pixels.
+    tolerance : float
+        Relative rms deviation from the tile beyond which a patch keeps weights of its own.
+    """
+    rows, cols = mask.shape
+    v, u = code_period(weights, mask, tolerance)
+    if (v, u) == (rows, cols):
+        return SharedWeights(weights, np.full(len(corners), -1, np.int64), patch)
+    best = _shared(weights, mask, corners, patch, tolerance, (v, u))
+    left_out = best.phase < 0
+    if left_out.any():
+        # No tile takes in those with a hole.
+        left_out &= _gathered(mask, corners, patch) == patch**2
+    for tile in ((rows, u), (v, cols)):
+        if 2 * len(np.unique(_places(corners[left_out], tile))) < left_out.sum():
+            other = _shared(weights, mask, corners, patch, tolerance, tile)
+            best = min(best, other, key=lambda each: each.matrices)
+    return best
+
+
+def code_period(weights: Floats, mask: Bools, tolerance: float) -> tuple[int, int]:
+    """Rows and columns after which a code repeats; all of them where it doesn't.
+
+    At each lag a thousand pixels are compared with those that far along the axis. Some pairs differ at any
+    lag, because of pixels that come out of another code. The period is the shortest lag at which no more of
+    them do than at the best one, within three standard errors.
+
+    Parameters
+    ----------
+    weights : ndarray of shape (v, u, slot), float32
+        Of each pixel.
+    mask : ndarray of shape (v, u), bool
+        Pixels that count.
+    tolerance : float
+        Rms deviation of a pixel's weights from the tile's, relative to the rms over pixels.
+    """
+    rows, cols = mask.shape
+    there = np.flatnonzero(mask)
+    # Multiples of the golden ratio spread evenly and share no period with any code.
+    chosen = there[(np.arange(min(_COMPARED, len(there))) * _GOLDEN % 1 * len(there)).astype(np.int64)]
+    v, u = np.divmod(chosen, cols)
+    energy = np.square(weights[v, u], dtype=np.float64).sum(axis=1).mean() if len(chosen) else 0.0
+    bound = float(energy) * (_APART * tolerance) ** 2
+    return (
+        _period(weights, mask, v, u, 0, bound) or rows,
+        _period(weights, mask, v, u, 1, bound) or cols,
+    )
+
+
+def _shared(
+    weights: Floats, mask: Bools, corners: Ints, patch: int, tolerance: float, tile: tuple[int, int]
+) -> SharedWeights:
+    nominal = np.zeros((*tile, weights.shape[2]), np.float32)
+    _fill_medians(weights, mask, nominal)
+    error, energy = (_gathered(image, corners, patch) for image in _deviation(weights, nominal))
+    return SharedWeights(nominal, np.where(error > tolerance**2 * energy, -1, _places(corners, tile)), patch)
+
+
+def _gathered(image: Doubles | Bools, corners: Ints, patch: int) -> Doubles:
+    """Sum of an image (v, u) over each patch."""
+    sums = np.pad(image.astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    top, left = corners[:, 0], corners[:, 1]
+    bottom, right = top + patch, left + patch
+    return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+
+
+def _places(corners: Ints, tile: tuple[int, int]) -> Ints:
+    """Where in a tile patches begin, row by row."""
+    return corners[:, 0] % tile[0] * tile[1] + corners[:, 1] % tile[1]
+
+
+@compiled()
+def _period(weights: Floats, mask: Bools, rows: Ints, cols: Ints, axis: int, bound: float) -> int:
+    """Shortest lag at which the weights repeat along an axis; 0 if there is none."""
+    longest = min(_LONGEST, mask.shape[axis] - 1)
+    pairs, differ = np.zeros(longest + 1, np.int64), np.zeros(longest + 1, np.int64)
+    least = 2.0
+    for lag in range(1, longest + 1):
+        pairs[lag], differ[lag] = _pairs(weights, mask, rows, cols, axis, lag, bound)
+        if pairs[lag] >= _LEAST_PAIRS:
+            least = min(least, differ[lag] / pairs[lag])
+            if differ[lag] == 0:
+                break
+    if least <= _MOST_DIFFERING:
+        for lag in range(1, longest + 1):
+            if pairs[lag] >= _LEAST_PAIRS and differ[lag] - 3 * np.sqrt(differ[lag]) <= least * pairs[lag]:
+                return lag
+    return 0
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def _pairs(
+    weights: Floats, mask: Bools, rows: Ints, cols: Ints, axis: int, lag: int, bound: float
+) -> tuple[int, int]:
+    """Pixels that have a partner at a lag, before or behind, and how many of them differ from it."""
+    pairs, differ = 0, 0
+    down, right = (lag, 0) if axis == 0 else (0, lag)
+    for v, u in zip(rows, cols):  # noqa: B905 (numba)
+        y, x = v + down, u + right
+        if y >= mask.shape[0] or x >= mask.shape[1] or not mask[y, x]:
+            y, x = v - down, u - right
+            if y < 0 or x < 0 or not mask[y, x]:
+                continue
+        pairs += 1
+        square = np.float32(0)
+        for t in range(weights.shape[2]):
+            square += (weights[v, u, t] - weights[y, x, t]) ** 2
+        differ += int(square > bound)
+    return pairs, differ
+
+
+@compiled()
+def _fill_medians(weights: Floats, mask: Bools, tile: Floats) -> None:
+    """Median weights of each place in the tile, over pixels of a mask; 0 where there are none.
+
+    The median is that of the pixels in steady state, even while a few come out of another code.
+    """
+    rows, cols, slots = weights.shape
+    high, wide = tile.shape[:2]
+    numbers = np.empty((slots, _AVERAGED), np.float32)
+    for v0 in range(high):
+        for u0 in range(wide):
+            there = 0
+            for v in range(v0, rows, high):
+                for u in range(u0, cols, wide):
+                    there += mask[v, u]
+            if there == 0:
+                continue
+            step, seen, taken = -(-there // _AVERAGED), 0, 0
+            for v in range(v0, rows, high):
+                for u in range(u0, cols, wide):
+                    if mask[v, u]:
+                        if seen % step == 0:
+                            for t in range(slots):
+                                numbers[t, taken] = weights[v, u, t]
+                            taken += 1
+                        seen += 1
+            for t in range(slots):
+                tile[v0, u0, t] = np.median(numbers[t, :taken])
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def _deviation(weights: Floats, tile: Floats) -> tuple[Doubles, Doubles]:
+    """Squared difference of each pixel's weights from the tile's, and the square of these: (v, u) each."""
+    rows, cols, slots = weights.shape
+    error, energy = np.empty((rows, cols)), np.empty((rows, cols))
+    for v in range(rows):
+        y = v % tile.shape[0]
+        for u in range(cols):
+            x = u % tile.shape[1]
+            off, all_ = np.float32(0), np.float32(0)
+            for t in range(slots):
+                off += (weights[v, u, t] - tile[y, x, t]) ** 2
+                all_ += tile[y, x, t] ** 2
+            error[v, u], energy[v, u] = off, all_
+    return error, energy

@@ -1,0 +1,1 @@
+"""Sparse codes of patches: orthogonal matching pursuit."""

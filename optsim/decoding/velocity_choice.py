@@ -1,0 +1,185 @@
+"""Which velocity explains which neighbourhood of a coded image: the one whose sharp picture looks natural."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from optsim.core.quantities import Floats, Ints
+from optsim.decoding.coded_blur import CodedBlur, Velocity, Way
+from optsim.decoding.coded_images import box_mean
+
+_LEAST = 1e-6
+# Mean of the roots of two gradients, of Gaussian noise of standard deviation 1.
+_OF_NOISE = 2 * 2**0.25 * math.gamma(0.75) / math.sqrt(math.pi)
+# Costs of the search are kept at so many pixels of a neighbourhood's side.
+_KEPT = 4
+# What one more velocity must lower the mean cost by, nats a pixel, and how many are chosen at most.
+_WORTH, _MOST = 0.004, 16
+# Halvings of the step around each velocity chosen.
+_HALVINGS = 3
+# How many pixels a neighbourhood's mean cost counts for as evidence, and rounds in which shares settle.
+_EVIDENCE, _SETTLED = 10.0, 10
+# Side of the square over which the borders between velocities are soft, pixels.
+_SOFT = 7
+
+
+def velocity_grid(fastest: float, step: float) -> list[Velocity]:
+    """Velocities up to the fastest, the slowest first: zero. In pixels a slot."""
+    n = int(fastest / step + 1e-9)
+    ways = [(i * step, k * step) for i in range(-n, n + 1) for k in range(-n, n + 1)]
+    slow = [way for way in ways if np.hypot(*way) <= fastest + 1e-9]
+    return sorted(slow, key=lambda way: (float(np.hypot(*way)), way))
+
+
+def explained(
+    blur: CodedBlur, shape: tuple[int, ...], grid: tuple[float, float], around: int, rounds: int
+) -> tuple[list[Velocity], Floats, Floats]:
+    """Velocities that explain a coded image, where each does, and the sharp pictures.
+
+    Parameters
+    ----------
+    blur : CodedBlur
+        The coded image.
+    shape : tuple of int
+        Of the image without the margin, (v, u).
+    grid : tuple of float
+        Fastest velocity and step, pixels a slot.
+    around : int
+        Side of a neighbourhood, pixels.
+    rounds : int
+        Steps of the conjugate gradients.
+
+    Returns
+    -------
+    velocities : list of tuple
+        The one of most pixels first, then from slow to fast.
+    masks, pictures : ndarray of shape (velocity, rows, cols), float32
+        On the canvas of ``blur``.
+    """
+    corner = blur.margin
+    inside = (slice(corner, corner + shape[0]), slice(corner, corner + shape[1]))
+    velocities = likely_velocities(blur, inside, *grid, around)
+
+    def sharp(velocity: Velocity) -> tuple[Floats, Floats]:
+        way = blur.along(velocity)
+        picture = blur.restored(way, rounds)
+        return picture, unnatural(blur.equalised(picture, way), way, inside, around)
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        pictures, costs = zip(*pool.map(sharp, velocities), strict=True)
+    labels = shared_out(np.stack(costs))
+    pixels = np.bincount(labels.ravel(), minlength=len(velocities))
+    most = int(pixels.argmax())
+    order = [k for k in np.argsort([np.hypot(*way) for way in velocities], kind="stable") if pixels[k]]
+    order.sort(key=lambda k: k != most)
+    sides = [(corner, n - side - corner) for n, side in zip(blur.light.shape, shape, strict=True)]
+    masks = [np.pad(box_mean(labels == k, _SOFT), sides, mode="edge") for k in order]
+    return [velocities[k] for k in order], np.stack(masks), np.stack([pictures[k] for k in order])
+
+
+def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: int) -> Floats:
+    """Cost of a velocity in each neighbourhood, nats a pixel: (v, u).
+
+    Minus the log-likelihood of the coded image, were the gradients of its sharp picture drawn from one
+    generalised Gaussian of whatever scale, with the exponent 1/2 (A. Levin, R. Fergus, F. Durand and W. T.
+    Freeman, ACM Trans. Graph. 26(3), 70 (2007), doi:10.1145/1276377.1276464, take 0.8): the logarithm of
+    their generalised mean, and that of the determinant of what undoes the blur, without which the picture as
+    it is, blurred, would be the likeliest. Light is not negative; what is counts as a gradient of that size.
+
+    Parameters
+    ----------
+    picture : ndarray of shape (rows, cols)
+        Sharp picture of this velocity.
+    way : Way
+        Its blur.
+    inside : tuple of slice
+        The image on the canvas.
+    around : int
+        Side of a neighbourhood.
+    """
+    rows, cols = inside
+    near = picture[rows.start - 1 : rows.stop, cols.start - 1 : cols.stop]
+    here = near[1:, 1:]
+    rough = np.sqrt(np.abs(here - near[:-1, 1:])) + np.sqrt(np.abs(here - near[1:, :-1]))
+    rough += np.sqrt(np.maximum(-here, 0))
+    undone = 0.5 * float(np.log(way.power).mean(dtype=np.float64))
+    # Where there is nothing but noise no velocity is better than it lets be seen.
+    least = np.float32(max(_OF_NOISE * math.sqrt(way.rough), _LEAST))
+    return 2 * np.log(np.maximum(box_mean(rough, around), least)) + np.float32(undone)
+
+
+def likely_velocities(
+    blur: CodedBlur, inside: tuple[slice, slice], fastest: float, step: float, around: int
+) -> list[Velocity]:
+    """Few velocities of which one explains each neighbourhood, zero first, with their opposites.
+
+    From closed forms of a grid: greedily the one that lowers the mean over the neighbourhoods of their least
+    cost most, while it is worth it. Each is then brought nearer by halving the step, where it is chosen. The
+    opposite way has nearly the same blur, so better pictures shall tell.
+    """
+    every = max(1, around // _KEPT)
+
+    def cost(velocity: Velocity) -> Floats:
+        way = blur.along(velocity)
+        return unnatural(blur.equalised(blur.wiener(way), way), way, inside, around)[::every, ::every]
+
+    grid = velocity_grid(fastest, step)
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        costs = np.stack(list(pool.map(cost, grid)))
+        chosen, least = [0], costs[0]
+        while len(chosen) < _MOST:
+            means = [float(np.minimum(each, least).mean(dtype=np.float64)) for each in costs]
+            best = int(np.argmin(means))
+            if means[best] > least.mean(dtype=np.float64) - _WORTH:
+                break
+            chosen.append(best)
+            least = np.minimum(least, costs[best])
+        labels = costs[chosen].argmin(axis=0)
+        # Beyond the border light is guessed as in a mirror, which moves the wrong way.
+        inner = np.minimum(*np.ix_(*(_to_border(n) for n in labels.shape))) * every >= blur.margin / 2
+        found = [grid[0]]
+        for label, index in enumerate(chosen):
+            here = labels == label
+            here &= inner | (not (here & inner).any())
+            if index == 0 or not here.any():
+                continue
+            best, reach = grid[index], step
+            for _ in range(_HALVINGS):
+                reach /= 2
+                tried = [(best[0] + i * reach, best[1] + k * reach) for i, k in _AROUND]
+                best = tried[int(np.argmin([each[here].mean() for each in pool.map(cost, tried)]))]
+            found += [best, (-best[0], -best[1])]
+    return list(dict.fromkeys(found))
+
+
+# The place itself first: it stays unless another is better.
+_AROUND = sorted(((i, k) for i in (-1, 0, 1) for k in (-1, 0, 1)), key=lambda way: way != (0, 0))
+
+
+def shared_out(costs: Floats) -> Ints:
+    """Which velocity each pixel has: the index of its least cost, (v, u).
+
+    The share of all pixels that a velocity has is its prior probability, as in a mixture whose shares are
+    fitted: that decides where there is little to go on.
+
+    Parameters
+    ----------
+    costs : ndarray of shape (velocity, v, u), float32
+        Nats a pixel.
+    """
+    shares = np.full(len(costs), 1 / len(costs))
+    labels = np.zeros(costs.shape[1:], np.int64)
+    for _ in range(_SETTLED):
+        prior = np.log(np.maximum(shares, 1 / labels.size)) / _EVIDENCE
+        labels = (costs - prior[:, None, None]).argmin(axis=0)
+        shares = np.bincount(labels.ravel(), minlength=len(costs)) / labels.size
+    return labels
+
+
+def _to_border(n: int) -> Ints:
+    place = np.arange(n)
+    return np.minimum(place, n - 1 - place)

@@ -1,0 +1,51 @@
+"""What the exposures of a mosaic amount to, when the panel's leak and its response have had their share."""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+import numpy as np
+
+from optsim.camera.camera import CodedCamera
+from optsim.coding import HdrMosaic, MotionAdaptive
+from optsim.core.quantities import PanelState
+from optsim.experiment.experiment import Experiment
+from optsim.optics.panel import slot_weights
+
+
+class Density(TypedDict):
+    """One exposure: slots that the code opens, and what they make of it, in slots of a panel held open."""
+
+    commanded_slots: int
+    effective_slots: float
+
+
+def mosaics(experiment: Experiment) -> dict[str, HdrMosaic]:
+    """Mosaics that the methods of an experiment show, by the names of those methods."""
+    found: dict[str, HdrMosaic] = {}
+    for method in experiment.methods:
+        scheme = method.scheme.static if isinstance(method.scheme, MotionAdaptive) else method.scheme
+        if isinstance(scheme, HdrMosaic):
+            found[method.name] = scheme
+    return found
+
+
+def densities(camera: CodedCamera, mosaic: HdrMosaic) -> list[Density]:
+    """Exposures of a mosaic by a camera's panel on its axis, the shortest first.
+
+    Each is the mean over the pixels of a tile and over a round of frames, after one round has passed: what a
+    pixel showed before has a part in it. Fringing between pixels is left out, as where the rim is averaged.
+    """
+    tiles = mosaic.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(0))
+    panel: PanelState | None = None
+    exposures: dict[int, list[float]] = {}
+    for frame in (*tiles, *tiles):
+        weights, panel = slot_weights(frame, panel, camera.panel_response, camera.slot_s)
+        opened = (frame[: camera.coded_slots] > 0).sum(axis=0)
+        exposure = weights[: camera.coded_slots].sum(axis=0, dtype=np.float64)
+        for slots in np.unique(opened):
+            exposures.setdefault(int(slots), []).append(float(exposure[opened == slots].mean()))
+    return [
+        {"commanded_slots": slots, "effective_slots": float(np.mean(found[len(found) // 2 :]))}
+        for slots, found in sorted(exposures.items())
+    ]

@@ -1,0 +1,400 @@
+"""An experiment: scene, camera, and the methods that compete on it; read from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from optsim.calibration import Calibration
+from optsim.calibration.choice import Known, Operator, ReadingPx, find_kept, widest_reading
+from optsim.camera.camera import CodedCamera
+from optsim.camera.effects import drifted
+from optsim.camera.table import check_hardware, on_hardware
+from optsim.coding import Scheme
+from optsim.core.config import Part, Table, build, flat, merged, override, read_toml
+from optsim.core.errors import ConfigError, GeometryError, StorageError, unknown_name
+from optsim.core.quantities import Timing
+from optsim.decoding import Decoder
+from optsim.footage import FootageSource
+from optsim.render import RenderSettings
+from optsim.scene import load_scene
+
+
+class SceneChoice(Part):
+    """Which scene, which of its variations, and in which of its bands.
+
+    Parameters
+    ----------
+    name : str
+        A shipped scene (``optsim list scenes``), or the path of a scene's folder.
+    variation : str
+        A variation that the scene names, or a number, which seeds a random one.
+    band : str, optional
+        Name of the scene's band that the camera sees; by default the one nearest to 550 nm.
+    """
+
+    name: str
+    variation: str = Field(default="main", coerce_numbers_to_str=True)
+    band: str | None = None
+
+
+class Source(Part):
+    """Where the truth comes from when it isn't rendered.
+
+    Parameters
+    ----------
+    footage : FootageSource
+        A recording, with what its numbers mean.
+    """
+
+    footage: FootageSource
+
+
+class LightRule(Part):
+    """How much light the camera gets, fixed before anything is measured and the same for all methods.
+
+    The neutral density is set so that a percentile of the interior, under the all-on code, reaches a
+    share of the measured saturation (a rule of this project for fair comparison; no outside source).
+
+    Parameters
+    ----------
+    percentile : float
+        Of the irradiance on the interior's panel pixels, percent: this much of it is darker.
+    saturation_share : float
+        Share of the measured saturation that this percentile reaches.
+    """
+
+    percentile: float = Field(default=90.0, gt=0, le=100)
+    saturation_share: float = Field(default=0.8, gt=0, le=1)
+
+
+class Method(Part):
+    """One contestant: a coding scheme and the decoder of its frames.
+
+    Parameters
+    ----------
+    name : str
+        By which results, frames and pictures are told apart.
+    scheme, decoder
+        The coding scheme, and the decoder of its frames; ``optsim list schemes`` and ``decoders`` name them.
+    calibration
+        What this scheme and decoder know of the camera, if not what the experiment says.
+    reading_px
+        CCD pixels to a side that they read, if not as many as the experiment says.
+    """
+
+    name: str = Field(
+        pattern=r"^[a-z][a-z0-9_]*$", description="a letter, then letters, digits and _, all in lower case"
+    )
+    scheme: Scheme
+    decoder: Decoder
+    calibration: Operator | None = None
+    reading_px: ReadingPx | None = None
+
+    def check(self, calibration: Calibration) -> None:
+        """Refuse what this method cannot do with a camera, before there is a frame.
+
+        Raises
+        ------
+        ConfigError, StorageError
+            With the cure; for example of a prior for another number of slots.
+        """
+        try:
+            self.scheme.init(calibration, np.random.default_rng(0))
+            # Decoders get ready before they ask for the first frame.
+            list(self.decoder.decode((), calibration))
+        except (ConfigError, StorageError) as error:
+            raise type(error)(f"methods, {self.name!r}: {error}") from None
+
+
+class Experiment(Part):
+    """Everything that decides a result; the same experiment gives the same numbers.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment: run folders begin with it.
+    description : str
+        A sentence for people; nothing depends on it.
+    seed : int
+        Of all random numbers: the same experiment and seed give the same results.
+    n_frames : int
+        Coded frames to take; the steady phase begins with frame latency_frames + 4, counted from 0.
+    render
+        How accurately the truth is rendered.
+    camera
+        The camera's parts; ``hardware = "prototype"`` or ``"demo"`` fills in what isn't written, and
+        ``effects`` switches imperfections (``optsim list effects``).
+    methods
+        The contestants, each a scheme with its decoder.
+    light
+        How much light the camera gets.
+    scene, source
+        Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
+    tolerance
+        Error that leaving out what the scene doesn't need may make in a frame, rms, relative to the frame's
+        noise; 0 models everything (see :mod:`optsim.camera.plan`).
+    calibration
+        What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
+        (the simulator's own parameters), ``ideal`` (the paper's equations), or the path of a
+        ``calibration.npz``, of a run folder that holds one, or of a bench folder (of this very camera). The
+        light rule goes by it, and so do all methods but those with a ``calibration`` of their own. Paths in a
+        TOML file begin at its folder.
+    reading_px
+        CCD pixels to a side of the square that is read for a panel pixel: 1 for the pixel at its centre, as
+        in the paper, 3 for all nine where a panel pixel covers about 3 x 3.
+    drift
+        What of the camera changes between its calibration and the first frame, as in ``camera``: for
+        example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of it.
+    save_reconstructions
+        Names of the methods whose reconstructed video is written; empty for none.
+    """
+
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="a letter, then letters, digits, _ and -"
+    )
+    description: str = ""
+    seed: int = Field(default=1, ge=0, lt=2**32)
+    n_frames: int = Field(default=10, ge=1, le=10_000)
+    scene: SceneChoice | None = None
+    source: Source | None = None
+    render: RenderSettings = RenderSettings.model_validate({})
+    camera: CodedCamera
+    tolerance: float = Field(default=0.1, ge=0, le=10)
+    methods: tuple[Method, ...] = Field(min_length=1)
+    calibration: Operator = "bench"
+    reading_px: ReadingPx = 1
+    drift: Table = Field(default_factory=dict)
+    light: LightRule = LightRule()
+    save_reconstructions: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_truth(self) -> Experiment:
+        if (self.scene is None) == (self.source is None):
+            got = "neither" if self.scene is None else "both"
+            raise ValueError(
+                f"scene, source.footage: got {got}, expected exactly one: a scene to render or a recording"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _within_memory(self) -> Experiment:
+        camera = self.camera
+        for key, value, most in (
+            ("slots_per_frame", camera.slots_per_frame, 1000),
+            ("sensor.read_noise_e", camera.sensor.read_noise_e, 1e6),
+            ("sensor.dsnu_e", camera.sensor.dsnu_e, 1e6),
+            ("relay.shift_y_px", abs(camera.relay.shift_y_px), 1e5),
+            ("relay.shift_x_px", abs(camera.relay.shift_x_px), 1e5),
+        ):
+            if value > most:
+                raise ValueError(f"camera.{key}: got {value:g}, expected at most {most:g}; lower it")
+        return self
+
+    @model_validator(mode="after")
+    def _read_of_their_own(self) -> Experiment:
+        widest = widest_reading(self.camera.ratio)
+        of_methods = [(f"methods, {m.name!r}: reading_px", m.reading_px or 1) for m in self.methods]
+        for key, value in (("reading_px", self.reading_px), *of_methods):
+            if value > widest:
+                raise ValueError(
+                    f"{key}: got {value}, expected at most {widest}: a panel pixel covers "
+                    f"{self.camera.ratio:.3g} CCD pixels each way, more would be its neighbours'"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Experiment:
+        names = [method.name for method in self.methods]
+        if len(set(names)) < len(names):
+            raise ValueError(f"methods: names must differ, got {names}")
+        for name in self.save_reconstructions:
+            if name not in names:
+                raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
+        return self
+
+    @property
+    def known(self) -> Known:
+        """What is known of the camera where no method says otherwise."""
+        return Known(self.calibration, self.reading_px)
+
+    def known_to(self, method: Method) -> Known:
+        """Say what a method knows of the camera: its own choice, or else the experiment's."""
+        return Known(method.calibration or self.calibration, method.reading_px or self.reading_px)
+
+    @property
+    def schemes(self) -> dict[str, Scheme]:
+        """Schemes of the methods, by the names of those."""
+        return {method.name: method.scheme for method in self.methods}
+
+    @property
+    def all_known(self) -> tuple[Known, ...]:
+        """What is asked for, each once; the experiment's own, by which light is set, first."""
+        return tuple(dict.fromkeys((self.known, *map(self.known_to, self.methods))))
+
+    def check_methods(self, known: Mapping[Known, Calibration]) -> None:
+        """Refuse what any method cannot do with the calibration that it knows (:meth:`Method.check`)."""
+        for method in self.methods:
+            method.check(known[self.known_to(method)])
+
+    def at_work(self) -> CodedCamera:
+        """Camera that takes the frames: the one that was calibrated, as it has changed since.
+
+        Raises
+        ------
+        ConfigError
+            When ``drift`` changes what there isn't, or what truth and calibration depend on.
+        """
+        if not self.drift:
+            return self.camera
+        if "objective" in self.drift:
+            raise ConfigError(
+                "drift.objective: got one, but the truth is the light behind the objective as it is; change "
+                "camera.objective, or let the relay, splitter, modulator or sensor drift"
+            )
+        working = build(CodedCamera, merged(self.camera.model_dump(), self.drift), where="drift")
+        was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
+        if was != now or (working.sensor.rows, working.sensor.cols) != (
+            self.camera.sensor.rows,
+            self.camera.sensor.cols,
+        ):
+            raise ConfigError(
+                f"drift: got {self.drift}, expected what leaves the scene's picture, the timing and the size "
+                "of the CCD as they are: truth and calibration are of those; change camera itself"
+            )
+        return working
+
+    @property
+    def timing(self) -> Timing:
+        """Slots and frames of the whole experiment."""
+        return self.camera.timing(self.n_frames)
+
+    def fingerprint(self) -> str:
+        """Hash of the resolved experiment: which run folder belongs to which experiment."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def preset_names() -> list[str]:
+    """Names of the experiments shipped with the package."""
+    return sorted(Path(str(p)).stem for p in files("optsim.presets").iterdir() if p.name.endswith(".toml"))
+
+
+def experiment_path(name_or_path: str) -> Path:
+    """Path of a preset (a bare name) or of a file (anything with a '/' or '.toml').
+
+    Raises
+    ------
+    ConfigError
+        For a bare name that is no preset, or a file that isn't there.
+    """
+    if "/" in name_or_path or name_or_path.endswith(".toml"):
+        if not Path(name_or_path).exists():
+            raise ConfigError(
+                f"no such file: {name_or_path}; a name without '/' or '.toml' means a preset: "
+                f"{', '.join(preset_names())}"
+            )
+        return Path(name_or_path)
+    if name_or_path not in preset_names():
+        raise unknown_name("experiment", name_or_path, preset_names())
+    return Path(str(files("optsim.presets") / f"{name_or_path}.toml"))
+
+
+def load_experiment(
+    name_or_path: str,
+    assignments: Sequence[str] = (),
+    *,
+    seed: int | None = None,
+    check_geometry: bool = True,
+) -> Experiment:
+    """Load an experiment, apply ``key=value`` overrides, and check that its geometry fits.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A preset's name or the path of a TOML file.
+    assignments : sequence of str
+        Overrides such as ``camera.objective.f_number=5.6``.
+    seed : int, optional
+        Replaces the experiment's seed.
+    check_geometry : bool
+        False to look at an experiment that cannot be run.
+
+    Returns
+    -------
+    Experiment
+        Fully resolved: every default is in it.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown or ill-valued key, an unknown scene, or a band in which the camera doesn't work.
+    GeometryError
+        When the panel's image does not fit the CCD.
+    """
+    if isinstance(assignments, str):
+        raise ConfigError(f"assignments: got {assignments!r}, expected a list of such texts; put it in []")
+    path = experiment_path(name_or_path)
+    table = read_toml(path)
+    find_kept(table, path.parent)
+    table = override(table, list(assignments))
+    if seed is not None:
+        table["seed"] = seed
+    where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name
+    camera: object = table.get("camera", {})
+    check_hardware(table, camera, where, Experiment.model_fields)
+    by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)
+    table["camera"] = on_hardware(cast("object", camera))
+    _find_footage(table, path.parent)
+    experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
+    switches: Table = cast("Table", camera).get("effects", {}) if isinstance(camera, dict) else {}
+    # Set by hand wins, here as well.
+    drift = merged(drifted(experiment.camera, switches), experiment.drift)
+    experiment = experiment.model_copy(update={"drift": drift})
+    if check_geometry:
+        experiment.camera.geometry().check()
+    if check_geometry and experiment.drift:
+        try:
+            experiment.at_work().geometry().check()
+        except GeometryError as error:
+            now = ", ".join(f"{key} = {value}" for key, value in flat(experiment.drift).items())
+            raise GeometryError(f"after drift of {now}: {error}") from None
+    return experiment
+
+
+def _in_band(experiment: Experiment, by_hand: bool, where: str) -> Experiment:
+    """Give the camera the light of the scene's band; a scene without bands has that which the camera says.
+
+    Raises
+    ------
+    ConfigError
+        When the camera was told of other light, or doesn't work in this.
+    """
+    scene, camera = experiment.scene, experiment.camera
+    bands = load_scene(scene.name, scene.variation).in_band(scene.band).bands if scene else ()
+    if not bands or camera.wavelength_m == bands[0].wavelength_m:
+        return experiment
+    if by_hand:
+        raise ConfigError(
+            f"{where}: camera.wavelength_m: got {camera.wavelength_nm:g} nm, but the scene's band "
+            f"{bands[0].name!r} is at {bands[0].wavelength_nm:g} nm; drop it, or choose another scene.band"
+        )
+    table = experiment.model_dump()
+    table["camera"]["wavelength_m"] = bands[0].wavelength_m
+    return build(Experiment, table, where=where)
+
+
+def _find_footage(table: Table, folder: Path) -> None:
+    """Take a relative ``source.footage.path`` from the experiment's own folder, wherever it is run from."""
+    source: object = table.get("source")
+    footage: object = cast("Table", source).get("footage") if isinstance(source, dict) else None
+    if isinstance(footage, dict) and isinstance(path := cast("Table", footage).get("path"), str):
+        found = str(folder / Path(path).expanduser())
+        table["source"] = merged(cast("Table", source), {"footage": {"path": found}})

@@ -1,0 +1,101 @@
+"""What the objective's focus and distortion do to a scene, in closed form: before anything is rendered."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from optsim.camera.camera import CodedCamera
+from optsim.core.quantities import View
+from optsim.optics.lens import blur_tan, corner_tan
+from optsim.render.lens import focus_depth_m
+from optsim.scene import Scene
+from optsim.scene.depths import depth_range_m
+
+# Of a fine sample: a disc of this diameter takes 0.3 % of the contrast of the finest stripes that samples
+# hold, 1 - 2 J1(x) / x at x = pi/2 times this (J. W. Goodman, Introduction to Fourier Optics, section 6.4).
+NEGLIGIBLE_SAMPLES = 0.1
+
+
+@dataclass(frozen=True)
+class Focus:
+    """How a camera's lens sees a scene.
+
+    Parameters
+    ----------
+    choice : str
+        ``modelled`` by a thin lens, ``skipped`` as too small to see, or ``everywhere``, as was asked for.
+    aperture_m, focus_m : float
+        Diameter of the lens and depth in focus, m.
+    near_m, far_m : float
+        Depths in the picture, m; far is infinite where something reflects or is clear.
+    near_px, far_px : float
+        Diameter of the circle of confusion there, panel pixels.
+    corner_px : float
+        Displacement by distortion of what belongs into the panel's corner, panel pixels; negative inwards.
+    """
+
+    choice: str
+    aperture_m: float
+    focus_m: float
+    near_m: float
+    far_m: float
+    near_px: float
+    far_px: float
+    corner_px: float
+
+    def text(self) -> str:
+        """Say it in a sentence."""
+        far = "infinity" if np.isinf(self.far_m) else f"{self.far_m:.3g} m"
+        blur = (
+            f"focused at {self.focus_m:.3g} m through {self.aperture_m * 1e3:.3g} mm, which spreads a point "
+            f"at {self.near_m:.3g} m over {self.near_px:.2g} and at {far} over {self.far_px:.2g} panel pixels"
+        )
+        said = {
+            "modelled": blur,
+            "skipped": f"{blur}: too little to see, so a pinhole renders it",
+            "everywhere": "in focus everywhere",
+        }
+        return f"{said[self.choice]}; distortion moves the corners by {self.corner_px:.2g} panel pixels"
+
+    def record(self) -> dict[str, Any]:
+        """Turn it into what JSON can hold: infinity is null."""
+        return asdict(self) | {"far_m": self.far_m if np.isfinite(self.far_m) else None}
+
+
+def focus_on(scene: Scene, camera: CodedCamera, duration_s: float, tolerance: float) -> Focus:
+    """Find what a lens does to a scene, and whether its depth of field is worth rendering.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    camera : CodedCamera
+        Whose objective looks at it.
+    duration_s : float
+        Of the experiment, s.
+    tolerance : float
+        Of the plan; with 0 even what cannot be seen is modelled.
+    """
+    view, lens = camera.view, camera.objective
+    focus_m = focus_depth_m(scene.camera, view)
+    ratio = view.rows / view.cols
+    # What a barrel sees on top, and what is brought in by defocus, is nearly all within a tenth.
+    near_m, far_m = depth_range_m(scene, 1.1 * view.tan_half_width, ratio, duration_s)
+    pixel_tan = camera.modulator.pitch_m * lens.tan_per_metre()
+    near_px, far_px = blur_tan(view.aperture_m, focus_m, np.array([near_m, far_m])) / pixel_tan
+    corner_px = view.distortion * corner_tan(view.rows, view.cols, view.tan_half_width) / pixel_tan
+    choice = "modelled"
+    if not view.aperture_m:
+        choice = "everywhere"
+    elif tolerance > 0 and max(near_px, far_px) * view.samples_per_pitch < NEGLIGIBLE_SAMPLES:
+        choice = "skipped"
+    found = (lens.aperture_m, focus_m, near_m, far_m, float(near_px), float(far_px), corner_px)
+    return Focus(choice, *found)
+
+
+def seen_through(view: View, focus: Focus) -> View:
+    """Return the view that the truth is rendered through: a pinhole where the lens isn't modelled."""
+    return view if focus.choice == "modelled" else replace(view, aperture_m=0.0)

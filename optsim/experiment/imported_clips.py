@@ -1,0 +1,215 @@
+"""A user's own high-speed footage as clips to learn from: slot means of one band."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from optsim.core.cache import hash_of
+from optsim.core.errors import ConfigError, OptsimError, ValueCheckError
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Floats
+from optsim.footage.recording import Recording, array_axes, open_recording
+from optsim.footage.recording.files import VIDEOS
+from optsim.footage.source import FootageSource
+from optsim.footage.truth import content_hash
+
+Linearisation = Literal["linear", "srgb"]
+# Keys that readers of footage name, and the options that stand for them here.
+_OPTIONS = {
+    "source.footage.path": "--clips",
+    "source.footage.key: missing": "--clips: expected one array, or the channels Y or R, G and B",
+    "source.footage.black_level": "--black-level",
+    "source.footage.linearisation": "--linearisation",
+}
+_COLOURS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedClip:
+    """Footage in front of learning: its files, and what their values mean.
+
+    Parameters
+    ----------
+    recording : Recording
+        The files.
+    source : FootageSource
+        How a stored value becomes light.
+    frames_per_slot : int
+        Frames that a slot is the mean of.
+    """
+
+    recording: Recording
+    source: FootageSource
+    frames_per_slot: int
+
+    @property
+    def n_slots(self) -> int:
+        """Whole slots."""
+        return self.recording.n_frames // self.frames_per_slot
+
+    @property
+    def name(self) -> str:
+        """Of the file, or of the folder of images; without the way there."""
+        files = self.recording.files
+        return files[0].name if len(files) == 1 else files[0].resolve().parent.name
+
+    def read(self, progress: Progress = silent) -> Floats:
+        """Mean light in each slot, (slot, v, u), of no stated scale; held in memory as a whole.
+
+        Frames at the end that are too few for a slot are left out.
+
+        Raises
+        ------
+        ValueCheckError, StorageError
+            For a value that is no light, frames that are not alike, a file that ends early, or darkness.
+        """
+        clip = np.zeros((self.n_slots, *self.recording.shape[:2]), np.float32)
+        frames = self.recording.read(0)
+        for slot in range(self.n_slots):
+            total = np.zeros(clip.shape[1:])
+            for frame in range(slot * self.frames_per_slot, (slot + 1) * self.frames_per_slot):
+                with _naming_options():
+                    total += self.source.radiance(next(frames), self.recording.where(frame)).w_m2_sr
+            with np.errstate(over="ignore"):
+                clip[slot] = total / self.frames_per_slot
+            progress(f"footage {self.name}", slot + 1, self.n_slots)
+        mean = float(clip.mean(dtype=np.float64))
+        if not np.isfinite(mean):
+            raise ValueCheckError(
+                f"--clips {self.name}: holds values beyond what 32 bits can, {np.finfo(np.float32).max:.2g}; "
+                "cure: divide them, scale has no part in learning"
+            )
+        if not mean > 0:
+            raise ValueCheckError(
+                f"--clips {self.name}: got no light above the black level, expected some; cure: "
+                "leave the clip out, or correct --black-level"
+            )
+        return clip
+
+    def record(self) -> dict[str, Any]:
+        """Say what it is, for the provenance: names, a hash of the content, how it was read; no folders."""
+        files = self.recording.files
+        content = [content_hash(path) for path in files]
+        return {
+            "name": self.name,
+            "files": len(files),
+            "sha256": content[0] if len(files) == 1 else hash_of(content),
+            "frames": self.recording.n_frames,
+            "frames_per_slot": self.frames_per_slot,
+            "linearisation": self.source.linearisation,
+            "black_level": self.source.black_level,
+        }
+
+
+def open_clips(
+    paths: Sequence[Path],
+    *,
+    frames_per_slot: int = 1,
+    linearisation: Linearisation | None = None,
+    black_level: float = 0.0,
+    patch: int = 8,
+    slots: int = 36,
+) -> list[ImportedClip]:
+    """Open footage to learn from; its first frames are looked at, the others when it is read.
+
+    Colour becomes luminance (ITU-R BT.709-6 of linear R, G, B). Values are never rescaled by their dtype:
+    learning doesn't depend on the scale.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Each a folder or pattern of EXR, PNG or TIFF images, a TIFF stack, an npz, npy or mat file of one
+        array, or a video. Arrays have time first, those of MATLAB last; colour channels come behind columns,
+        or before time.
+    frames_per_slot : int
+        Consecutive frames that a slot is the mean of.
+    linearisation : {"linear", "srgb"}, optional
+        Of the stored values; by default what the file says; where it says nothing, ``srgb`` (IEC
+        61966-2-1) for whole numbers of 8 bits and for videos, ``linear`` for all others.
+    black_level : float
+        Stored value of no light; only with linear footage.
+    patch, slots : int
+        Size of the patches that will be learned: what footage must have at least.
+
+    Raises
+    ------
+    ConfigError, StorageError, ValueCheckError
+        When files are missing, unreadable, too few or too small, with the option and the cure.
+    """
+    found: list[ImportedClip] = []
+    for path in paths:
+        with _naming_options():
+            recording = open_recording(path, axes=array_axes(path))
+        n_frames, (rows, cols, channels) = recording.n_frames, recording.shape
+        if n_frames < slots * frames_per_slot:
+            raise ConfigError(
+                f"--clips {path}: got {n_frames} frames, {n_frames // frames_per_slot} slots at "
+                f"--frames-per-slot {frames_per_slot}, expected at least {slots} slots, "
+                f"{slots * frames_per_slot} frames; cure: a longer recording"
+                + (", or fewer frames a slot" if frames_per_slot > 1 else "")
+            )
+        if min(rows, cols) < patch:
+            raise ConfigError(
+                f"--clips {path}: got {rows} x {cols} pixels, expected at least {patch} x {patch}, those "
+                "of a patch; cure: a larger recording (or is time not where it should be in this array?)"
+            )
+        if channels not in (1, _COLOURS):
+            raise ConfigError(
+                f"--clips {path}: got {channels} channels, expected 1 or {_COLOURS}: grey, or red, green and "
+                "blue; cure: write one band, or three"
+            )
+        found.append(ImportedClip(recording, _source(recording, linearisation, black_level), frames_per_slot))
+    return found
+
+
+def _source(recording: Recording, linearisation: Linearisation | None, black_level: float) -> FootageSource:
+    """Say what stored values mean; what is stated of radiance and time has no part in learning."""
+    name, whole = recording.files[0].name, "int" in recording.dtype
+    encoded = (whole and recording.bits <= 8) or recording.files[0].suffix.lower() in VIDEOS
+    if recording.says.curve is not None:
+        encoded = recording.says.curve != "linear"
+    curve = linearisation or ("srgb" if encoded else "linear")
+    if curve == "srgb" and not whole:
+        raise ConfigError(
+            f"--linearisation srgb: {name} holds {recording.dtype}, expected whole numbers, whose full scale "
+            "is known; cure: --linearisation linear, or undo the curve before"
+        )
+    if black_level and curve != "linear":
+        raise ConfigError(
+            f"--black-level {black_level:g}: {name} is read as {curve}, and a level is subtracted from "
+            "linear footage only; cure: --linearisation linear, or no level"
+        )
+    stated: dict[str, Any] = {
+        "path": name,
+        "frame_rate_hz": 1,
+        "scale_w_m2_sr": 1,
+        "white_w_m2_sr": 1,
+        "linearisation": curve,
+        "full_scale": float(np.iinfo(recording.dtype).max) if curve == "srgb" else None,
+        "black_level": black_level,
+        "channel_weights": "rec709" if recording.shape[2] == _COLOURS else None,
+        "accept_8bit": True,
+    }
+    source = FootageSource(**stated)
+    with _naming_options():
+        # Other primaries change the weights of colours, not what is learned of their motion and texture.
+        source.check_says(recording.says._replace(primaries=None), name)
+    return source
+
+
+@contextmanager
+def _naming_options() -> Generator[None, None, None]:
+    """Let errors of the readers name the options of the command line."""
+    try:
+        yield
+    except OptsimError as error:
+        text = str(error)
+        for key, option in _OPTIONS.items():
+            text = text.replace(key, option)
+        raise type(error)(text) from None

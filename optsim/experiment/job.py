@@ -1,0 +1,364 @@
+"""A whole experiment on disk: check, calibrate, render, capture, decode, score, report; one new folder a run.
+
+Streams frame by frame, so that memory does not grow with the length of the experiment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Generator
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optsim.camera.camera import CodedCamera
+from optsim.camera.known_calibration import check_kept, ideal_calibration
+from optsim.camera.laboratory import check_panel
+from optsim.core.cache import Cache
+from optsim.core.errors import OptsimError, StorageError
+from optsim.core.files import holds_nothing, read_record, writable_folder, write_exr, write_json
+from optsim.core.folder_claims import claimed
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import RadianceVideo, Reconstruction
+from optsim.core.stopwatch import Stopwatch
+from optsim.experiment import evidence
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.explain import MID_GREY, plan_record
+from optsim.experiment.finished import UNFINISHED, results_key, versions
+from optsim.experiment.gallery import MOVING_FRAMES, Gallery
+from optsim.experiment.journal import Journal, run_key
+from optsim.experiment.loop import LightLevel, calibrate_all, capture, decode, planned, set_light
+from optsim.experiment.object_masks import object_masks
+from optsim.experiment.run_calibrations import keep_calibrations
+from optsim.experiment.run_frames import write_frames
+from optsim.experiment.scoring import Scorer
+from optsim.experiment.truth import check_truth, describe_truth, render_truth, renderer, scene_light
+from optsim.report import write_report
+from optsim.report.schema import SCHEMA_VERSION
+
+Results = dict[str, Any]
+
+
+def run_folder(experiment: Experiment, out: Path) -> Path:
+    """Folder of a run, if it is free for this experiment.
+
+    Raises
+    ------
+    StorageError
+        When the folder holds a run of another experiment, or something that is no run.
+    """
+    if out.is_file():
+        raise StorageError(f"--out {out} is a file; expected a folder")
+    if out.is_dir() and not holds_nothing(out):
+        marker = out / "experiment.json"
+        if not marker.is_file():
+            raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
+        if read_record(marker).get("fingerprint") != experiment.fingerprint():
+            raise StorageError(
+                f"--out {out} holds a run of another experiment; choose another folder, "
+                "or run that experiment (its resolved form is in experiment.json)"
+            )
+    return out
+
+
+def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
+    """Find what would stop a run before any long work starts: backend, scene, disk space.
+
+    Returns
+    -------
+    dict
+        The backend chosen and the disk space needed and free, MB.
+
+    Raises
+    ------
+    BackendError, ConfigError, StorageError
+        With the cure.
+    """
+    check_truth(experiment)
+    if any(known.operator == "bench" for known in experiment.all_known):
+        check_panel(experiment.camera)
+    check_kept(experiment.all_known, experiment.camera)
+    experiment.check_methods(
+        {known: ideal_calibration(experiment.camera, known.reading_px) for known in experiment.all_known}
+    )
+    view, timing = experiment.camera.view, experiment.timing
+    if experiment.source is not None:
+        images = timing.n_slots
+    else:
+        # Two halves of keys, and about as much again for the movers' own pixels; the flow will choose the
+        # distance of keys, 9 slots is a guess.
+        images = 4 * (timing.n_slots // (experiment.render.slots_per_segment or 9) + 2)
+    truth_mb = images * view.rows * view.cols * 4 / 1e6
+    panel = experiment.camera.panel_rows * experiment.camera.panel_cols
+    run_mb = (len(experiment.save_reconstructions) + 1) * timing.n_slots * panel * 2 / 1e6 + 50
+    # Frames, and once more with the panel's state until the run is done.
+    sensor = experiment.camera.sensor
+    a_frame = 2 * sensor.rows * sensor.cols * 2 + panel * 5
+    run_mb += experiment.n_frames * len(experiment.methods) * a_frame / 1e6
+    needs = {"truth in the cache": (truth_mb, Cache().folder)}
+    if folder is not None:
+        needs["run folder"] = (run_mb, folder)
+    for what, (need_mb, place) in needs.items():
+        existing = writable_folder(place, what, "set OPTSIM_CACHE or --out")
+        free_mb = shutil.disk_usage(existing).free / 1e6
+        if need_mb > free_mb:
+            raise StorageError(
+                f"not enough disk for the {what} at {place}: needs about {need_mb:.0f} MB, free are "
+                f"{free_mb:.0f} MB. Cure: free some, 'optsim cache clear', or set OPTSIM_CACHE or --out"
+            )
+    return {
+        "backend": renderer(experiment, backend)[0],
+        "disk_needed_mb": {what: round(mb) for what, (mb, _) in needs.items()},
+    }
+
+
+def execute(
+    experiment: Experiment,
+    folder: Path,
+    *,
+    command: str = "",
+    backend: str | None = None,
+    export_truth: bool = False,
+    progress: Progress = silent,
+) -> Results:
+    """Run an experiment into a folder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What to run.
+    folder : Path
+        New, empty, or of the same experiment; held for this process alone.
+    command : str
+        The command line, for the report.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+    export_truth : bool
+        Copy the truth (slot means a panel pixel) into the folder.
+    progress : Progress
+        Told of each finished unit.
+
+    Returns
+    -------
+    dict
+        The content of results.json.
+
+    Raises
+    ------
+    StorageError
+        When another process writes into the folder, or it holds anything else.
+    """
+    with claimed(folder):
+        run_folder(experiment, folder)
+        return _execute(experiment, folder, command, backend, export_truth, progress)
+
+
+def _execute(
+    experiment: Experiment,
+    folder: Path,
+    command: str,
+    backend: str | None,
+    export_truth: bool,
+    progress: Progress,
+) -> Results:
+    watch = Stopwatch()
+    resolved, fingerprint = experiment.model_dump(mode="json"), experiment.fingerprint()
+    chosen, why = renderer(experiment, backend)
+    # Of the code as it is now: what is edited while a run goes on is not in it.
+    key = results_key(experiment, chosen)
+    # What a bench or a decoder refuses is said before the long work.
+    with watch.stage("plan"):
+        modelled, plan = planned(experiment)
+    with watch.stage("calibrate"):
+        progress("laboratory", 0, 1)
+        known = calibrate_all(modelled)
+        progress("laboratory", 1, 1)
+    experiment.check_methods(known)
+    with _stated(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
+        radiance = render_truth(experiment, backend=backend, progress=progress)
+    kept = keep_calibrations(experiment, folder, known)
+    objects = None
+    if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
+        with watch.stage("object masks"):
+            objects = object_masks(experiment, backend=backend, progress=progress)
+    journal = Journal(folder / UNFINISHED, run_key(experiment, chosen, versions()))
+    experiment, names = modelled, [method.name for method in experiment.methods]
+    resumed = {"captured": journal.n_shots(names)}
+    with watch.stage("capture"):
+        camera, light = set_light(experiment, radiance, known[experiment.known])
+        truth = camera.form_image(radiance)
+        frames = capture(experiment, camera, truth, known, progress, journal)
+        write_frames(folder, frames)
+    scorer = Scorer(experiment, camera, truth, radiance)
+    saturation_dn = float(np.median(known[experiment.known].saturation_dn))
+    gallery = Gallery(experiment, scorer, saturation_dn)
+    decode_s = dict.fromkeys(names, 0.0)
+    # Pictures are of the last frames.
+    scored = journal.scores(names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
+    for scores in scored:
+        scorer.recall(scores)
+    resumed["scored"] = len(scored)
+    with watch.stage("decode and score"):
+        progress("decode", len(scored), experiment.n_frames)
+        for decoded in decode(experiment, frames, known, first=len(scored)):
+            scores = scorer.add(decoded.videos)
+            for name, video in decoded.videos.items():
+                decode_s[name] += decoded.seconds[name]
+                gallery.add(name, video, frames[name][decoded.index])
+                if name in experiment.save_reconstructions:
+                    _write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+            journal.keep_scores(decoded.index, scores)
+            progress("decode", decoded.index + 1, experiment.n_frames)
+    with watch.stage("noise ceiling"):
+        ceiling = scorer.noise_ceiling(progress)
+    if export_truth:
+        export_radiance(radiance, folder / "truth", experiment, progress)
+    with watch.stage("pictures"):
+        pictures = gallery.write(folder)
+    origin = describe_truth(experiment, Cache())
+    results: Results = {
+        "schema_version": SCHEMA_VERSION,
+        "title": experiment.name,
+        "experiment": resolved,
+        "command": command,
+        "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "run_key": key,
+        "exported_truth": export_truth,
+        "backend": f"{chosen}: {why}",
+        "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
+        "timings": watch.stages,
+        "resumed": resumed,
+        "light_rule": _light(experiment, light),
+        "photons": scorer.photons(frames),
+        "ledgers": _ledgers(camera, radiance.white_w_m2_sr),
+        "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
+        "latency": _latency(experiment),
+        "scene": {
+            "name": origin.name,
+            "variation": origin.variation,
+            "description": origin.description,
+            "light": scene_light(experiment, preview=chosen.startswith("scalar")).why,
+            "wavelength_nm": camera.wavelength_nm,
+            "white_w_m2_sr": radiance.white_w_m2_sr,
+            "white_cd_m2": scorer.scale.white_cd_m2,
+            "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),
+            "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
+        },
+        "methods": {
+            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, calibration: {experiment.known_to(m)}"
+            for m in experiment.methods
+        },
+        "calibrations": {m.name: str(experiment.known_to(m)) for m in experiment.methods},
+        "calibration_files": kept,
+        **scorer.results(),
+        "plan": plan_record(plan),
+        **scorer.masks(frames, objects),
+        "noise_ceiling": ceiling,
+        "evidence": evidence.status(),
+        "not_modelled": list(evidence.NOT_MODELLED),
+        "reconstruct_s": {name: round(seconds, 3) for name, seconds in decode_s.items()},
+        "pictures": pictures,
+    }
+    write_json(folder / "results.json", results)
+    write_report(folder, results)
+    journal.close()
+    return results
+
+
+@contextlib.contextmanager
+def _stated(folder: Path, statement: dict[str, Any]) -> Generator[None, None, None]:
+    """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
+    path = folder / "experiment.json"
+    begun = path.exists()
+    write_json(path, statement)
+    try:
+        yield
+    except OptsimError:
+        if not begun:
+            path.unlink()
+        raise
+
+
+def summary(results: Results) -> str:
+    """Steady-phase scores as a few lines for the terminal."""
+    steady = [r for r in results["scores"] if r["phase"] == "steady" and r["value"] is not None]
+    if not steady:
+        return f"{results['title']}: too short to reach the steady phase; the report shows the phases it has"
+    names = list(results["methods"])
+    lines = [f"{results['title']}: steady phase", f"{'':46}" + "".join(f"{name:>12}" for name in names)]
+    for metric, region in dict.fromkeys((r["metric"], r["region"]) for r in steady):
+        values = {r["method"]: r["value"] for r in steady if (r["metric"], r["region"]) == (metric, region)}
+        cells = "".join(f"{values[n]:12.2f}" if n in values else f"{'-':>12}" for n in names)
+        lines.append(f"{region:<8}{metric:<38.38}{cells}")
+    return "\n".join(lines)
+
+
+def export_radiance(
+    radiance: RadianceVideo, folder: Path, experiment: Experiment, progress: Progress = silent
+) -> None:
+    """Write the truth as one OpenEXR a coded frame: mean radiance a slot and panel pixel, float32."""
+    from optsim.optics.integrate import slot_means
+
+    slots, seen_nm = experiment.timing.slots_per_frame, experiment.camera.wavelength_nm
+    for index in range(experiment.n_frames):
+        means = slot_means(radiance, index * slots, slots)
+        write_exr(
+            folder / f"{index:06d}.exr",
+            {f"slot{slot:02d}": means[slot] for slot in range(slots)},
+            attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": seen_nm},
+        )
+        progress("export truth", index + 1, experiment.n_frames)
+
+
+def _write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
+    """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
+    radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
+    write_exr(
+        folder / "reconstructions" / name / f"{video.index:06d}.exr",
+        {f"slot{slot:02d}": radiance[slot] for slot in range(len(radiance))},
+        attributes={
+            "unit": "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance",
+            "irradiance_per_radiance": per_radiance,
+            "axes": "slot, v, u",
+            "frame": video.index,
+        },
+        half=True,
+    )
+
+
+def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[dict[str, Any]]:
+    """Photon ledgers of the scene's declared white and of a mid-grey (18 %) of it."""
+    return [
+        {"name": name, "radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
+        for name, level in (("white", white_w_m2_sr), ("mid-grey", MID_GREY * white_w_m2_sr))
+    ]
+
+
+def _light(experiment: Experiment, light: LightLevel) -> dict[str, Any]:
+    return {
+        "statement": (
+            f"the interior's {experiment.light.percentile:g}th percentile under the all-on code reaches "
+            f"{experiment.light.saturation_share:.0%} of measured saturation"
+        ),
+        "nd_transmission": light.nd_transmission,
+        "wanted_transmission": light.wanted_transmission,
+        "percentile_dn": light.percentile_dn,
+        "saturation_dn": light.saturation_dn,
+    }
+
+
+def _latency(experiment: Experiment) -> dict[str, Any]:
+    report = asdict(experiment.camera.smallest_latency_frames())
+    smallest = report.pop("frames")
+    chosen = experiment.camera.latency_frames
+    return {
+        "frames": chosen,
+        "smallest_physical": smallest,
+        "hypothetical": chosen < smallest,
+        "details": report,
+    }

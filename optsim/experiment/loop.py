@@ -1,0 +1,383 @@
+"""The closed loop: codes are chosen from frames that have arrived, frames are taken, then decoded.
+
+All methods see the same truth, light and camera and draw the same random code; each has its own stream of
+photons, and may know the camera by a calibration of its own.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any, cast
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+
+from optsim.calibration import Bench, Calibration
+from optsim.calibration.choice import Known
+from optsim.camera.bench_calibration import bench_calibration
+from optsim.camera.camera import CodedCamera
+from optsim.camera.known_calibration import ideal_calibration, kept_calibration, true_calibration
+from optsim.camera.laboratory import measure_bench
+from optsim.camera.plan import CameraPlan, plan_camera
+from optsim.core.errors import ConfigError
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import (
+    CodedFrame,
+    Floats,
+    IrradianceVideo,
+    PanelState,
+    RadianceVideo,
+    Reconstruction,
+)
+from optsim.experiment.experiment import Experiment, Method
+from optsim.experiment.journal import NOTHING_KEPT, Journal
+from optsim.experiment.truth import illumination
+from optsim.optics.integrate import cell_means
+
+Frames = dict[str, tuple[CodedFrame, ...]]
+Calibrations = Mapping[Known, Calibration]
+
+
+def stream(seed: int, *purpose: str | int) -> Generator:
+    """Independent random stream for a purpose: the same whatever else is drawn, and by whom.
+
+    Parameters
+    ----------
+    seed : int
+        The experiment's one seed.
+    purpose : str or int
+        For example ``"shot", "adaptive", 3``; words are hashed (CRC-32), integers taken as they are.
+    """
+    words = [zlib.crc32(p.encode()) if isinstance(p, str) else p for p in purpose]
+    return np.random.default_rng(SeedSequence([seed, *words]))
+
+
+@dataclass(frozen=True, eq=False)
+class LightLevel:
+    """What the light rule decided.
+
+    Parameters
+    ----------
+    nd_transmission : float
+        Transmission of the neutral density, at most 1.
+    wanted_transmission : float
+        What the rule asked for; above 1 the scene is too dark for the rule and the camera runs open.
+    percentile_dn : float
+        The interior's percentile under the all-on code with this density, DN above black.
+    saturation_dn : float
+        Median measured saturation threshold, DN above black.
+    """
+
+    nd_transmission: float
+    wanted_transmission: float
+    percentile_dn: float
+    saturation_dn: float
+
+
+def planned(experiment: Experiment) -> tuple[Experiment, CameraPlan]:
+    """Return the experiment with its camera modelled as finely as its tolerance asks for, and the plan."""
+    plan = plan_camera(experiment.camera, illumination(experiment), experiment.schemes, experiment.tolerance)
+    return experiment.model_copy(update={"camera": plan.camera}), plan
+
+
+def set_light(
+    experiment: Experiment, radiance: RadianceVideo, calibration: Calibration
+) -> tuple[CodedCamera, LightLevel]:
+    """Choose the neutral density by the experiment's rule, from the truth at time 0.
+
+    Returns
+    -------
+    camera : CodedCamera
+        The experiment's camera at work, behind the chosen density.
+    light : LightLevel
+        What was decided and from which numbers.
+    """
+    open_camera = experiment.at_work().with_nd(1.0)
+    truth = open_camera.form_image(radiance)
+    step = truth.samples_per_pitch
+    irradiance = cell_means(truth.load(0).start, step)
+    inside = calibration.valid.copy()
+    if radiance.outside is not None:
+        inside &= cell_means(radiance.outside.astype(np.float32), step) == 0
+    if not inside.any():
+        raise ConfigError("light: the scene has no interior to expose for; choose a scene with one")
+    # responsivity holds the shading that irradiance on the modulator already has: divide one out
+    all_on_dn = calibration.responsivity_dn / truth.shading * irradiance * calibration.coded_slots
+    percentile = float(np.percentile(all_on_dn[inside], experiment.light.percentile))
+    saturation = float(np.median((calibration.saturation_dn - calibration.black_dn)[calibration.valid]))
+    wanted = experiment.light.saturation_share * saturation / percentile
+    nd = min(1.0, wanted)
+    return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
+
+
+def calibrate(experiment: Experiment, known: Known | None = None) -> Calibration:
+    """Make what will be known of the camera: from the bench, the true or ideal operator, or a file.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its camera, as planned, and its seed.
+    known : Known, optional
+        By default the experiment's own.
+    """
+    return _calibrations(experiment, (known or experiment.known,))[0]
+
+
+def calibrate_all(experiment: Experiment) -> Calibrations:
+    """Make each calibration that the light rule or a method asks for, once: the bench takes long."""
+    return dict(zip(experiment.all_known, _calibrations(experiment, experiment.all_known), strict=True))
+
+
+def _calibrations(experiment: Experiment, wanted: Sequence[Known]) -> list[Calibration]:
+    camera = experiment.camera.with_nd(1.0)
+
+    @cache
+    def bench() -> Bench:
+        return measure_bench(camera, stream(experiment.seed, "laboratory"))
+
+    def make(known: Known) -> Calibration:
+        if known.file is not None:
+            return kept_calibration(known, camera)
+        if known.operator == "true":
+            return true_calibration(camera, known.reading_px)
+        if known.operator == "ideal":
+            return ideal_calibration(camera, known.reading_px)
+        return bench_calibration(camera, experiment.seed, known.reading_px, bench)
+
+    return [make(known) for known in wanted]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One coded frame as it was taken.
+
+    Parameters
+    ----------
+    frame : CodedFrame
+        What the CCD said, with its code.
+    before : PanelState or None
+        The panel when the frame began; None when the experiment did.
+    """
+
+    frame: CodedFrame
+    before: PanelState | None
+
+
+def shots(
+    experiment: Experiment,
+    method: Method,
+    camera: CodedCamera,
+    truth: IrradianceVideo,
+    calibration: Calibration,
+    journal: Journal = NOTHING_KEPT,
+) -> Iterator[Shot]:
+    """Take the coded frames of one method, each when it is asked for; arguments as of :func:`capture`."""
+    # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
+    state: Any = method.scheme.init(calibration, stream(experiment.seed, "code"))
+    frames: list[CodedFrame] = []
+    panel: PanelState | None = None
+    for index in range(experiment.n_frames):
+        before = panel
+        arrived = frames[: max(0, index - camera.latency_frames + 1)]
+        code, state = method.scheme.next(index, arrived, state)
+        photons = stream(experiment.seed, "shot", method.name, index)
+        take = partial(camera.expose, truth, index, code, before, photons)
+        frame, panel = journal.shot(method.name, index, code, take)
+        frames.append(frame)
+        yield Shot(frame, before)
+
+
+def capture(
+    experiment: Experiment,
+    camera: CodedCamera,
+    truth: IrradianceVideo,
+    calibrations: Calibrations,
+    progress: Progress = silent,
+    journal: Journal = NOTHING_KEPT,
+) -> Frames:
+    """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Methods, number of frames and seed.
+    camera : CodedCamera
+        The true camera, behind its neutral density.
+    truth : IrradianceVideo
+        Light on the modulator.
+    calibrations : dict
+        All that the schemes know, from :func:`calibrate_all`.
+    progress : Progress
+        Told of each coded frame.
+    journal : Journal
+        What an earlier run of the same was stopped at; each frame is kept there.
+
+    Returns
+    -------
+    dict
+        Method name -> its coded frames.
+    """
+    running = {
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.known_to(m)], journal)
+        for m in experiment.methods
+    }
+    frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
+    for index in range(experiment.n_frames):
+        for name, taken in running.items():
+            frames[name].append(next(taken).frame)
+        progress("capture", index + 1, experiment.n_frames)
+    return {name: tuple(taken) for name, taken in frames.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """One coded frame, decoded by all methods.
+
+    Parameters
+    ----------
+    index : int
+        Coded-frame index.
+    videos : dict
+        Method name -> its reconstruction.
+    seconds : dict
+        Method name -> wall time of its decoder, s.
+    """
+
+    index: int
+    videos: dict[str, Reconstruction]
+    seconds: dict[str, float]
+
+
+def decode(
+    experiment: Experiment, frames: Frames, calibrations: Calibrations, first: int = 0
+) -> Iterator[Decoded]:
+    """Decode frame by frame, in their order; causal, and never sees the truth.
+
+    Frames before ``first`` are followed only as far as later ones depend on them, and not handed over.
+    """
+    running: dict[str, Iterator[Reconstruction]] = {}
+    for m in experiment.methods:
+        asked = _without_video(frames[m.name], first)
+        running[m.name] = m.decoder.decode(asked, calibrations[experiment.known_to(m)])
+    for index in range(len(next(iter(frames.values())))):
+        videos: dict[str, Reconstruction] = {}
+        seconds: dict[str, float] = {}
+        for name, decoder in running.items():
+            start = time.perf_counter()
+            videos[name] = next(decoder)
+            seconds[name] = time.perf_counter() - start
+        if index >= first:
+            yield Decoded(index, videos, seconds)
+
+
+def _without_video(frames: Sequence[CodedFrame], first: int) -> Iterator[CodedFrame]:
+    """Frames of which those before ``first`` ask for no video: it takes long, and no later one needs it."""
+    for frame in frames:
+        still = replace(frame.code, moving=np.zeros_like(frame.code.moving))
+        yield replace(frame, code=still) if frame.index < first else frame
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """A whole run in memory: for small experiments and notebooks; ``optsim run`` streams to disk instead.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As run: its camera is the planned one.
+    plan : CameraPlan
+        What is modelled how finely, and what is skipped.
+    camera : CodedCamera
+        With the neutral density that the light rule chose.
+    light : LightLevel
+        What the light rule decided.
+    calibrations : dict
+        What was known of the camera: :class:`~optsim.calibration.choice.Known` -> calibration.
+    truth : IrradianceVideo
+        Light on the modulator; lazy.
+    radiance : RadianceVideo
+        The scene; lazy.
+    frames : dict
+        Method name -> coded frames.
+    reconstructions : dict
+        Method name -> reconstructions, one a coded frame.
+    """
+
+    experiment: Experiment
+    plan: CameraPlan
+    camera: CodedCamera
+    light: LightLevel
+    calibrations: Calibrations
+    truth: IrradianceVideo
+    radiance: RadianceVideo
+    frames: Frames
+    reconstructions: dict[str, tuple[Reconstruction, ...]]
+
+    @property
+    def calibration(self) -> Calibration:
+        """What the light rule went by, and every method without a calibration of its own."""
+        return self.calibrations[self.experiment.known]
+
+    def reference(self, index: int) -> Floats:
+        """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
+        return self.camera.reference(self.truth, index)
+
+    def __repr__(self) -> str:
+        """Say what it is in a line: its arrays would fill pages."""
+        names = ", ".join(self.frames)
+        return f"<Result of {self.experiment.name!r}: {self.experiment.n_frames} coded frames by {names}>"
+
+
+def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> Result:
+    """Run an experiment in memory: calibrate, set the light, capture, decode.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What to run.
+    radiance : RadianceVideo
+        The truth, from :func:`optsim.render_truth` or :func:`optsim.footage.made.footage`.
+    progress : Progress
+        Told of each finished frame.
+
+    Returns
+    -------
+    Result
+        Frames, reconstructions and what they were made with.
+
+    Raises
+    ------
+    ConfigError
+        When the truth is none, or a method cannot do with the camera.
+    """
+    given = cast("object", radiance)
+    if not isinstance(given, RadianceVideo):
+        raise ConfigError(
+            f"radiance: got {type(given).__name__}, expected a RadianceVideo; cure: render_truth(experiment)"
+        )
+    experiment, plan = planned(experiment)
+    known = calibrate_all(experiment)
+    experiment.check_methods(known)
+    camera, light = set_light(experiment, radiance, known[experiment.known])
+    truth = camera.form_image(radiance)
+    frames = capture(experiment, camera, truth, known, progress)
+    videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
+    for decoded in decode(experiment, frames, known):
+        for name, video in decoded.videos.items():
+            videos[name].append(video)
+        progress("decode", decoded.index + 1, experiment.n_frames)
+    return Result(
+        experiment,
+        plan,
+        camera,
+        light,
+        known,
+        truth,
+        radiance,
+        frames,
+        {name: tuple(video) for name, video in videos.items()},
+    )

@@ -1,0 +1,96 @@
+"""Where movers are seen: masks to set beside the oracle's, which counts shadows and bounce light, too."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from optsim.core.cache import Cache, hash_of
+from optsim.core.code_hash import hash_files
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Bools, Doubles, View
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.truth import chosen_scene
+from optsim.scene import Scene
+
+_KIND = "object masks, one chief ray a panel pixel, middles of slots"
+# An old cache must not answer for new code.
+_CODE = ("optsim/experiment/object_masks.py", "optsim/render/*.py", "optsim/scene/*.py")
+
+
+def object_masks(
+    experiment: Experiment,
+    *,
+    cache: Cache | None = None,
+    backend: str | None = None,
+    progress: Progress = silent,
+) -> Bools | None:
+    """Find the panel pixels in which a mover is seen during a coded frame or the one before.
+
+    A pixel counts if the chief ray through its centre meets a mover first, even one that rests, in the middle
+    of any slot; as ``moving`` in an export of passes. Nothing is said of its shadow.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its scene, picture and timing decide.
+    cache : Cache, optional
+        Where masks are kept; by default the one of the truth.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+    progress : Progress
+        Told of each slot, as "object masks".
+
+    Returns
+    -------
+    ndarray of shape (frame, v, u), bool, or None
+        None of footage, which tells of no objects, and of scenes without movers.
+
+    Raises
+    ------
+    BackendError
+        When no renderer backend works.
+    """
+    if experiment.scene is None:
+        return None
+    scene, view, timing = chosen_scene(experiment), experiment.camera.view, experiment.timing
+    if not scene.singles():
+        return None
+    pitch = view.samples_per_pitch
+    # Chief rays: what a lens has out of focus is where it is.
+    pixels = replace(
+        view,
+        rows=view.rows // pitch,
+        cols=view.cols // pitch,
+        samples_per_pitch=1,
+        aperture_m=0.0,
+        focus_m=None,
+    )
+    starts_s: Doubles = np.arange(timing.n_slots, dtype=np.float64) * timing.slot_s
+    times_s = (starts_s + timing.slot_s / 2).reshape(experiment.n_frames, -1)
+    key = hash_of(_KIND, hash_files(_CODE), scene.model_dump(mode="json"), asdict(pixels), times_s.tolist())
+    kept = (cache or Cache()).get(key, lambda: {"frames": _seen(scene, pixels, times_s, backend, progress)})
+    frames = np.asarray(kept["frames"])
+    masks = frames.copy()
+    masks[1:] |= frames[:-1]
+    return masks
+
+
+def _seen(scene: Scene, pixels: View, times_s: Doubles, backend: str | None, progress: Progress) -> Bools:
+    """Pixels in which a mover is seen at any of a frame's times, (frame, slot): array (frame, v, u)."""
+    from optsim.render.backend import activate
+    from optsim.render.gbuffer import ObjectIds, camera_to_world, cast, sample_rays
+    from optsim.render.stage import Stage
+
+    activate(backend)
+    stage, rays = Stage(scene, pixels), sample_rays(pixels)
+    ids = ObjectIds(scene, stage.loaded)
+    found = np.zeros((len(times_s), len(rays)), np.bool_)
+    for done, ((frame, _), time_s) in enumerate(np.ndenumerate(times_s), start=1):
+        pose = scene.camera.at(float(time_s))
+        stage.pose(float(time_s))
+        hits = cast(stage, pose, rays @ camera_to_world(pose)[:3, :3].T)
+        found[frame] |= ids.moving[ids.of(hits)]
+        progress("object masks", done, times_s.size)
+    return found.reshape(-1, pixels.rows, pixels.cols)

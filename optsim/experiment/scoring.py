@@ -1,0 +1,280 @@
+"""Where truth and estimate are brought together for a run: references, oracle masks, tallies, facts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from optsim import metrics
+from optsim.camera.camera import CodedCamera
+from optsim.camera.known_calibration import true_calibration
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.journal import FrameScores
+from optsim.experiment.loop import Frames, Result
+from optsim.metrics.scoring import ScoreRecord
+from optsim.optics.integrate import cell_means, slot_means
+from optsim.optics.readings import brightest, mean_reading
+
+# Name of the row of movers' own masks among those of the methods.
+OBJECTS = "moving objects"
+
+
+@dataclass(eq=False)
+class Scorer:
+    """Scores a run frame by frame; holds the references of the last two frames and small tallies only.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its latency and coded slots decide phases and what is scored.
+    camera : CodedCamera
+        The true camera, behind its neutral density.
+    truth : IrradianceVideo
+        Light on the modulator.
+    radiance : RadianceVideo
+        The scene: declared white, and the difference of its two halves.
+    """
+
+    experiment: Experiment
+    camera: CodedCamera
+    truth: IrradianceVideo
+    radiance: RadianceVideo
+    tallies: list[metrics.FrameTally] = field(default_factory=list[metrics.FrameTally], init=False)
+    spreads: list[metrics.UncertaintyTally] = field(
+        default_factory=list[metrics.UncertaintyTally], init=False
+    )
+    pairs: list[metrics.PairTally] = field(default_factory=list[metrics.PairTally], init=False)
+    _references: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
+    _noise: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
+    _moving: dict[int, Bools] = field(default_factory=dict[int, Bools], init=False)
+
+    def __post_init__(self) -> None:
+        self.scale = metrics.PhotometricScale(
+            white_w_m2_sr=self.radiance.white_w_m2_sr,
+            irradiance_per_radiance=self.camera.irradiance_per_radiance,
+            wavelength_m=self.camera.wavelength_m,
+        )
+        self.board = metrics.ScoreBoard(
+            metrics=metrics.ALL,
+            scale=self.scale,
+            latency_frames=self.camera.latency_frames,
+            coded_slots=self.camera.coded_slots,
+        )
+        self._ideal_pixel = true_calibration(self.camera, alone=True)
+        halves = self.radiance.half_difference
+        self._half_difference = None if halves is None else self.camera.form_image(halves)
+        outside, step = self.radiance.outside, self.truth.samples_per_pitch
+        self._window = (
+            np.zeros(self.truth.panel_shape, np.bool_)
+            if outside is None
+            else cell_means(outside.astype(np.float32), step) > 0
+        )
+
+    def reference(self, index: int) -> Floats:
+        """Mean irradiance of each slot and pitch cell, array (slot, v, u), W m^-2, shading divided out."""
+        if index not in self._references:
+            self._references = {k: v for k, v in self._references.items() if k == index - 1}
+            self._references[index] = self.camera.reference(self.truth, index)
+        return self._references[index]
+
+    def moving(self, index: int) -> Bools:
+        """Oracle mask of a frame, array (v, u): the same for all methods."""
+        if index not in self._moving:
+            # In this order: only the last two are held.
+            previous = self.reference(index - 1) if index else None
+            reference = self.reference(index)
+            frames = [index] if previous is None else [index, index - 1]
+            halves = [] if self._half_difference is None else [self._truth_noise(k) for k in frames]
+            sigma = self._slot_sigma(reference)
+            self._moving[index] = metrics.oracle_moving(reference, previous, sigma, halves)
+        return self._moving[index]
+
+    def _truth_noise(self, index: int) -> Floats:
+        """Half the difference of the truth's two halves, as the reference: (slot, v, u), W m^-2."""
+        if index not in self._noise:
+            assert self._half_difference is not None
+            self._noise = {k: v for k, v in self._noise.items() if k == index - 1}
+            slots = self.experiment.timing.slots_per_frame
+            noise = slot_means(self._half_difference, index * slots, slots) / self.truth.shading
+            self._noise[index] = noise.astype(np.float32)
+        return self._noise[index]
+
+    def _slot_sigma(self, reference: Floats) -> Floats:
+        """Predicted noise of one slot's irradiance at weight 1: shot and read noise, W m^-2, (v, u)."""
+        pixel = self._ideal_pixel
+        signal_dn = pixel.responsivity_dn * np.maximum(reference.mean(axis=0), 0)
+        sigma_dn = np.sqrt(pixel.dn_per_e * signal_dn + pixel.read_noise_dn**2)
+        return (sigma_dn / pixel.responsivity_dn).astype(np.float32)
+
+    def add(self, videos: dict[str, Reconstruction]) -> FrameScores:
+        """Score one coded frame of all methods, on the pixels that all of them hold valid."""
+        scored = np.logical_and.reduce([video.valid for video in videos.values()])
+        slots = self.camera.coded_slots
+        found = FrameScores([], [], self._pairs(videos))
+        for method, video in videos.items():
+            reference, moving = self.reference(video.index), self.moving(video.index)
+            found.tallies.append(self.board.tally(method, video, reference, moving, scored))
+            found.spreads.append(metrics.tally_uncertainty(method, video, reference, moving, scored, slots))
+        self.recall(found)
+        return found
+
+    def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally | None]:
+        """Set each method beside the adaptive one, in the steady phase, which claims are about."""
+        nothing: list[metrics.PairTally | None] = [None] * len(videos)
+        if metrics.ADAPTIVE not in videos:
+            return nothing
+        index = videos[metrics.ADAPTIVE].index
+        if self.board.phase(index) != "steady":
+            return nothing
+        reference, moving, slots = self.reference(index), self.moving(index), self.camera.coded_slots
+        errors = {
+            name: metrics.pixel_errors(
+                metrics.ALL, self.scale, video.irradiance_w_m2, reference, video.valid, slots
+            )
+            for name, video in videos.items()
+        }
+        ours = errors[metrics.ADAPTIVE]
+        return [
+            None
+            if name == metrics.ADAPTIVE
+            else metrics.tally_pair(name, index, ours, theirs, moving, self._window)
+            for name, theirs in errors.items()
+        ]
+
+    def recall(self, scores: FrameScores) -> None:
+        """Let a coded frame count that was scored before."""
+        self.tallies += scores.tallies
+        self.spreads += [spread for spread in scores.spreads if spread is not None]
+        self.pairs += [pair for pair in scores.pairs if pair is not None]
+
+    def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
+        """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
+        if self._half_difference is None:
+            return []
+        steady = [k for k in range(self.experiment.n_frames) if self.board.phase(k) == "steady"]
+        chosen = sorted({steady[0], steady[-1]}) if steady else [self.experiment.n_frames - 1]
+        tallies: list[metrics.FrameTally] = []
+        for done, index in enumerate(chosen):
+            reference, moving = self.reference(index), self.moving(index)
+            tallies.append(self.board.tally_noise(index, reference, self._truth_noise(index), moving))
+            progress("noise ceiling", done + 1, len(chosen))
+        return self.board.records(tallies)
+
+    def results(self) -> dict[str, Any]:
+        """Scores, coverage and series of everything added, as results.json holds them."""
+        pairs = self.pair_records()
+        return {
+            "scores": self.board.records(self.tallies),
+            "coverage": self.board.coverage(self.tallies),
+            "frame_series": self.board.frame_series(self.tallies),
+            "slot_series": self.board.slot_series(self.tallies),
+            "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
+            "pairs": pairs,
+            "claims": metrics.judge_claims([pairs], no_rivals(self.experiment)),
+        }
+
+    def pair_records(self) -> list[metrics.PairRecord]:
+        """Scores of the adaptive method beside each other one: of their own pixels, steady phase."""
+        latency = self.camera.latency_frames
+        return metrics.pair_records(metrics.ALL, self.pairs, self.camera.coded_slots, latency)
+
+    def masks(self, frames: Frames, objects: Bools | None = None) -> dict[str, Any]:
+        """Agreement of each adaptive method's mask, and of movers, with the oracle: by frame and by phase.
+
+        Parameters
+        ----------
+        frames : dict
+            Method name -> its coded frames.
+        objects : ndarray of shape (frame, v, u), bool, optional
+            Masks of the objects that move, set beside the methods' under the name :data:`OBJECTS`.
+        """
+        tallies = [
+            metrics.MaskTally(
+                method.name,
+                frame.index,
+                metrics.mask_agreement(frame.code.moving, self.moving(frame.index)),
+            )
+            for method in self.experiment.methods
+            if method.scheme.kind == "motion_adaptive"
+            for frame in frames[method.name]
+        ]
+        if objects is not None and tallies:
+            agreements = (metrics.mask_agreement(mask, self.moving(k)) for k, mask in enumerate(objects))
+            tallies += [metrics.MaskTally(OBJECTS, k, each) for k, each in enumerate(agreements)]
+        rows = [{"method": t.method, "frame": t.index, **t.agreement.shares} for t in tallies]
+        pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)
+        return {"masks": rows, "pooled_masks": pooled}
+
+    def photons(self, frames: Frames) -> list[dict[str, Any]]:
+        """Photoelectrons that each method used of a panel pixel, over all frames."""
+        pixel = self._ideal_pixel
+        rows: list[dict[str, Any]] = []
+        for method in self.experiment.methods:
+            name, taken, side = method.name, frames[method.name], self.experiment.known_to(method).reading_px
+            square = pixel.pick_row, pixel.pick_col, side
+            raw = np.stack([mean_reading(f.dn, *square)[pixel.valid] for f in taken])
+            most = np.stack([brightest(f.dn, *square)[pixel.valid] for f in taken])
+            electrons = (raw - pixel.black_dn[pixel.valid]) * side**2 / pixel.dn_per_e
+            rows.append(
+                {
+                    "method": name,
+                    "mean_e": float(electrons.mean(dtype=np.float64)),
+                    "dark_e": float(np.percentile(electrons, 5)),
+                    "saturated_share": float((most >= pixel.saturation_dn[pixel.valid]).mean()),
+                    "negative_light": sum(f.negative_light for f in taken),
+                }
+            )
+        return rows
+
+    def window_ratio(self, *, glare: bool) -> float | None:
+        """95th percentile of the window over the 5th of the interior, on the panel, at time 0."""
+        if self.radiance.outside is None or not self.radiance.outside.any():
+            return None
+        camera = self.camera if glare else self.camera.without_glare()
+        step = self.truth.samples_per_pitch
+        image: Doubles = cell_means(camera.form_image(self.radiance).load(0).start, step)
+        seen = cell_means(self.radiance.outside.astype(np.float32), step)
+        window, interior = image[seen == 1], image[seen == 0]
+        dark = float(np.percentile(interior, 5))
+        return float(np.percentile(window, 95)) / dark if window.size and dark > 0 else None
+
+
+def no_rivals(experiment: Experiment) -> list[str]:
+    """Methods that claims leave out: they code as the adaptive one does, or know another camera than it."""
+    by_name = {m.name: m for m in experiment.methods}
+    ours = experiment.known_to(by_name[metrics.ADAPTIVE]) if metrics.ADAPTIVE in by_name else experiment.known
+    return [
+        m.name
+        for m in experiment.methods
+        if m.scheme.kind == "motion_adaptive" or experiment.known_to(m) != ours
+    ]
+
+
+def score(result: Result) -> metrics.Scores:
+    """Score a run held in memory.
+
+    Parameters
+    ----------
+    result : Result
+        From :func:`optsim.run`.
+
+    Returns
+    -------
+    Scores
+        A list with one record a method, metric, region and phase; the metric's parameters are in its name.
+        Printed, it is a table.
+    """
+    scorer = scorer_of(result)
+    return metrics.Scores(scorer.board.records(scorer.tallies))
+
+
+def scorer_of(result: Result) -> Scorer:
+    """Let a scorer add up a run held in memory: its scores, pairs and masks."""
+    scorer = Scorer(result.experiment, result.camera, result.truth, result.radiance)
+    for index in range(result.experiment.n_frames):
+        scorer.add({name: video[index] for name, video in result.reconstructions.items()})
+    return scorer

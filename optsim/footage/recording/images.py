@@ -1,0 +1,87 @@
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+"""One image a frame: EXR and PNG, as stored, without any rescaling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.foreign.exr import ExrPart, exr_parts
+from optsim.core.foreign.h273 import primaries_at
+from optsim.core.foreign.png import png_head, png_pixels
+from optsim.footage.recording.film import Pixels, Says, with_channels
+
+# Names that the format keeps for depth and opacity.
+_NO_LIGHT = {"Z", "ZBack", "A"}
+
+
+def exr(path: Path, key: str | None) -> Pixels:
+    """Read the channel ``key``, else R, G and B, else Y or the only one, array (y, x, channel).
+
+    In a file of several parts ``key`` names the part, ``PART`` or ``PART.CHANNEL``, or a channel of one only.
+    """
+    part, channel = _chosen(path, exr_parts(path), key)
+    names = [channel] if channel is not None else _light(path, part, part.stored)
+    channels = part.pixels(path)
+    return np.stack([channels[name] for name in names], axis=-1)
+
+
+def exr_says(path: Path, key: str | None) -> Says:
+    """Say which primaries the chosen part declares."""
+    part, _ = _chosen(path, exr_parts(path), key)
+    declared = part.header.get("chromaticities")
+    if declared is None:
+        return Says()
+    return Says(None, primaries_at(np.ravel(declared)[:6].tolist()))
+
+
+def png(path: Path) -> Pixels:
+    """Read grey or colour of 8 or 16 bits, array (y, x, channel)."""
+    head = png_head(path)
+    if (head.channels, head.bits) == (3, 16):
+        from optsim.footage.recording.video import colour_picture
+
+        return colour_picture(path)
+    return with_channels(png_pixels(path, head))
+
+
+def png_says(path: Path) -> Says:
+    """Say which curve and primaries the chunks declare."""
+    head = png_head(path)
+    return Says(head.curve, head.primaries)
+
+
+def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrPart, str | None]:
+    """Part that is meant, and its channel if one is named."""
+    if len(parts) == 1:
+        if key is not None and key not in parts[0].stored:
+            raise unknown_name(f"source.footage.key of {path.name}", key, parts[0].stored)
+        return parts[0], key
+    for part in parts:
+        if key == part.name:
+            return part, None
+    named = [(part, name) for part in parts for name in part.stored if key in (name, f"{part.name}.{name}")]
+    if len(named) == 1:
+        return named[0]
+    held = ", ".join(f"{part.name} ({', '.join(sorted(part.stored))})" for part in parts)
+    raise ConfigError(
+        f"source.footage.key: {'missing' if key is None else f'got {key!r}'}; {path.name} holds the parts "
+        f"{held}; expected the name of one, as PART or PART.CHANNEL"
+    )
+
+
+def _light(path: Path, part: ExrPart, channels: Mapping[str, object]) -> list[str]:
+    """Names of the channels that hold light."""
+    if {"R", "G", "B"} <= set(channels):
+        return ["R", "G", "B"]
+    if "Y" in channels:
+        return ["Y"]
+    if len(channels) == 1 and not _NO_LIGHT & set(channels):
+        return list(channels)
+    where = path.name + (f", part {part.name}," if part.name else "")
+    raise ConfigError(
+        f"source.footage.key: missing; {where} holds the channels {', '.join(sorted(channels))}"
+    )

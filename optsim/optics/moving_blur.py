@@ -1,0 +1,181 @@
+"""Blur of moving light: near by on fine samples, further off on panel pixels, both in every instant.
+
+Moving light is a difference and has many instants: positivity is nothing to keep there, and time is dear. So
+the PSF is cut in two (:mod:`optsim.optics.moving_psf`). Its middle, with nearly all of its light, is small
+enough to be worked through tap by tap; the rest works on panel pixels. All in float32, in those instants in
+which there is any light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from optsim.core.compiled import FEW
+from optsim.core.quantities import Block, Floats, Ints
+from optsim.optics.bands import side_by_side
+from optsim.optics.field_blur import FieldPsf, uniform
+from optsim.optics.moving_psf import MovingPsf, divided
+from optsim.optics.pixel_splines import draw, spread
+from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
+from optsim.optics.tile_blur import collect_tile
+
+# What is transformed is in tiles of so many half widths of the PSF: shorter ones transform more around them,
+# longer ones gain little.
+_SIDE_HALVES, _LEAST_SIDE = 5.0, 32
+# Rows and columns that are worked through tap by tap: what is around them stays in the cache.
+_ROWS, _COLS = 64, 128
+
+
+def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Floats) -> tuple[Block, ...]:
+    """Let each point collect moving blocks' light; blocks grow by the PSF's half width, within the field.
+
+    Parameters
+    ----------
+    blocks : tuple of Block
+        Excess in rectangles; where one touches the border of the field it continues beyond, as
+        :func:`optsim.optics.psf.extend` continues the base.
+    psf : FieldPsf
+        What each point collects. Of much light it is divided (:func:`optsim.optics.moving_psf.divided`).
+    pitch : int
+        Fine samples to a panel pixel; divides the sides of the field.
+    factor : ndarray of shape (y, x), float32
+        What each point of the field makes of its light.
+    """
+    grid = Grid(factor.shape[0], factor.shape[1])
+    few = sum(block.excess.size for block in blocks) < FEW
+    cut = MovingPsf(psf) if few else divided(psf, pitch)
+    by_taps = not few and cut.near.half <= LARGEST_TAPS
+    near = _by_taps(cut.near, grid) if by_taps else _by_transforms(cut.near, grid)
+    lights = [Patch(block.excess, block.row, block.col) for block in blocks]
+    further = [None] * len(lights) if cut.rest is None else _further_off(lights, cut.rest, pitch, grid)
+    targets = [
+        _empty(light, cut.near.half, 1, grid) if pixels is None else _empty(pixels, 0, pitch, grid)
+        for light, pixels in zip(lights, further, strict=True)
+    ]
+
+    def strip(light: Patch, pixels: Patch | None, target: Patch, first: int, end: int) -> None:
+        rows = target.excess[:, first - target.row : end - target.row]
+        if pixels is None:
+            rows[:] = 0
+        else:
+            draw(pixels, pitch, first, target.col, rows)
+        near.add(light, target, first, end)
+        rows *= factor[first:end, target.col : target.col + rows.shape[2]]
+
+    side_by_side(
+        partial(strip, light, pixels, target, first, end)
+        for light, pixels, target in zip(lights, further, targets, strict=True)
+        for first, end in near.strips(target)
+    )
+    return tuple(Block(target.row, target.col, target.excess) for target in targets)
+
+
+def _further_off(lights: list[Patch], psf: FieldPsf, pitch: int, grid: Grid) -> list[Patch]:
+    """Collect from further off, on panel pixels."""
+    # Pixels around the field, too, from which light arrives, and where the outermost splines begin.
+    margin, reach = psf.half + 3, psf.half + 1
+    pixels = Grid(grid.rows // pitch + 2 * margin, grid.cols // pitch + 2 * margin, margin)
+    rest = _by_taps(psf, pixels)
+    spreads = side_by_side(partial(spread, light, pitch, pixels) for light in lights)
+    # One pixel more, which is dark: the splines of the last lit ones reach into it.
+    targets = [_empty(light, reach, 1, pixels) for light in spreads]
+
+    def strip(light: Patch, target: Patch, first: int, end: int) -> None:
+        target.excess[:, first - target.row : end - target.row] = 0
+        rest.add(light, target, first, end)
+
+    side_by_side(
+        partial(strip, light, target, first, end)
+        for light, target in zip(spreads, targets, strict=True)
+        for first, end in rest.strips(target)
+    )
+    return [Patch(target.excess, target.row - margin, target.col - margin) for target in targets]
+
+
+def _empty(light: Patch, reach: int, pitch: int, grid: Grid) -> Patch:
+    """Room for light ``pitch`` times as fine that reaches so many samples further, within a grid."""
+    n, height, width = light.excess.shape
+    top, left = max(light.row * pitch - reach, 0), max(light.col * pitch - reach, 0)
+    bottom = min((light.row + height) * pitch + reach, grid.rows)
+    right = min((light.col + width) * pitch + reach, grid.cols)
+    return Patch(np.empty((n, bottom - top, right - left), np.float32), top, left)
+
+
+class _Collector(NamedTuple):
+    """How points of a grid collect: rows of a target that are worked on together, and that work."""
+
+    strips: Callable[[Patch], list[tuple[int, int]]]
+    add: Callable[[Patch, Patch, int, int], None]
+
+
+def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
+    nodes = factors_of_kernels(psf.whole)
+    cells = max(len(nodes) - 1, 1)
+    borders = _borders(grid.cols, grid.margin, cells * max(1, -(-grid.cols // (cells * _COLS))))
+
+    def strips(target: Patch) -> list[tuple[int, int]]:
+        end = target.row + target.excess.shape[1]
+        return [(row, min(row + _ROWS, end)) for row in range(target.row, end, _ROWS)]
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        columns = _cut(borders, target.col, target.col + target.excess.shape[2])
+        collect_strip(light, grid, nodes, columns, target, first, end)
+
+    return _Collector(strips, add)
+
+
+def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
+    if 0 <= psf.core_half < psf.half:
+        return _one_after_the_other(uniform(psf.common), psf.middle(0), grid)
+    cells = max(len(psf.cores) - 1, 1)
+
+    def tiles(size: int, first: int, end: int) -> list[tuple[int, int]]:
+        """Find tiles of cells of the nodes' grid, some together or parts of one."""
+        parts = cells * max(1, round(size / cells / max(_LEAST_SIDE, _SIDE_HALVES * psf.half)))
+        # Far more than a tile of less than half a PSF's width would lie around it.
+        together = max(1, int(np.ceil(psf.half * cells / size)))
+        return list(pairwise(_cut(_borders(size, 0, parts, together), first, end).tolist()))
+
+    def strips(target: Patch) -> list[tuple[int, int]]:
+        return tiles(grid.rows, target.row, target.row + target.excess.shape[1])
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        top, left = target.row, target.col
+        for a, b in tiles(grid.rows, first, end):
+            for c, d in tiles(grid.cols, left, left + target.excess.shape[2]):
+                part = target.excess[:, a - top : b - top, c - left : d - left]
+                collect_tile(light, psf, grid, (a, b), (c, d), part)
+
+    return _Collector(strips, add)
+
+
+def _one_after_the_other(even: FieldPsf, varying: FieldPsf, grid: Grid) -> _Collector:
+    """Collect by what is the same all over the field, and by the smaller middle that isn't.
+
+    Transforms of every node's whole PSF would take as many times as long as there are nodes.
+    """
+    whole, middle = _by_transforms(even, grid), _by_transforms(varying, grid)
+
+    def add(light: Patch, target: Patch, first: int, end: int) -> None:
+        whole.add(light, target, first, end)
+        middle.add(light, target, first, end)
+
+    return _Collector(whole.strips, add)
+
+
+def _borders(size: int, margin: int, parts: int, together: int = 1) -> Ints:
+    """Cut a grid within its margin in even parts, and take so many of them together: where each begins."""
+    at = np.append(np.arange(0, parts, together), parts) / parts
+    borders = margin + np.rint(at * (size - 2 * margin)).astype(np.int64)
+    borders[0], borders[-1] = 0, size
+    return borders
+
+
+def _cut(borders: Ints, first: int, end: int) -> Ints:
+    """Borders of what lies between first and end."""
+    return np.unique(borders.clip(first, end))

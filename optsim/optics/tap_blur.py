@@ -1,0 +1,289 @@
+# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+"""Blur by small kernels that vary over the field, tap by tap: a compiled loop.
+
+To multiply and add is cheaper than to transform where kernels are small, and needs no more than is lit.
+Columns are collected four at a time, with nine products instead of sixteen. Of light d and taps g the sums
+d0 g0 + d1 g1 and d1 g0 + d2 g1 take three instead of four: (d0 - d1) g0 and (d2 - d1) g1, to each of which
+d1 (g0 + g1) is added; and pairs of columns are again two such sums (S. Winograd, *Arithmetic Complexity of
+Computations*, SIAM, 1980).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from optsim.core.compiled import compiled
+from optsim.core.quantities import Doubles, Floats, Ints
+
+# Half width of kernels beyond which transforms are cheaper.
+LARGEST_TAPS = 12
+# Taps of each fourth column that are worked through together.
+_TAPS = 6
+# Loops over whole vectors, several at a time, have no rest to do one by one.
+_WHOLE = 32
+
+
+class Grid(NamedTuple):
+    """Samples that light moves on.
+
+    Parameters
+    ----------
+    rows, cols : int
+        How many; beyond them the light of the border goes on.
+    margin : int
+        Of these on every side, around the field over which the PSF varies: there it is as at its edge.
+    """
+
+    rows: int
+    cols: int
+    margin: int = 0
+
+
+class Patch(NamedTuple):
+    """Light in a rectangle of a grid.
+
+    Parameters
+    ----------
+    excess : ndarray of shape (t, y, x), float32
+        The light.
+    row, col : int
+        Its first row and column.
+    """
+
+    excess: Floats
+    row: int
+    col: int
+
+
+def factors_of_kernels(kernels: Doubles) -> Floats:
+    """Make kernels ready to collect with.
+
+    Parameters
+    ----------
+    kernels : ndarray of shape (i, i, 2 h + 1, 2 h + 1), float64
+        At the nodes of an even grid from edge to edge of the field, or one for all of it.
+
+    Returns
+    -------
+    ndarray of shape (i, i, 9, 2 h + 1, taps), float32
+        What each of the nine factors of light is multiplied with, from each fourth column of taps.
+    """
+    side = kernels.shape[3]
+    taps = np.pad(kernels, [(0, 0)] * 3 + [(0, -side % (4 * _TAPS))])
+    g0, g1, g2, g3 = np.moveaxis(taps.reshape(*taps.shape[:3], -1, 4), -1, 0)
+    pairs = [(g0, g2), (g0 + g1, g2 + g3), (g1, g3)]
+    return np.stack([part for a, b in pairs for part in (a, a + b, b)], axis=2).astype(np.float32)
+
+
+@compiled(fastmath=True)
+def collect_strip(
+    light: Patch,
+    grid: Grid,
+    nodes: Floats,
+    borders: Ints,
+    target: Patch,
+    first: int,
+    end: int,
+) -> None:
+    """Add what some rows of a field collect with the kernels of nodes, each by its hats.
+
+    Parameters
+    ----------
+    light : Patch
+        What is collected.
+    grid : Grid
+        Where it lies.
+    nodes : ndarray of shape (i, i, 9, 2 h + 1, taps), float32
+        From :func:`factors_of_kernels`.
+    borders : ndarray of shape (tile + 1,), int64
+        Columns of the field at which tiles begin and end, no node's column within any.
+    target : Patch
+        Added to.
+    first, end : int
+        The grid's rows that collect.
+    """
+    n, n_nodes, side = len(light.excess), len(nodes), nodes.shape[3]
+    half, tall, taps = side // 2, end - first + side - 1, nodes.shape[4]
+    widest = np.diff(borders).max()
+    fours = -(-n * (widest + 2 * half) // (4 * _WHOLE)) * _WHOLE + taps
+    # A tile's light, all instants side by side, and its nine factors.
+    lines, factors = np.empty((tall, 4 * fours + 3), np.float32), np.empty(9 * tall * fours, np.float32)
+    # Of a row, with the kernels of both nodes beside a tile, or with the only one; and these kernels.
+    totals, sums = np.empty((2, 9, fours), np.float32), np.zeros((2, 4 * fours), np.float32)
+    own = np.empty((min(n_nodes, 2), 9, side, taps), np.float32)
+    all_nodes, all_own = nodes.reshape((n_nodes, n_nodes, -1)), own.reshape((len(own), -1))
+    hats = np.empty((2, widest), np.float32)
+    # Of each instant: the columns that collect anything, and where they begin in the lines.
+    reached, begin = np.empty((n, 2), np.int64), np.zeros(n + 1, np.int64)
+    light_of = _light_of_columns(light, first - half, end + half)
+    # Rows of the lines that may be lit; beyond the field the light of its border goes on.
+    begins, ends = light.row == 0, light.row + light.excess.shape[1] == grid.rows
+    top = 0 if begins else max(light.row - first + half, 0)
+    bottom = tall if ends else min(light.row + light.excess.shape[1] - first + half, tall)
+    for tile in range(borders.size - 1):
+        start, stop = borders[tile], borders[tile + 1]
+        for t in range(n):
+            lit, dark = _lit_columns(light_of, t, start - half - light.col, stop + half - light.col)
+            lit, dark = lit + light.col, dark + light.col
+            reached[t, 0], reached[t, 1] = max(lit - half, start), min(dark + half, stop)
+            begin[t + 1] = begin[t] + (reached[t, 1] - reached[t, 0] + 2 * half if lit < dark else 0)
+            _copy_lines(light, grid, t, first - half, reached[t, 0] - half, lines[:, begin[t] : begin[t + 1]])
+        if begin[n] == 0:
+            continue
+        length = -(-begin[n] // (4 * _WHOLE)) * _WHOLE
+        wide = length + taps
+        lines[:, begin[n] : 4 * wide + 3] = 0
+        of_light = factors[: 9 * tall * wide].reshape((9, tall, wide))
+        _factors_of_light(lines, of_light)
+        node = int(_place((start + stop - 1) / 2, grid.cols, grid.margin, n_nodes))
+        for x in range(start, stop):
+            hats[1, x - start] = min(max(_place(x, grid.cols, grid.margin, n_nodes) - node, 0.0), 1.0)
+        hats[0] = 1 - hats[1]
+        for y in range(first, end):
+            _kernels_between(all_nodes, _place(y, grid.rows, grid.margin, n_nodes), node, all_own)
+            taps_down = max(top - (y - first), 0), min(bottom - (y - first), side)
+            _add_products(of_light, y - first, taps_down, own, totals, length)
+            _put_together(totals, len(own), length, sums)
+            _weigh(sums, begin, hats, start, reached, target, y)
+
+
+@compiled(fastmath=True)
+def _light_of_columns(light: Patch, top: int, bottom: int) -> Floats:
+    """Sum of the magnitudes in each column of some rows of the field, (t, x): nothing where it is dark.
+
+    Beyond the field's border its own light goes on, which reaches no place that the border's does not.
+    """
+    n, tall, wide = light.excess.shape
+    found = np.zeros((n, wide), np.float32)
+    first, end = max(top - light.row, 0), min(bottom - light.row, tall)
+    for t in range(n):
+        # Unsigned: a loop whose places might be negative would not become vector code.
+        for row in range(np.uint64(first), np.uint64(max(first, end))):
+            for x in range(np.uint64(wide)):
+                found[t, x] += abs(light.excess[t, row, x])
+    return found
+
+
+@compiled()
+def _lit_columns(light_of: Floats, t: int, left: int, right: int) -> tuple[int, int]:
+    """First lit column of some, which need not all be there, and that after the last."""
+    lit, dark = max(left, 0), min(right, light_of.shape[1])
+    while lit < dark and light_of[t, lit] == 0:
+        lit += 1
+    while lit < dark and light_of[t, dark - 1] == 0:
+        dark -= 1
+    return lit, dark
+
+
+@compiled()
+def _copy_lines(light: Patch, grid: Grid, t: int, top: int, left: int, lines: Floats) -> None:
+    """Copy a part of the field."""
+    _, tall, wide = light.excess.shape
+    size, end = lines.shape[1], light.col + wide
+    first, last = min(max(light.col - left, 0), size), min(max(end - left, 0), size)
+    for y in range(lines.shape[0]):
+        row = min(max(top + y, 0), grid.rows - 1) - light.row
+        if not 0 <= row < tall:
+            lines[y] = 0
+            continue
+        # Beyond the field the light of its border goes on.
+        lines[y, :first] = light.excess[t, row, 0] if light.col == 0 else np.float32(0)
+        lines[y, last:] = light.excess[t, row, -1] if end == grid.cols else np.float32(0)
+        for x in range(np.uint64(first), np.uint64(last)):
+            lines[y, x] = light.excess[t, row, np.uint64(left - light.col) + x]
+
+
+@compiled()
+def _place(sample: float, samples: int, margin: int, n_nodes: int) -> float:
+    """Where a sample lies between the nodes; the last one counts as just before it."""
+    place = (sample - margin + 0.5) / (samples - 2 * margin) * (n_nodes - 1)
+    return min(max(place, 0.0), n_nodes - 1 - 1e-9)
+
+
+# From here on places are unsigned and no part of an array is an array of its own: for such short loops numba
+# would count references to it as long as it multiplies.
+@compiled(fastmath=True, makes_arrays=False)
+def _kernels_between(nodes: Floats, place: float, node: int, own: Floats) -> None:
+    """Kernels at a place between the nodes' rows, in a node's column and in the next one: (2, all of one)."""
+    i, first = int(place), np.uint64(node)
+    after, above, below = np.float32(place - i), np.uint64(i), np.uint64(min(i + 1, len(nodes) - 1))
+    for j in range(np.uint64(own.shape[0])):
+        for k in range(np.uint64(own.shape[1])):
+            own[j, k] = (1 - after) * nodes[above, first + j, k] + after * nodes[below, first + j, k]
+
+
+@compiled(fastmath=True, makes_arrays=False)
+def _factors_of_light(lines: Floats, factors: Floats) -> None:
+    """Find the nine factors of each four columns, (9, y, four), of these and the three after them."""
+    for y in range(np.uint64(factors.shape[1])):
+        for four in range(np.uint64(factors.shape[2])):
+            x = np.uint64(4) * four
+            d0, d1, d2 = lines[y, x], lines[y, x + np.uint64(1)], lines[y, x + np.uint64(2)]
+            d3, d4 = lines[y, x + np.uint64(3)], lines[y, x + np.uint64(4)]
+            d5, d6 = lines[y, x + np.uint64(5)], lines[y, x + np.uint64(6)]
+            factors[0, y, four], factors[1, y, four] = d0 - d1 - d2 + d3, d2 - d3
+            factors[2, y, four], factors[3, y, four] = d4 - d5 - d2 + d3, d1 - d3
+            factors[4, y, four], factors[5, y, four] = d3, d5 - d3
+            factors[6, y, four], factors[7, y, four] = d2 - d1 - d4 + d3, d4 - d3
+            factors[8, y, four] = d6 - d5 - d4 + d3
+
+
+@compiled(fastmath=True, makes_arrays=False)
+def _add_products(
+    factors: Floats, first: int, taps_down: tuple[int, int], kernels: Floats, totals: Floats, length: int
+) -> None:
+    """Sum the products of a row, with one kernel or two; of taps from the first to before the last of two.
+
+    Several taps of both kernels at a time: light is read, and sums are written, that much more seldom.
+    """
+    n, last = np.uint64(length), np.uint64(kernels.shape[0] - 1)
+    for p in range(np.uint64(9)):
+        for x in range(n):
+            totals[0, p, x] = totals[1, p, x] = 0
+        for a in range(np.uint64(taps_down[0]), np.uint64(max(taps_down))):
+            y = np.uint64(first) + a
+            for b in range(np.uint64(0), np.uint64(kernels.shape[3]), np.uint64(_TAPS)):
+                b1, b2, b3 = b + np.uint64(1), b + np.uint64(2), b + np.uint64(3)
+                b4, b5 = b + np.uint64(4), b + np.uint64(5)
+                k0, k1, k2 = kernels[0, p, a, b], kernels[0, p, a, b1], kernels[0, p, a, b2]
+                k3, k4, k5 = kernels[0, p, a, b3], kernels[0, p, a, b4], kernels[0, p, a, b5]
+                q0, q1, q2 = kernels[last, p, a, b], kernels[last, p, a, b1], kernels[last, p, a, b2]
+                q3, q4, q5 = kernels[last, p, a, b3], kernels[last, p, a, b4], kernels[last, p, a, b5]
+                for x in range(n):
+                    v0, v1, v2 = factors[p, y, x + b], factors[p, y, x + b1], factors[p, y, x + b2]
+                    v3, v4, v5 = factors[p, y, x + b3], factors[p, y, x + b4], factors[p, y, x + b5]
+                    totals[0, p, x] += k0 * v0 + k1 * v1 + k2 * v2 + k3 * v3 + k4 * v4 + k5 * v5
+                    if last:
+                        totals[1, p, x] += q0 * v0 + q1 * v1 + q2 * v2 + q3 * v3 + q4 * v4 + q5 * v5
+
+
+@compiled(fastmath=True, makes_arrays=False)
+def _put_together(totals: Floats, kernels: int, length: int, sums: Floats) -> None:
+    """Put the columns of a row together from its sums of products."""
+    for j in range(np.uint64(kernels)):
+        for four in range(np.uint64(length)):
+            x = np.uint64(4) * four
+            before, after = totals[j, 1, four], totals[j, 7, four]
+            early, late = totals[j, 4, four] + totals[j, 3, four], totals[j, 4, four] + totals[j, 5, four]
+            sums[j, x] = early + before + totals[j, 0, four]
+            sums[j, x + np.uint64(1)] = early + after + totals[j, 6, four]
+            sums[j, x + np.uint64(2)] = late + before + totals[j, 2, four]
+            sums[j, x + np.uint64(3)] = late + after + totals[j, 8, four]
+
+
+@compiled(fastmath=True, makes_arrays=False)
+def _weigh(
+    totals: Floats, begin: Ints, hats: Floats, start: int, reached: Ints, target: Patch, y: int
+) -> None:
+    """Add to a row of a tile, which begins at ``start``, what instants collected, by its nodes' hats."""
+    row = np.uint64(y - target.row)
+    for t in range(len(reached)):
+        a, there, of = np.uint64(begin[t]), np.uint64(reached[t, 0] - target.col), reached[t, 0] - start
+        if begin[t + 1] > begin[t]:
+            for x in range(np.uint64(reached[t, 1] - reached[t, 0])):
+                hat = np.uint64(of) + x
+                target.excess[t, row, there + x] += (
+                    hats[0, hat] * totals[0, a + x] + hats[1, hat] * totals[1, a + x]
+                )

@@ -1,0 +1,304 @@
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
+"""The far wings of a PSF: coarse in space, and on moving light a straight line in time.
+
+A PSF window wide enough for a bright window's wings is far larger than all that changes from one fine sample
+to the next. So wings work on panel pixels, behind the panel as before it. Those of the relay are even within
+a pixel, which misplaces a share of them by less than two pixels, the smaller the farther from the middle they
+begin.
+
+Such a window is also far larger than the movers that cross it, and would be paid for in every instant. So
+moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
+block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
+for light that comes and goes evenly, and nothing at all in the mean over the segment. Where the line of a
+flash leaves less than no light in the dark around it, light begins or ends there, with the same mean. Core
+and wings pass softly into each other, so that pixels hold the wings between their splines. These are two
+rings, the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.core.compiled import FEW, compiled
+from optsim.core.quantities import Doubles, Floats, Segment
+from optsim.optics.bands import in_bands, side_by_side
+from optsim.optics.field_blur import FieldPsf
+from optsim.optics.fringing import add_whole_cells, fine_image_adjoint
+from optsim.optics.integrate import cell_means
+from optsim.optics.pixel_splines import spline_kernel, splines, spread
+from optsim.optics.psf import Blur, SomeBlur, extend, make_blur
+from optsim.optics.tap_blur import Grid, Patch
+
+# Of moving light's wings, panel pixels: where the outer ring begins, the side of its cells, room for splines.
+_RING_HALF, _CELL, _ROOM = 40, 4, 8
+# Share of a core's half width within which it has all of the PSF, and cells beyond what varies to its edge. A
+# sharp cut would be off by four times as much, and pixels that are even by nine times.
+_WHOLE, _SOFT_CELLS = 0.6, 6
+
+
+def coarse_kernel(kernel: Doubles, pitch: int) -> Doubles:
+    """Kernel between cells of pitch x pitch samples: mean over both, (odd, odd), of the same sum."""
+    triangle = (pitch - np.abs(np.arange(1 - pitch, pitch))) / pitch
+    half = kernel.shape[0] // 2
+    reach = -(-(half + pitch - 1) // pitch)
+    # Sample k of the padded kernel lies k - reach * pitch - (pitch - 1) samples from its centre.
+    wide = np.pad(kernel, reach * pitch + pitch - 1 - half)
+    n = len(wide) - 2 * (pitch - 1)
+    down = sum((part * wide[k : k + n] for k, part in enumerate(triangle)), np.zeros((n, len(wide))))
+    both = sum((part * down[:, k : k + n] for k, part in enumerate(triangle)), np.zeros((n, n)))
+    return np.ascontiguousarray(both[::pitch, ::pitch])
+
+
+def line_ends(n: int) -> Doubles:
+    """Weights of n instants in the two ends of the least-squares line through them: array (2, n)."""
+    if n == 1:
+        return np.ones((2, 1))
+    a = (np.arange(n) + 0.5) / n - 0.5
+    slope = a / (a @ a) / 2
+    return np.stack([1 / n - slope, 1 / n + slope])
+
+
+def moving_ends(segment: Segment) -> Floats:
+    """Find the ends of straight lines through all moving light of a segment: array (2, y, x), float32."""
+    ends = np.zeros((2, *segment.start.shape), np.float32)
+    lines = line_ends(segment.n_instants).astype(np.float32)
+    for block in segment.blocks:
+        _, height, width = block.excess.shape
+        found = ends[:, block.row : block.row + height, block.col : block.col + width]
+        if block.excess.size < FEW:
+            found += np.tensordot(lines, block.excess, 1)
+        else:
+            in_bands(height, partial(_add_lines, found, block.excess, lines))
+    return ends
+
+
+# Not BLAS: after a product its threads wait for the next one at full speed, in the way of all others.
+@compiled(fastmath=True)
+def _add_lines(ends: Floats, excess: Floats, lines: Floats, top: int, bottom: int) -> None:
+    width = excess.shape[2]
+    start, stop = np.empty(width, np.float32), np.empty(width, np.float32)
+    for y in range(top, bottom):
+        start[:], stop[:] = 0, 0
+        for t in range(excess.shape[0]):
+            for x in range(width):
+                start[x] += lines[0, t] * excess[t, y, x]
+                stop[x] += lines[1, t] * excess[t, y, x]
+        for x in range(width):
+            ends[0, y, x] += start[x]
+            ends[1, y, x] += stop[x]
+
+
+def keep_above_zero(start: Floats, stop: Floats) -> None:
+    """Let light begin and end at zero where straight lines would leave less; its mean stays, if positive.
+
+    Parameters
+    ----------
+    start, stop : ndarray of shape (y, x), float32
+        Light at the ends of a segment, changed in place.
+    """
+    both = np.maximum(start + stop, 0)
+    first, last = start < 0, stop < 0
+    start[last], stop[first] = both[last], both[first]
+    start[first], stop[last] = 0, 0
+
+
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """A ring of a PSF's wings, made ready for moving light that does not end where the panel does.
+
+    Parameters
+    ----------
+    blur : Blur
+        On cells, of the field and ``reach`` around it.
+    reach : int
+        Half width of the ring, cells.
+    cell : int
+        Panel pixels to the side of a cell.
+    """
+
+    blur: Blur
+    reach: int
+    cell: int
+
+    def light(self, images: Doubles) -> Doubles:
+        """Light in this ring of images on panel pixels, (n, v, u)."""
+        rows, cols = images.shape[1:]
+        whole = np.pad(images, ((0, 0), (0, -rows % self.cell), (0, -cols % self.cell)), mode="edge")
+        cells = np.stack([extend(cell_means(image, self.cell), self.reach) for image in whole])
+        # In double precision: the noise of single one would be negative light far from a very bright lamp.
+        inner = slice(self.reach, -self.reach)
+        found = self.blur.apply(cells)[:, inner, inner]
+        return found.repeat(self.cell, axis=1)[:, :rows].repeat(self.cell, axis=2)[:, :, :cols]
+
+
+def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
+    """Cut a PSF in a core and wings that add up to it.
+
+    Parameters
+    ----------
+    psf : FieldPsf
+        What each point collects.
+    half : int
+        Cells from the middle of the core to its edge; more where the PSF varies so far, all of the PSF where
+        it is no wider.
+
+    Returns
+    -------
+    core : FieldPsf
+        Falling to nothing towards its edge.
+    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+        The same everywhere.
+    """
+    half = max(half, psf.core_half + _SOFT_CELLS)
+    if half >= psf.half:
+        return psf, np.zeros_like(psf.kernel)
+    core = psf.middle(half)
+    whole = max(_WHOLE * half, psf.core_half)
+    far = np.abs(np.arange(-half, half + 1))
+    fall = np.clip((np.maximum(far[:, None], far) - whole) / (half + 1 - whole), 0, 1)
+    kept = core.kernel * np.cos(np.pi / 2 * fall) ** 2
+    wings = psf.kernel.copy()
+    inner = slice(psf.half - half, psf.half + half + 1)
+    wings[inner, inner] -= kept
+    return FieldPsf(kept, core.cores), wings
+
+
+def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
+    """Prepare a PSF's wings for moving light on a fine grid of one shape; none if there are none.
+
+    Parameters
+    ----------
+    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+        From :func:`cut_softly`.
+    pitch : int
+        Fine samples to a panel pixel.
+    shape : tuple of int
+        Rows and columns of the fine grid.
+    """
+    if not wings.any():
+        return ()
+    coarse = coarse_kernel(wings, pitch)
+    outer = _coarse_wings(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
+    # Splines reach a little farther than what they stand for.
+    half, room = len(wings) // 2, (_RING_HALF + _ROOM) * pitch
+    near = slice(max(half - room, 0), half + room + 1)
+    inner = spline_kernel(wings[near, near], pitch)
+    beyond = max(len(inner) // 2 - _RING_HALF, 0)
+    inner = inner[beyond : len(inner) - beyond, beyond : len(inner) - beyond]
+    parts = [(inner, 1)] if outer is None else [(inner, 1), (outer, _CELL)]
+    inner *= (wings.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
+    rings: list[Ring] = []
+    for part, cell in parts:
+        reach = len(part) // 2
+        rows, cols = (-(-side // pitch // cell) + 2 * reach for side in shape)
+        rings.append(Ring(make_blur(part, (rows, cols), wraps=True), reach, cell))
+    return tuple(rings)
+
+
+def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
+    wings, half = kernel.copy(), len(kernel) // 2
+    wings[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
+    return coarse_kernel(wings, pitch) if wings.any() else None
+
+
+def far_light(ends: Floats, wings: tuple[Ring, ...], pitch: int) -> Doubles:
+    """Light in the wings of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
+
+    Parameters
+    ----------
+    ends : ndarray of shape (2, y, x), float32
+        From :func:`moving_ends`.
+    wings : tuple of Ring
+        From :func:`make_wings`, at least one.
+    pitch : int
+        Fine samples to a panel pixel.
+    """
+    panel = np.stack(side_by_side(partial(_spline_means, end, pitch) for end in ends))
+    return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
+
+
+def _spline_means(image: Floats, pitch: int) -> Doubles:
+    """Mean of an image under the spline of each panel pixel, (v, u); beyond its border it goes on."""
+    if image.size < FEW:
+        return fine_image_adjoint(image.astype(np.float64), splines(pitch)) / pitch**2
+    around = Grid(image.shape[0] // pitch + 2, image.shape[1] // pitch + 2, 1)
+    found = spread(Patch(image[None], 0, 0), pitch, around).excess[0, 2:-2, 2:-2]
+    return found.astype(np.float64) / pitch**2
+
+
+@dataclass(frozen=True, eq=False)
+class Winged:
+    """Blur on a fine grid, dark outside, whose far wings work on panel pixels; with its exact adjoint.
+
+    Parameters
+    ----------
+    near : Blur or FieldBlur
+        All but the wings.
+    far : Blur
+        The wings, on panel pixels.
+    pitch : int
+        Fine cells to a panel pixel.
+    """
+
+    near: SomeBlur
+    far: Blur
+    pitch: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the fine grid."""
+        return self.near.shape
+
+    def apply(self, image: NDArray[np.floating]) -> Doubles:
+        """Spread the light of an image."""
+        light = self.near.apply(image)
+        self._add_far(light, image)
+        return light
+
+    def adjoint(self, image: NDArray[np.floating]) -> Doubles:
+        """Transpose of :meth:`apply`, for images (..., y, x): the wings are their own."""
+        light = self.near.adjoint(image)
+        for part, given in zip(light.reshape(-1, *self.shape), image.reshape(-1, *self.shape), strict=True):
+            self._add_far(part, given)
+        return light
+
+    def _add_far(self, light: Doubles, image: NDArray[np.floating]) -> None:
+        add_whole_cells(light, self.far.apply(cell_means(image, self.pitch)))
+
+
+def near_half(kernel: Doubles, least: int, share: float) -> int:
+    """Half width, ``least`` or more, of a middle beyond which kernels, (..., y, x), have at most a share."""
+    half = kernel.shape[-1] // 2
+    near = min(least, half)
+
+    def beyond(reach: int) -> float:
+        inner = slice(half - reach, half + reach + 1)
+        return float((kernel.sum(axis=(-2, -1)) - kernel[..., inner, inner].sum(axis=(-2, -1))).max())
+
+    while near < half and beyond(near) > share:
+        near = min(half, near + max(1, near // 4))
+    return near
+
+
+def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:
+    """Add a kernel's wings, all but its middle, (2 near_half + 1)^2, to a blur that has the rest.
+
+    Parameters
+    ----------
+    near : Blur or FieldBlur
+        On the fine grid.
+    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
+        The whole PSF, symmetric about its centre.
+    near_half : int
+        At most h.
+    pitch : int
+        Fine cells to a panel pixel.
+    """
+    coarse = _coarse_wings(kernel, near_half, pitch)
+    if coarse is None:
+        return near
+    return Winged(near, make_blur(coarse, (near.shape[0] // pitch, near.shape[1] // pitch)), pitch)

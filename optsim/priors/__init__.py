@@ -1,0 +1,1 @@
+"""Dictionaries and mixtures: training them, and the files that hold them."""

@@ -1,0 +1,166 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+"""How atoms learn from sparse codes: all at once by least squares, or one after the other by K-SVD."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from optsim.core.compiled import compiled
+from optsim.core.quantities import Doubles, Floats, Ints
+
+_BLOCK = 2048
+# Fewer uses than this is fitting one patch, not learning from many.
+_FEWEST_USES = 5
+# Sums may be reordered for vector units; NaN keeps its meaning.
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+
+
+def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) -> Floats:
+    """Update all atoms at once by the method of optimal directions: ``X' C (C' C)^-1``.
+
+    Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624. A weak ridge keeps what is hardly
+    used.
+
+    Parameters
+    ----------
+    signals : ndarray of shape (n, e), float32
+        Training signals.
+    atoms : ndarray of shape (k, e), float32
+        Atoms that the codes are of.
+    support : ndarray of shape (n, s), int64
+        Atoms of each code, -1 after the last.
+    amounts : ndarray of shape (n, s), float32
+        Their coefficients.
+
+    Returns
+    -------
+    ndarray of shape (k, e), float32
+        Of any length.
+    """
+    n_atoms = len(atoms)
+    square = np.zeros((n_atoms, n_atoms))
+    cross = np.zeros(atoms.shape)
+    for first in range(0, len(signals), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        codes = dense(support[part], amounts[part], n_atoms)
+        square += codes.T @ codes
+        cross += codes.T @ signals[part]
+    ridge = 1e-6 * np.trace(square) / n_atoms
+    system: Doubles = square + ridge * np.eye(n_atoms)
+    return np.asarray(np.linalg.solve(system, cross + ridge * atoms), np.float32)
+
+
+def k_svd_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) -> tuple[Floats, Floats]:
+    """Update the atoms one after the other, each with its coefficients, by approximate K-SVD.
+
+    R. Rubinstein, M. Zibulevsky and M. Elad, "Efficient implementation of the K-SVD algorithm using batch
+    orthogonal matching pursuit", Technion CS-2008-08. Each atom and the coefficients of those signals that
+    use it take one step of the power method towards the best rank-one fit of what the other atoms leave, so
+    that the error never grows. Here the residuals are kept and follow, which takes four passes over the
+    signals that use an atom and no product with all atoms. Atom 0, the constant, stays.
+
+    Parameters
+    ----------
+    signals : ndarray of shape (n, e), float32
+        Training signals.
+    atoms : ndarray of shape (k, e), float32
+        Of unit length.
+    support : ndarray of shape (n, s), int64
+        Atoms of each code, -1 after the last; none twice.
+    amounts : ndarray of shape (n, s), float32
+        Their coefficients.
+
+    Returns
+    -------
+    atoms : ndarray of shape (k, e), float32
+        Of unit length.
+    amounts : ndarray of shape (n, s), float32
+        New coefficients on the same support.
+    """
+    rows, places = np.nonzero(support >= 0)
+    used = support[rows, places]
+    shape = len(signals), len(atoms)
+    residuals = csr_array((amounts[rows, places], (rows, used)), shape=shape) @ atoms
+    np.subtract(signals, residuals, out=residuals)
+    order = np.argsort(used, kind="stable")
+    starts = np.searchsorted(used[order], np.arange(len(atoms) + 1))
+    new, coefficients = atoms.copy(), amounts[rows, places][order]
+    _one_by_one(residuals, new, rows[order], coefficients, starts)
+    changed = amounts.copy()
+    changed[rows[order], places[order]] = coefficients
+    return new, changed
+
+
+@compiled(fastmath=_FAST)
+def _one_by_one(residuals: Floats, atoms: Floats, users: Ints, amounts: Floats, starts: Ints) -> None:
+    """Update atoms and amounts in place; those of atom k are from ``starts[k]`` to ``starts[k + 1]``."""
+    new = np.empty(atoms.shape[1], np.float32)
+    for k in range(1, len(atoms)):
+        atom, first, last = atoms[k], starts[k], starts[k + 1]
+        # The direction E'g of E = residuals + g atom', without E.
+        energy = np.float32(0)
+        for i in range(first, last):
+            energy += amounts[i] * amounts[i]
+        for j in range(len(new)):
+            new[j] = energy * atom[j]
+        for i in range(first, last):
+            row, amount = residuals[users[i]], amounts[i]
+            for j in range(len(new)):
+                new[j] += amount * row[j]
+        square, same = np.float32(0), np.float32(0)
+        for j in range(len(new)):
+            square += new[j] * new[j]
+        if square == 0:
+            continue
+        length = np.float32(1) / np.sqrt(square)
+        for j in range(len(new)):
+            new[j] *= length
+            same += new[j] * atom[j]
+        # The coefficients Ed, and the residuals that follow.
+        for i in range(first, last):
+            row, before = residuals[users[i]], amounts[i]
+            amount = before * same
+            for j in range(len(new)):
+                amount += row[j] * new[j]
+            for j in range(len(new)):
+                row[j] += before * atom[j] - amount * new[j]
+            amounts[i] = amount
+        atom[:] = new
+
+
+def renewed(atoms: Floats, uses: Ints, signals: Floats, left: Floats) -> Floats:
+    """Start atoms that next to nobody uses again, from the patches that are coded worst.
+
+    Parameters
+    ----------
+    atoms : ndarray of shape (k, e), float32
+        Atom 0 is the constant.
+    uses : ndarray of shape (k,), int64
+        In how many codes each occurs.
+    signals : ndarray of shape (n, e), float32
+        Training signals.
+    left : ndarray of shape (n,), float32
+        Squared length of what each code leaves of its signal.
+
+    Returns
+    -------
+    ndarray of shape (k, e), float32
+        Of any length but for atom 0, which is the constant again.
+    """
+    idle = uses < _FEWEST_USES
+    idle[0] = False
+    worst = signals[np.argsort(left)[::-1][: int(idle.sum())]]
+    fresh = atoms.copy()
+    fresh[idle] = worst - worst.mean(axis=1, keepdims=True)
+    fresh[0] = 1
+    return fresh
+
+
+def dense(support: Ints, amounts: Floats, n_atoms: int) -> Floats:
+    """Sparse codes as an array of shape (n, k)."""
+    codes = np.zeros((len(support), n_atoms), np.float32)
+    rows, places = np.nonzero(support >= 0)
+    codes[rows, support[rows, places]] = amounts[rows, places]
+    return codes

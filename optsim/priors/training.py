@@ -1,0 +1,163 @@
+"""Learning the dictionary from high-frame-rate clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from optsim.core.errors import ValueCheckError
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Floats, Ints
+from optsim.priors.atom_updates import dense, k_svd_atoms, least_squares_atoms, renewed
+from optsim.priors.checkpoint import Checkpoint, open_checkpoint
+from optsim.priors.dictionary import Dictionary, unit
+from optsim.priors.gram_pursuit import pursue_products
+from optsim.priors.training_patches import training_patches
+
+Method = Literal["mod", "ksvd"]
+_NAMES: dict[Method, str] = {"mod": "MOD with OMP", "ksvd": "approximate K-SVD with OMP"}
+_BLOCK = 2048
+_PATCHES_AN_ATOM = 30
+
+
+def train_dictionary(
+    clips: Sequence[Floats],
+    *,
+    rng: np.random.Generator,
+    n_atoms: int = 2000,
+    patch: int = 8,
+    slots: int = 36,
+    n_patches: int | None = None,
+    atoms_per_patch: int = 10,
+    iterations: int = 12,
+    method: Method = "mod",
+    provenance: Mapping[str, object] | None = None,
+    checkpoint: Path | None = None,
+    progress: Progress = silent,
+) -> Dictionary:
+    """Learn a dictionary by the method of optimal directions or by approximate K-SVD.
+
+    Alternates sparse coding by OMP with an update of the atoms (:mod:`.atom_updates`); atoms that nobody uses
+    are replaced by the patches that are coded worst. Patches are drawn where clips change, scaled to the same
+    brightness, turned, mirrored and reversed in time. Atom 0 is the constant patch, and stays.
+
+    Both learn equally well. On patches of clips of leaves that they have not seen, 512 atoms leave 0.1781
+    of the rms by MOD and 0.1783 by K-SVD after 12 alternations on 15,000 patches, 1024 atoms 0.1687 and
+    0.1685 after 10 on 30,000; these decode moving photographs equally well, to 0.01 dB. On a core, the
+    codes took 0.8 and 3.1 s an alternation, MOD's update 0.5 and 2.1 s, K-SVD's 0.3 and 0.7 s.
+
+    Parameters
+    ----------
+    clips : sequence of ndarray of shape (slot, v, u), float32
+        Mean light in each slot, any scale; at least ``slots`` slots and ``patch`` pixels each.
+    rng : numpy.random.Generator
+        Draws patches, turns and first atoms.
+    n_atoms, patch, slots : int
+        Size of the dictionary.
+    n_patches, atoms_per_patch, iterations : int
+        Effort: training patches (30 an atom unless told), cap of the sparse codes, alternations.
+    method : {"mod", "ksvd"}
+        How atoms are updated: all at once by least squares, or one after the other with their coefficients.
+    provenance : Mapping, optional
+        What to remember about the clips.
+    checkpoint : Path, optional
+        File in which the state is kept after each alternation, and from which the same learning goes on: with
+        the same result as without a stop, to the bit where the machine and its number of threads are the
+        same. The caller removes it in the end.
+    progress : Progress
+        Told after each alternation.
+
+    Raises
+    ------
+    ValueCheckError
+        When a clip is too small, or there is too little to learn from.
+    """
+    wanted = _PATCHES_AN_ATOM * n_atoms if n_patches is None else n_patches
+    signals = training_patches(clips, rng, patch, slots, wanted)
+    if len(signals) < 2 * n_atoms:
+        raise ValueCheckError(
+            f"training: got {len(signals)} usable patches, expected at least {2 * n_atoms} "
+            f"for {n_atoms} atoms"
+        )
+    constant = np.ones((1, signals.shape[1]), np.float32)
+    first = rng.choice(len(signals), n_atoms - 1, replace=False)
+    detail = signals[first] - signals[first].mean(axis=1, keepdims=True)
+    atoms = unit(np.concatenate([constant, detail]))
+    kept = open_checkpoint(checkpoint, signals, method, n_atoms, patch, slots, atoms_per_patch, iterations)
+    atoms, error = learn_atoms(signals, atoms, atoms_per_patch, iterations, method, kept, progress)
+    record = {
+        "method": _NAMES[method],
+        "atoms_per_patch": atoms_per_patch,
+        "iterations": iterations,
+        "patches": len(signals),
+        "relative_rms_error": error,
+        **(provenance or {}),
+    }
+    return Dictionary(atoms.reshape(n_atoms, patch, patch, slots), record)
+
+
+def learn_atoms(
+    signals: Floats,
+    atoms: Floats,
+    cap: int,
+    iterations: int,
+    method: Method,
+    kept: Checkpoint,
+    progress: Progress = silent,
+) -> tuple[Floats, float]:
+    """Alternate sparse codes and updates of the atoms.
+
+    Parameters
+    ----------
+    signals : ndarray of shape (n, e), float32
+        What to learn from.
+    atoms : ndarray of shape (k, e), float32
+        First ones, of unit length; the first of all stays.
+    cap : int
+        Atoms that a code has at most.
+    iterations, method, progress
+        As of :func:`train_dictionary`.
+    kept : Checkpoint
+        Where the state is kept after each alternation, and begins if there is one.
+
+    Returns
+    -------
+    atoms : ndarray of shape (k, e), float32
+        Of unit length.
+    error : float
+        Rms of what the last codes left, relative to the signals; 0 without any.
+    """
+    energy = (signals.astype(np.float64) ** 2).sum()
+    done, (atoms, error) = kept.read("atoms", "error") or (0, [atoms, np.zeros(())])
+    progress("train", done, iterations)
+    for step in range(done, iterations):
+        support, amounts, left = _code(signals, atoms, cap)
+        error = np.asarray(np.sqrt(left.sum() / energy))
+        if method == "ksvd":
+            learned, _ = k_svd_atoms(signals, atoms, support, amounts)
+        else:
+            learned = least_squares_atoms(signals, atoms, support, amounts)
+        uses = np.bincount(support[support >= 0], minlength=len(atoms))
+        atoms = unit(renewed(learned, uses, signals, left))
+        kept.write(step + 1, atoms=atoms, error=error)
+        progress("train", step + 1, iterations)
+    return atoms, float(error)
+
+
+def _code(signals: Floats, atoms: Floats, cap: int) -> tuple[Ints, Floats, Floats]:
+    """Sparse codes and squared residuals of all signals."""
+    gram = np.ascontiguousarray(atoms @ atoms.T)
+    support = np.empty((len(signals), cap), np.int64)
+    amounts = np.empty((len(signals), cap), np.float32)
+    left = np.empty(len(signals), np.float32)
+    for first in range(0, len(signals), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        block = signals[part]
+        products = np.ascontiguousarray(block @ atoms.T)
+        pursue_products(products, gram, support[part], amounts[part])
+        codes = dense(support[part], amounts[part], len(atoms))
+        left[part] = ((block - codes @ atoms) ** 2).sum(axis=1)
+    return support, amounts, left
