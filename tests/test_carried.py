@@ -7,7 +7,7 @@ from optsim.core.cache import Cache
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
-from optsim.render.carried import Key, between, filled, seen_at
+from optsim.render.reprojection import Key, between, filled, seen_at
 from optsim.render.stage import Looks, Stage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal

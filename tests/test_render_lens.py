@@ -11,11 +11,11 @@ from optsim.core.cache import Cache
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_passes, render_truth
 from optsim.render.backend import activate
-from optsim.render.carried import Key
 from optsim.render.footprint import path_px, project
 from optsim.render.gbuffer import sample_rays
 from optsim.render.lens import distorted, ideal, margin_px, touched, undistorted
 from optsim.render.plan import Plan, seed_of
+from optsim.render.reprojection import Key
 from optsim.render.stage import Stage
 from optsim.scene import Scene
 

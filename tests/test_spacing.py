@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optsim.render.spacing import Trial, assumed
-from optsim.render.tracks import Density, Track
+from optsim.render.pose_sampling import Trial, assumed
+from optsim.render.trajectories import Density, Track
 
 N_INSTANTS, N_STEPS, N_KEYS, WAY_PX = 6, 48, 12, 24.0
 MASK = np.ones((8, 32), np.bool_)
