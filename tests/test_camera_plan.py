@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optsim.camera.plan import SHORT_CUTS, Coarser, plan_camera
 
 from optsim.camera.effect_sizes import effect_sizes
 from optsim.camera.effects import ALL, changed, switched, with_effects
 from optsim.camera.hardware import demo, prototype
 from optsim.camera.parts import Modulator, Objective
 from optsim.camera.parts.objective import MOVING_WING_SHARE
-from optsim.camera.plan import SHORT_CUTS, Coarser, plan_camera
 from optsim.camera.probe import (
     NOTHING,
     PLAIN,

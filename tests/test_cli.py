@@ -8,10 +8,10 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+from optsim.camera.plan import SHORT_CUTS
 from rich.console import Console
 
 from optsim.app.cli import main
-from optsim.camera.plan import SHORT_CUTS
 from optsim.experiment.experiment import load_experiment
 from optsim.experiment.explain import explanation, show
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optsim.camera.plan import plan_camera
 from scipy.special import ndtr
 
 from optsim.camera.effect_sizes import effect_sizes
 from optsim.camera.effects import changed, with_effects
 from optsim.camera.hardware import demo
-from optsim.camera.plan import plan_camera
 from optsim.camera.probe import Illumination, compared_with
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Block, ExposureCode, Segment, Video

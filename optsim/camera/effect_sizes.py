@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
-"""How much each imperfection changes a frame, predicted on small probes before anything is rendered."""
+"""How much each imperfection changes a frame, predicted on a small probe before anything is rendered."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from optsim.camera.effects import ALL, Changes, Effect, switched
-from optsim.camera.probe import NOTHING, PLAIN, Probe, Probes, compared_with, shown_on
+from optsim.camera.probe import NOTHING, PLAIN, Probe, compared_with
 from optsim.optics.bands import one_thread
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
@@ -44,12 +44,12 @@ class EffectSize:
 
 
 @one_thread()
-def effect_sizes(probes: Probes, drift: Drift = NO_DRIFT) -> list[EffectSize]:
-    """Predict the size of every effect that probes show, and of each key of a drift.
+def effect_sizes(probe: Probe, drift: Drift = NO_DRIFT) -> list[EffectSize]:
+    """Predict the size of every effect that the probe shows, and of each key of a drift.
 
     Parameters
     ----------
-    probes : Probes
+    probe : Probe
         Of the camera as it was calibrated.
     drift : mapping
         Key -> what of the probe's camera has changed since, or None where no probe tells.
@@ -58,17 +58,17 @@ def effect_sizes(probes: Probes, drift: Drift = NO_DRIFT) -> list[EffectSize]:
     for changes in filter(None, drift.values()):
         for part, fields in changes.items():
             together[part] = {**together.get(part, {}), **fields}
-    sizes = [size_of(name, probes, together) for name, effect in ALL.items() if not effect.in_scene]
-    return sizes + [_size_of_drift(key, probes, changes) for key, changes in drift.items()]
+    sizes = [size_of(name, probe, together) for name, effect in ALL.items() if not effect.in_scene]
+    return sizes + [_size_of_drift(key, probe, changes) for key, changes in drift.items()]
 
 
-def size_of(name: str, probes: Probes, drift: Changes = NOTHING) -> EffectSize:
+def size_of(name: str, probe: Probe, drift: Changes = NOTHING) -> EffectSize:
     """Predict the size of one effect that is not in the scene, of a drift of the probe's camera."""
-    effect, near = ALL[name], probes.near
+    effect = ALL[name]
     if effect.drifts:
-        return largest(name, probes.sizes(_drifting(effect, drift), PLAIN))
-    against = near.mapping if _moves_pixels(effect, near) else compared_with(name)
-    return largest(name, probes.sizes(switched({name: "ideal"}), against, shown_on(name)))
+        return largest(name, probe.sizes(_drifting(effect, drift), PLAIN))
+    against = probe.mapping if _moves_pixels(effect, probe) else compared_with(name)
+    return largest(name, probe.sizes(switched({name: "ideal"}), against))
 
 
 def largest(effect: str, sizes: Iterable[tuple[float, str]], what: str = "") -> EffectSize:
@@ -89,29 +89,29 @@ def _drifting(effect: Effect, drift: Changes) -> Changes:
     }
 
 
-def _size_of_drift(key: str, probes: Probes, changes: Changes | None) -> EffectSize:
+def _size_of_drift(key: str, probe: Probe, changes: Changes | None) -> EffectSize:
     """Predict the size of one key of a drift; unknown where a probe's frame stays as it is."""
     part, _, name = key.rpartition(".")
     what = "change since the calibration, by itself"
     if changes is None:
         return EffectSize(f"drift.{key}", what, None)
-    # An effect that changes the same field says on which probe it is seen.
+    # Of an effect that changes the same field it is known whether no change is an answer.
     same = next((e for e, effect in ALL.items() if name in effect.pessimistic.get(part, {})), "")
-    found = largest(f"drift.{key}", probes.sizes(changes, PLAIN, shown_on(same)), what)
+    found = largest(f"drift.{key}", probe.sizes(changes, PLAIN), what)
     shown = found.size or (ALL[same].drifts if same else False)
     return found if shown else EffectSize(found.effect, what, None)
 
 
-def size_of_defocus(probes: Probes, blur_px: float) -> EffectSize:
+def size_of_defocus(probe: Probe, blur_px: float) -> EffectSize:
     """Say how much a disc of confusion, of a diameter in panel pixels, changes, were all of the scene so.
 
     A Gaussian of the disc's variance stands for it, as part of the objective's own. The PSF is taken as the
     same all over the field: what interpolating it misplaces depends on the blur, and would count as defocus.
     """
-    lens, diameter_px = probes.near.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
-    sigma_m = diameter_px / 4 * probes.near.camera.modulator.pitch_m
+    lens, diameter_px = probe.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
+    sigma_m = diameter_px / 4 * probe.camera.modulator.pitch_m
     blurred = {"objective": {"aberration_m": float(np.hypot(lens.aberration_m, sigma_m))}}
-    return largest("depth_of_field", probes.sizes(blurred, PLAIN))
+    return largest("depth_of_field", probe.sizes(blurred, PLAIN))
 
 
 def _moves_pixels(effect: Effect, probe: Probe) -> bool:

@@ -140,7 +140,7 @@ class Experiment(Part):
         Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
     tolerance
         Error that leaving out what the scene doesn't need may make in a frame, rms, relative to the frame's
-        noise; 0 models everything (see :mod:`optsim.camera.plan`).
+        noise; 0 models everything (see :mod:`optsim.camera.skip`).
     calibration
         What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
         (the simulator's own parameters), ``ideal`` (the paper's equations), or the path of a

@@ -14,8 +14,8 @@ from optsim.optics.radiometry import photons_per_joule
 if TYPE_CHECKING:
     from optsim.camera.camera import CodedCamera
     from optsim.camera.effect_sizes import EffectSize
-    from optsim.camera.plan import CameraPlan
-    from optsim.camera.probe import Probes
+    from optsim.camera.probe import Probe
+    from optsim.camera.skip import Skipping
     from optsim.experiment.focus import Focus
 
 Row = tuple[str, object, str]
@@ -37,12 +37,13 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         and effects and plan, which are found by taking pictures, are left out.
     """
     from optsim.camera.effect_sizes import effect_sizes
-    from optsim.camera.plan import plan_camera
-    from optsim.camera.probe import drifted_as_far, shrunk
+    from optsim.camera.effects import changed
+    from optsim.camera.probe import PLAIN, drifted_as_far, make_probe, shrunk
+    from optsim.camera.skip import leave_out
     from optsim.core.errors import GeometryError
     from optsim.experiment.densities import densities, mosaics
     from optsim.experiment.experiment import load_experiment
-    from optsim.experiment.truth import describe_truth, illumination, scene_light
+    from optsim.experiment.truth import describe_truth, given, scene_light
     from optsim.metrics import first_steady
 
     misfit = None
@@ -53,14 +54,15 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         experiment = load_experiment(name_or_path, assignments, check_geometry=False)
     camera = experiment.camera
     truth, light = describe_truth(experiment), scene_light(experiment)
-    plan = None
-    if not misfit:
-        plan = plan_camera(camera, illumination(experiment), experiment.schemes, experiment.tolerance)
+    skipping = probe = None
     found: list[EffectSize] = []
-    if plan:
-        in_scene = scene_effects(plan.probes, truth.focus, polarised=light.azimuth_rad is not None)
+    if not misfit:
+        facts = given(experiment)
+        skipping = leave_out(facts, experiment.tolerance)
+        probe = make_probe(changed(skipping.camera, PLAIN), facts.light, experiment.schemes)
+        in_scene = scene_effects(probe, truth.focus, polarised=light.azimuth_rad is not None)
         drift = drifted_as_far(camera, experiment.at_work(), shrunk(camera))
-        found = sorted([*effect_sizes(plan.probes, drift), *in_scene], key=_unknown_last)
+        found = sorted([*effect_sizes(probe, drift), *in_scene], key=_unknown_last)
     latency = camera.smallest_latency_frames()
     levels = {"mid-grey": MID_GREY * truth.white_w_m2_sr, "white": truth.white_w_m2_sr}
     return {
@@ -89,9 +91,9 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         "densities": {name: densities(camera, each) for name, each in mosaics(experiment).items()},
         "drift": experiment.drift,
-        "noise_e": plan.probes.noise_e if plan else None,
+        "noise_e": probe.noise_e if probe else None,
         "effects": [asdict(each) for each in found],
-        "plan": plan_record(plan) if plan else None,
+        "plan": plan_record(skipping) if skipping else None,
         "not_planned": not_planned(1 if experiment.source else experiment.render.instants_per_slot),
     }
 
@@ -106,12 +108,12 @@ def too_short(n_frames: int, latency_frames: int) -> str:
     return f"{n_frames} coded frames end before the steady phase: take {steady + 1} or more (n_frames)"
 
 
-def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
+def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
     """Say how large the effects are that act where light is rendered, as far as that is known before.
 
     Parameters
     ----------
-    probes : Probes
+    probe : Probe
         Of the camera.
     focus : Focus or None
         What the lens does to the scene; None of footage, which has been through a lens already.
@@ -130,7 +132,7 @@ def scene_effects(probes: Probes, focus: Focus | None, *, polarised: bool) -> li
         what["objective_distortion"] += f": {corner_px:.2g} panel pixels in the corners"
     rendered = {"objective_distortion": bool(corner_px), "polarised_scene": polarised}
     return [
-        replace(size_of_defocus(probes, blur_px), what=what["depth_of_field"]),
+        replace(size_of_defocus(probe, blur_px), what=what["depth_of_field"]),
         *(EffectSize(name, what[name], None if there else 0.0) for name, there in rendered.items()),
     ]
 
@@ -179,12 +181,12 @@ def contrast_budget(camera: CodedCamera) -> list[dict[str, Any]]:
     ]
 
 
-def plan_record(plan: CameraPlan) -> dict[str, Any]:
-    """Turn a plan into what ``--json`` and a run's results hold."""
+def plan_record(skipping: Skipping) -> dict[str, Any]:
+    """Turn what is left out into what ``--json`` and a run's results hold."""
     return {
-        "tolerance": plan.tolerance,
-        "predicted": plan.predicted,
-        "choices": [asdict(choice) for choice in plan.choices],
+        "tolerance": skipping.tolerance,
+        "bound": skipping.bound,
+        "choices": [asdict(choice) for choice in skipping.choices],
     }
 
 
@@ -322,9 +324,9 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
     noises = "; ".join(f"{name} {all_e:.3g} ({light_e:.3g})" for name, (all_e, light_e) in noise_e.items())
     return [
         table(
-            "what each imperfection changes in a frame of small probes that show the codes of this "
-            "experiment, rms, in units of the frame's noise, for the method of which it is largest. Noise, "
-            f"e-, and what of it is the light's own and has no switch: {noises}",
+            "what each imperfection changes in a frame, rms, in units of the frame's noise, for the method of "
+            "which it is largest. Predicted on a small made scene, good to a factor of three. Noise, e-, and "
+            f"what of it is the light's own and has no switch: {noises}",
             ("effect", "size in noise", "of", "what it is"),
             [
                 (
@@ -337,9 +339,9 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
             ],
         ),
         table(
-            f"plan: what is left out, or coarser, adds up to {plan['predicted']:.2g} of a frame's noise "
-            f"at most (tolerance {plan['tolerance']:g})",
-            ("what", "modelled how", "error in noise", "what it is"),
-            [(c["short_cut"], c["choice"], c["size"], c["what"]) for c in plan["choices"]],
+            f"what is left out: at most {plan['bound']:.2g} of a frame's noise (tolerance "
+            f"{plan['tolerance']:g})",
+            ("what", "left out", "error in noise", "what it is", "saves"),
+            [(c["skip"], c["skipped"], c["bound"], c["what"], c["saves"]) for c in plan["choices"]],
         ),
     ]

@@ -21,7 +21,7 @@ from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.bench_calibration import bench_calibration
 from optsim.camera.camera import CodedCamera
 from optsim.camera.laboratory import measure_bench
-from optsim.camera.plan import CameraPlan, plan_camera
+from optsim.camera.skip import Skipping, leave_out
 from optsim.camera.true_calibration import ideal_calibration, kept_calibration, true_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
@@ -35,7 +35,7 @@ from optsim.core.quantities import (
 )
 from optsim.experiment.experiment import Experiment, Method
 from optsim.experiment.journal import NOTHING_KEPT, Journal
-from optsim.experiment.truth import illumination
+from optsim.experiment.truth import given
 from optsim.optics.integrate import cell_means
 
 Frames = dict[str, tuple[CodedFrame, ...]]
@@ -78,10 +78,10 @@ class LightLevel:
     saturation_dn: float
 
 
-def planned(experiment: Experiment) -> tuple[Experiment, CameraPlan]:
-    """Return the experiment with its camera modelled as finely as its tolerance asks for, and the plan."""
-    plan = plan_camera(experiment.camera, illumination(experiment), experiment.schemes, experiment.tolerance)
-    return experiment.model_copy(update={"camera": plan.camera}), plan
+def planned(experiment: Experiment) -> tuple[Experiment, Skipping]:
+    """Return the experiment with a camera that models what its tolerance asks for, and what is left out."""
+    skipping = leave_out(given(experiment), experiment.tolerance)
+    return experiment.model_copy(update={"camera": skipping.camera}), skipping
 
 
 def set_light(
@@ -295,7 +295,7 @@ class Result:
     ----------
     experiment : Experiment
         As run: its camera is the planned one.
-    plan : CameraPlan
+    plan : Skipping
         What is modelled how finely, and what is skipped.
     camera : CodedCamera
         With the neutral density that the light rule chose.
@@ -314,7 +314,7 @@ class Result:
     """
 
     experiment: Experiment
-    plan: CameraPlan
+    plan: Skipping
     camera: CodedCamera
     light: LightLevel
     calibrations: Calibrations

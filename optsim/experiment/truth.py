@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from optsim.camera.probe import WHITE_OVER_INTERIOR, Illumination
+from optsim.camera.skip import Given
 from optsim.core.cache import Cache
 from optsim.core.errors import BackendError, ConfigError
 from optsim.core.progress import Progress, silent
@@ -195,6 +196,22 @@ def illumination(experiment: Experiment) -> Illumination:
         lights = [BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)]
     light = experiment.light
     return Illumination(white_w_m2_sr, light.percentile, light.saturation_share, tuple(lights))
+
+
+def given(experiment: Experiment) -> Given:
+    """Collect what decides what an experiment leaves out, without rendering."""
+    light = illumination(experiment)
+    if experiment.scene is None:
+        return Given(experiment.camera, light)
+    scene, focus = chosen_scene(experiment), describe_truth(experiment).focus
+    return Given(
+        experiment.camera,
+        light,
+        change=scene.kind_of_change(),
+        flickers=any(lamp.lit and lamp.flicker for lamp in scene.lamps.values()),
+        polarised=scene_light(experiment).azimuth_rad is not None,
+        focused=focus is not None and focus.choice != "modelled",
+    )
 
 
 def chosen_scene(experiment: Experiment) -> Scene:

@@ -105,13 +105,13 @@ class SceneFacts(TypedDict):
 
 @with_config(_STRICT)
 class PlanChoice(TypedDict):
-    """How finely one thing was modelled; ``size`` is the rms error predicted, relative to a frame's noise."""
+    """Whether one thing was left out; ``bound`` is the most that a frame errs, rms, relative to its noise."""
 
-    short_cut: str
+    skip: str
     what: str
-    choice: str
-    full: bool
-    size: float
+    saves: str
+    skipped: bool
+    bound: float
 
 
 @with_config(_STRICT)
@@ -119,7 +119,7 @@ class Plan(TypedDict):
     """What was left out of the camera's model, and what that costs at most, relative to a frame's noise."""
 
     tolerance: float
-    predicted: float
+    bound: float
     choices: list[PlanChoice]
 
 

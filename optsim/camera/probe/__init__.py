@@ -1,24 +1,12 @@
-"""Small cameras that stand for a large one, and what a change of the camera does to their frames."""
+"""A small camera and a made scene, by which the sizes of effects are known before anything is rendered."""
 
-from optsim.camera.probe.frames import (
-    FINEST_FIELD,
-    NOTHING,
-    PLAIN,
-    Probe,
-    Probes,
-    Which,
-    compared_with,
-    shown_on,
-)
+from optsim.camera.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, compared_with, cone_and_sample
 from optsim.camera.probe.made_code import Schemes
 from optsim.camera.probe.made_scene import WHITE_OVER_INTERIOR
-from optsim.camera.probe.small_cameras import (
+from optsim.camera.probe.small_camera import (
     Illumination,
     drifted_as_far,
-    far_pixel,
-    far_probe,
-    make_probes,
-    near_probe,
+    make_probe,
     share_beyond_window,
     shrunk,
 )
@@ -30,16 +18,11 @@ __all__ = [
     "WHITE_OVER_INTERIOR",
     "Illumination",
     "Probe",
-    "Probes",
     "Schemes",
-    "Which",
     "compared_with",
+    "cone_and_sample",
     "drifted_as_far",
-    "far_pixel",
-    "far_probe",
-    "make_probes",
-    "near_probe",
+    "make_probe",
     "share_beyond_window",
-    "shown_on",
     "shrunk",
 ]

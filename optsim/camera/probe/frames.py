@@ -3,7 +3,7 @@
 
 The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
 frame's predicted noise; noise that it brings adds in squares. What a calibration takes out again, such as
-shading, counts in full. There is a frame for each of some schemes, and the largest size counts.
+shading, counts in full. There is a frame for each scheme, and the largest size counts.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,10 +24,10 @@ from optsim.core.quantities import Bools, Doubles, Floats, RadianceVideo
 T = TypeVar("T")
 
 NOTHING: Changes = {}
-# Probes of a plan mix the rims of panel pixels, let PSFs be the same all over the field and wings of moving
-# light be coarse, which saves most of their time and changes other sizes by at most a sixth for the nominal
-# camera (the sensor's bend by a quarter), a third for a pessimistic one. Only what asks for one of these is
-# compared with it whole, by the names of effects and short cuts.
+# Probes mix the rims of panel pixels, let PSFs be the same all over the field and far light of movers follow
+# straight lines, which saves most of their time and changes other sizes by at most a sixth for the nominal
+# camera (the sensor's bend by a quarter), a third for a pessimistic one. Effects that are about these are
+# compared with a model that has them.
 PLAIN: Changes = {
     "modulator": {"rim_model": "mixed"},
     "objective": {"field_error": 1.0, "moving_wing_share": MOVING_WING_SHARE},
@@ -42,33 +42,16 @@ _WHOLE: dict[str, Changes] = {
     "fringing": _RIMS,
     "response": _RIMS,
     "fields": _RIMS,
-    "fringing_rims": {"modulator": {"rim_model": "fine"}},
-    "moving_wings": {"objective": {"moving_wing_share": 0.0}},
     "objective_blur": _OBJECTIVE,
-    "objective_field": _OBJECTIVE,
     "relay_blur": _RELAY,
-    "relay_field": _RELAY,
 }
 MARGIN_PX = 4
 """CCD pixels around a small panel's image, by as many of which pixels may be moved."""
-Which = Literal["near", "far"]
-# What lands all over the picture has no room on a near probe; a ghost may be as wide.
-_SHOWN: dict[str, tuple[Which, ...]] = {
-    "objective_glare": ("far",),
-    "relay_glare": ("far",),
-    "smear": ("far",),
-    "ghost": ("near", "far"),
-}
 
 
 def compared_with(name: str) -> Changes:
-    """Return what an effect or short cut is compared with: nothing, or what a plain probe lacks."""
+    """Return what an effect is compared with: nothing, or what a plain probe lacks."""
     return _WHOLE.get(name, NOTHING)
-
-
-def shown_on(name: str) -> tuple[Which, ...]:
-    """Return which probes tell the size of an effect: the largest is it."""
-    return _SHOWN.get(name, ("near",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +77,6 @@ class Probe:
     schemes: Schemes
     lamp_px: float
     mapping: Changes = field(default_factory=dict[str, dict[str, float]])
-
-    @property
-    def parts(self) -> int:
-        """Parts of a frame, in one of which something moves."""
-        return self.radiance.n_slots // self.radiance.slots_per_segment
 
     # Most changes leave most of what a frame is made from as it is.
     @cached_property
@@ -154,47 +132,29 @@ class Probe:
         dark, less = (changed(self.camera, each).sensor.dark_noise_e ** 2 for each in (of, more))
         return float(np.sqrt(np.mean((whole - without)[both] ** 2) + abs(dark - less)))
 
-    def noise_e(self, scheme: str) -> tuple[float, float]:
-        """Noise of the frame, rms, electrons: all of it, and what of it is the light's own.
+    def sizes(self, changes: Changes, of: Changes = NOTHING) -> Iterator[tuple[float, str]]:
+        """Rms difference that changes make to a frame with the changes ``of``, over the frame's noise.
+
+        One for each scheme, with its name. Infinite where every pixel clips, with the changes or without.
+        """
+        for scheme, (noise_e, _) in self.noise_e.items():
+            yield self.change_e(changes, of, scheme) / noise_e, scheme
+
+    @cached_property
+    def noise_e(self) -> dict[str, tuple[float, float]]:
+        """Noise of a frame, rms, electrons, by its scheme: all of it, and what of it is the light's own.
 
         Of a frame that has no pixels or clips in all of them, it is that of the dark.
         """
+        return {scheme: self._noise_e(scheme) for scheme in self.schemes}
+
+    def _noise_e(self, scheme: str) -> tuple[float, float]:
         whole, usable = self._whole(NOTHING, scheme)
         light = float(np.mean(whole[usable])) if usable.any() else 0.0
         return (light + self.camera.sensor.dark_noise_e**2) ** 0.5, light**0.5
 
     def _whole(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
         return self._once(("frame", repr(changes), scheme), lambda: self.frame(changes, scheme))
-
-
-@dataclass(frozen=True, eq=False)
-class Probes:
-    """Both probes of a camera.
-
-    Parameters
-    ----------
-    near, far : Probe
-        Of the same pixels and of the same panel, with the same schemes.
-    """
-
-    near: Probe
-    far: Probe
-
-    def sizes(
-        self, changes: Changes, of: Changes = NOTHING, on: tuple[Which, ...] = ("near",)
-    ) -> Iterator[tuple[float, str]]:
-        """Rms difference that changes make to a frame with the changes ``of``, over the frame's noise.
-
-        One for each scheme, with its name, found when it is asked for: the larger one, if on both probes.
-        Infinite where every pixel clips, with the changes or without.
-        """
-        for scheme, (noise_e, _) in self.noise_e.items():
-            yield max(getattr(self, which).change_e(changes, of, scheme) for which in on) / noise_e, scheme
-
-    @cached_property
-    def noise_e(self) -> dict[str, tuple[float, float]]:
-        """Noise of a frame, rms, electrons, by its scheme: all of it, and what of it is the light's own."""
-        return {scheme: self.far.noise_e(scheme) for scheme in self.far.schemes}
 
 
 def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:

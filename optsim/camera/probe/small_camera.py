@@ -1,13 +1,11 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""Small cameras that stand for a large one.
+"""A small camera that stands for a large one.
 
-The *near* probe has fewer pixels of the same size, its focal lengths shortened with the panel: field angles,
-blur in pixels and light per pixel stay as they are. The *far* probe has as few pixels, but larger ones, and
-sees the whole panel: on it light is as far from its source as in truth. The neutral density of both follows
-the experiment's light rule.
+It has fewer pixels of the same size, its focal lengths shortened with the panel: field angles, blur in pixels
+and light per pixel stay as they are. Its neutral density follows the experiment's light rule.
 
-A near probe's image lies in the middle and is, relatively, as little distorted as the camera's, so that its
-few pixels are hardly moved. ``mapping`` moves them as far.
+Its image lies in the middle and is, relatively, as little distorted as the camera's, so that its few pixels
+are hardly moved. ``mapping`` moves them as far.
 """
 
 from __future__ import annotations
@@ -20,11 +18,10 @@ import numpy as np
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ITSELF, Changes, changed
 from optsim.camera.parts.lens import LARGEST_WING_SHARE
-from optsim.camera.probe.frames import MARGIN_PX, Probe, Probes, cone_and_sample
-from optsim.camera.probe.made_code import Schemes, telling
+from optsim.camera.probe.frames import MARGIN_PX, Probe, cone_and_sample
+from optsim.camera.probe.made_code import Schemes
 from optsim.camera.probe.made_scene import made_scene
 from optsim.core.config import Part
-from optsim.optics.aberrations import Wavefront
 from optsim.optics.psf import share_beyond
 from optsim.scene import BrightLight
 
@@ -33,10 +30,6 @@ _COLS = 40
 _NEAR_WINGS = 1e-3
 # Side of a lamp that lenses spread about as far as it reaches, fine samples; by trial.
 _POINT = 5.0
-_SHARP: Changes = {
-    "objective": {"wavefront": Wavefront()},
-    "relay": {"wavefront": Wavefront(), "defocus_m": 0.0},
-}
 _SHIFTS = ("shift_y_px", "shift_x_px")
 # Of digital numbers: a probe's frame is of electrons.
 _CONVERTER = ("gain_e", "black_dn", "bits", "finer_bits")
@@ -69,14 +62,12 @@ class Illumination:
         return self.lights[0] if self.lights else None
 
 
-def make_probes(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probes:
-    """Both probes of a camera, with those of some schemes that tell most."""
-    schemes = telling(schemes, shrunk(camera))
-    return Probes(near_probe(camera, light, schemes), far_probe(camera, light, schemes))
-
-
-def near_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
-    """Probe of the same pixels, but fewer, that sees the same field angles; far wings would leave it."""
+def make_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
+    """Make the probe of a camera, for each of some schemes that differ; far wings would leave its panel."""
+    different: dict[str, str] = {}
+    for name, scheme in schemes.items():
+        different.setdefault(scheme.model_dump_json(), name)
+    schemes = {name: schemes[name] for name in different.values()}
     small = shrunk(camera)
     lamp_px, light = _lamp_px(camera, light), _as_much(camera, small, light)
     lit = _lit(changed(small, _window_within(small)), light, schemes, lamp_px)
@@ -185,42 +176,15 @@ def _within(value: float, limit: float) -> float:
     return float(np.clip(value, -limit, limit))
 
 
-def far_pixel(camera: CodedCamera) -> int:
-    """Side of a far probe's pixel, panel pixels."""
-    return -(-camera.panel_cols // _COLS)
-
-
-def far_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
-    """Probe of larger pixels, but fewer, that sees the whole panel: what blurs within one is left out."""
-    times = far_pixel(camera)
-    panel, sensor = camera.modulator, camera.sensor
-    larger = camera.model_copy(
-        update={
-            "panel_rows": max(1, camera.panel_rows // times),
-            "panel_cols": camera.panel_cols // times,
-            "modulator": panel.model_copy(
-                update={
-                    "rows": max(1, panel.rows // times),
-                    "cols": panel.cols // times,
-                    "pitch_m": panel.pitch_m * times,
-                }
-            ),
-            "relay": camera.relay.model_copy(update={"ghost_blur_px": camera.relay.ghost_blur_px / times}),
-            "sensor": sensor.model_copy(update={"pitch_m": sensor.pitch_m * times}),
-        }
-    )
-    return _lit(changed(shrunk(larger), _SHARP), light, schemes, _lamp_px(camera, light), times)
-
-
-def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, lamp_px: float, times: int = 1) -> Probe:
-    """Probe behind the density of the light rule; pixels ``times`` as large get no more light for it."""
+def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, lamp_px: float) -> Probe:
+    """Probe behind the density of the light rule."""
     radiance = made_scene(camera, light.white_w_m2_sr, light.bright)
     share = 1 - light.bright.share if light.bright else 1.0
     # Of the interior: a bright light, where there is one, is the brightest part.
     bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
-    nd = min(1.0, light.saturation_share * camera.sensor.most_e / (all_on / times**2))
-    return Probe(camera.with_nd(nd / times**2), radiance, schemes, lamp_px)
+    nd = min(1.0, light.saturation_share * camera.sensor.most_e / all_on)
+    return Probe(camera.with_nd(nd), radiance, schemes, lamp_px)
 
 
 def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
