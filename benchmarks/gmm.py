@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.made_film import made_film, photograph
 from optsim.calibration.calibration import Calibration
 from optsim.camera.hardware import prototype
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bools, CodedFrame, Doubles, ExposureCode

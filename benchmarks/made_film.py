@@ -3,7 +3,7 @@
 """A made film of textured discs that move over a textured ground, and exposures of it.
 
 No prior was trained on it, but it is of the kind that the shipped mixture learned from: moving leaves
-(:mod:`optsim.scene.moving_leaves`), there with photographs and patterns for textures; the shipped dictionary
+(:mod:`optsim.scene.dead_leaves`), there with photographs and patterns for textures; the shipped dictionary
 learned from renders of ``scenes/training_mix``. Ground and discs are dead leaves (A. B. Lee, D. Mumford and
 J. Huang, Int. J. Comput. Vis. 41, 35 (2001)): flat patches of many sizes that hide each other, whose edges
 are as sharp as the pixels.

@@ -21,15 +21,15 @@ import numpy as np
 from benchmarks.crossing import Crossing
 from benchmarks.made_film import exposed
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import noise_variance
+from optsim.calibration.demixed import noise_variance
 from optsim.camera.hardware import prototype
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import MotionAdaptive, RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode, Floats
 from optsim.decoding import GaussianMixture, Union
 from optsim.metrics import MaskAgreement, mask_agreement, oracle_moving, pooled_agreement
-from optsim.optics.neighbourhoods import grown
+from optsim.optics.neighbourhoods import dilated
 
 SPEEDS_PX = (0.25, 0.5, 1.0, 2.0, 4.0)
 LATENCIES = (1, 2, 3)
@@ -189,5 +189,5 @@ def _random(calibration: Calibration, light: Floats, index: int, oracle: Bools, 
     """Expose everything at random, but ask only for the surroundings of what moves."""
     scheme = RandomExposure()
     code, _ = scheme.next(index, [], scheme.init(calibration, np.random.default_rng(seed)))
-    asked = ExposureCode(code.levels, grown(oracle, _RADIUS_PX))
+    asked = ExposureCode(code.levels, dilated(oracle, _RADIUS_PX))
     return exposed(calibration, index, asked, light, np.random.default_rng([seed, index]))

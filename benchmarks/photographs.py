@@ -23,12 +23,12 @@ from skimage import color, io, transform, util
 from benchmarks.made_film import made_film
 from benchmarks.quality import psnr_db
 from optsim.camera.hardware import prototype
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
 from optsim.decoding import Average, GaussianMixture, Interpolation, SparseCoding, TotalVariation
-from optsim.decoding.layer import Branch
+from optsim.decoding.partial import PartialDecoder
 from optsim.experiment.measurement import Measurement, Sensor, coded_measurement
 
 NAMES = (
@@ -40,7 +40,7 @@ _SIDE, _FULL, _NOISE = 128, 255, 1.0
 _DETAIL = 2 * _SIDE
 
 
-def decoders() -> dict[str, Branch]:
+def decoders() -> dict[str, PartialDecoder]:
     """Name the decoders as the record does."""
     sparse, mixture = SparseCoding(stride_px=2), GaussianMixture(stride_px=2)
     return {

@@ -17,18 +17,18 @@ import numpy as np
 
 from benchmarks.made_film import made_film, photograph
 from optsim.camera.hardware import prototype
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
 from optsim.decoding import Average, GaussianMixture, Interpolation, SparseCoding, TotalVariation
-from optsim.decoding.layer import Branch
+from optsim.decoding.partial import PartialDecoder
 
 _SIDE = 256
 _ROUNDS = 2
 
 
-def decoders() -> list[tuple[str, str, Branch]]:
+def decoders() -> list[tuple[str, str, PartialDecoder]]:
     """Every decoder for any code, over what trades its time for quality: (line, setting, decoder)."""
     strides, atoms, rounds = (4, 2, 1), (3, 5, 10, 20), (15, 30, 60)
     sparse = [("sparse_coding", f"stride {n}", SparseCoding(stride_px=n)) for n in strides]

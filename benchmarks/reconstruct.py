@@ -18,7 +18,7 @@ from scipy import ndimage
 from benchmarks.made_film import photograph
 from optsim.calibration.calibration import Calibration
 from optsim.camera.hardware import prototype
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import CodedFrame, ExposureCode, Floats

@@ -9,7 +9,7 @@ from benchmarks import capture, gmm, made_film, photographs, quality
 from benchmarks.axes import Axes, even_numbers, round_numbers
 from benchmarks.curve import time_against_error
 from benchmarks.render import _Point, _Reference, _seconds_for
-from optsim.calibration.sample import take
+from optsim.calibration.demixed import take
 from optsim.camera.effects import changed
 from optsim.camera.hardware import demo
 from optsim.camera.parts.objective import MOVING_WING_SHARE

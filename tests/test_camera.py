@@ -5,7 +5,7 @@ import pytest
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import ALL, demo, prototype
-from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.errors import ConfigError, GeometryError, ValueCheckError
 from optsim.core.quantities import ExposureCode, PanelState
 from optsim.footage.made import still

@@ -22,10 +22,10 @@ from optsim.coding import (
     ShutterGrid,
 )
 from optsim.coding.flutter_shutter import flutter_code
-from optsim.coding.leaves import LEAVES, AnyLeaf
+from optsim.coding.static_schemes import STATIC_SCHEMES, AnyStaticScheme
 from optsim.core.errors import ConfigError
 from optsim.experiment.experiment import load_experiment
-from optsim.optics.neighbourhoods import grown
+from optsim.optics.neighbourhoods import dilated
 
 ROWS, COLS = 24, 32
 # Chops published by Raskar, Agrawal and Tumblin (2006).
@@ -263,7 +263,7 @@ def test_adaptive_scheme_finds_what_moves_and_codes_a_patch_further():
     assert code.moving[9:13, 11:14].all()
     assert not code.moving[18:, :].any()
     assert not code.moving[:, 20:].any()
-    reach = grown(code.moving, scheme.patch_px - 1 + scheme.psf_px)
+    reach = dilated(code.moving, scheme.patch_px - 1 + scheme.psf_px)
     is_random = (code.levels == 255).sum(axis=0) == 3
     short = (HdrMosaic().tiles(SLOTS, SLOTS, np.random.default_rng(0))[3] == 255).sum(axis=0) == 3
     mosaic = np.tile(short, (ROWS // 2, COLS // 4))
@@ -328,13 +328,13 @@ def test_an_experiment_takes_every_scheme_by_its_kind(kind):
     name = kind.model_fields["kind"].default
     found = load_experiment("demo", [f"methods.3.scheme.kind={name}"])
     assert isinstance(found.methods[3].scheme, kind)
-    if kind in LEAVES:
+    if kind in STATIC_SCHEMES:
         part = load_experiment("demo", [f"methods.0.scheme.moving.kind={name}"]).methods[0].scheme
         assert isinstance(part.moving, kind)
 
 
 def test_the_union_of_schemes_is_their_list():
-    assert get_args(AnyLeaf) == LEAVES
-    assert {leaf.model_fields["kind"].default for leaf in LEAVES} == {
-        leaf.__module__.rpartition(".")[2] for leaf in LEAVES
+    assert get_args(AnyStaticScheme) == STATIC_SCHEMES
+    assert {leaf.model_fields["kind"].default for leaf in STATIC_SCHEMES} == {
+        leaf.__module__.rpartition(".")[2] for leaf in STATIC_SCHEMES
     }

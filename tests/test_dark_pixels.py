@@ -8,7 +8,7 @@ from optsim.coding import RandomExposure
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import SparseCoding
 from optsim.decoding.coded_images import CodedImage, covered
-from optsim.decoding.layer import positive_mean
+from optsim.decoding.partial import positive_mean
 
 ROWS, COLS, SLOTS = 96, 96, 36
 

@@ -23,7 +23,7 @@ def test_four_exposures_are_worth_what_their_electrons_are(electrons: float, rea
     frames = film(
         calibration, HdrMosaic(), [still_light(np.full((120, 120), light))] * 4, np.random.default_rng(5)
     )
-    *_, layer = HdrMerge(threshold_sigma=8, neighbours=False).layers(frames, calibration)
+    *_, layer = HdrMerge(threshold_sigma=8, neighbours=False).partials(frames, calibration)
     slots = np.array([1.0, 3.0, 11.0, 36.0])
     certainty = float((slots**2 / (slots * electrons + read_e**2)).sum())
     found = layer.irradiance_w_m2[0].astype(np.float64) / light
@@ -41,7 +41,7 @@ def test_the_long_exposure_is_worth_its_electrons_too() -> None:
     frames = film(
         calibration, NormalPhotography(), [still_light(np.full((120, 120), 0.1))], np.random.default_rng(6)
     )
-    *_, layer = HdrMerge(neighbours=False).layers(frames, calibration)
+    *_, layer = HdrMerge(neighbours=False).partials(frames, calibration)
     electrons = 36 * ELECTRONS_A_SLOT * 0.1
     relative = np.sqrt(electrons + 9) / electrons
     assert np.std(layer.irradiance_w_m2[0] / 0.1) == pytest.approx(relative, rel=0.04)

@@ -5,7 +5,7 @@ import pytest
 
 from optsim.camera.effects import changed, with_effects
 from optsim.camera.hardware import demo
-from optsim.camera.known_calibration import true_calibration
+from optsim.camera.true_calibration import true_calibration
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
 from optsim.experiment.densities import densities, mosaics
 from optsim.experiment.experiment import load_experiment

@@ -159,7 +159,7 @@ def test_one_bright_panel_pixel_lands_where_it_should():
     assert (rows.min(), rows.max()) == (11, 13)
     assert (cols.min(), cols.max()) == (40, 43)
     assert image[12, 40] == pytest.approx(image[12, 41] / 2, rel=1e-6)
-    row, col, on_ccd = geometry.picks(3)
+    row, col, on_ccd = geometry.ccd_pixels(3)
     assert (row[2, 11], col[2, 11], on_ccd.all()) == (12, 42, True)
 
 
@@ -238,11 +238,11 @@ def test_without_diffraction_and_aberrations_nothing_is_blurred():
 
 def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
     geometry = RelayGeometry(90, 120, 98, 128, 1.0, 0.681)
-    row, col, _ = geometry.picks(3)
+    row, col, _ = geometry.ccd_pixels(3)
     sharp = RelayOperator(
         make_blur(np.pad([[1.0]], 1), (90, 120)), overlap_operator(geometry, 1.0), 0.005, (98, 128)
     )
-    offset, good = geometry.pick_offsets_px(3), np.ones(row.shape, np.bool_)
+    offset, good = geometry.offsets_px(3), np.ones(row.shape, np.bool_)
     np.testing.assert_allclose(offset, 0, atol=1e-9)
     plain = border_shares(0.0, 3)
     kernel = crosstalk_kernels(true_dots(sharp, plain, row, col, 3), offset, good)
@@ -256,9 +256,9 @@ def test_crosstalk_of_a_sharp_relay_at_an_integer_ratio_is_nothing():
 def test_crosstalk_predicts_a_random_mosaic_at_a_ratio_that_shifts_every_pick():
     """Exposures 1 : 36 side by side at 2.88 CCD pixels: one kernel for all is off by whole slots."""
     geometry = RelayGeometry(300, 330, 300, 330, 0.96, 0.654)
-    relay, (row, col, on_ccd) = operator(geometry), geometry.picks(3)
+    relay, (row, col, on_ccd) = operator(geometry), geometry.ccd_pixels(3)
     kernels = crosstalk_kernels(
-        true_dots(relay, border_shares(0.0, 3), row, col, 3), geometry.pick_offsets_px(3), on_ccd
+        true_dots(relay, border_shares(0.0, 3), row, col, 3), geometry.offsets_px(3), on_ccd
     )
     light = np.random.default_rng(4).choice([1.36, 3.3, 11.2, 36], row.shape)
 

@@ -23,7 +23,7 @@ def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, loop.Calibration
     """Frames of even light, with the camera and all that is known of it."""
     radiance = flat(experiment, 0.2)
     known = calibrate_all(experiment)
-    camera, _ = set_light(experiment, radiance, known[experiment.known])
+    camera, _ = set_light(experiment, radiance, known[experiment.calibration_choice])
     return capture(experiment, camera, camera.form_image(radiance), known), camera, known
 
 
@@ -39,7 +39,7 @@ def test_a_frame_begins_with_what_the_frame_before_left_open() -> None:
     experiment = small("camera.effects.all=ideal", "camera.modulator.tau_off_s=2 ms", n_frames=FRAMES)
     mosaic = tuple(method for method in experiment.methods if method.name == "hdr_mosaic")
     frames, camera, known = taken(experiment.model_copy(update={"methods": mosaic}))
-    calibration = known[experiment.known]
+    calibration = known[experiment.calibration_choice]
     tail = tail_slots(2e-3, camera.slot_s)
     assert tail > 0.2
     for before, frame in zip(frames["hdr_mosaic"][:-1], frames["hdr_mosaic"][1:], strict=True):
@@ -57,7 +57,7 @@ def test_no_two_frames_share_their_photons() -> None:
     normal = next(method for method in experiment.methods if method.name == "normal")
     methods = tuple(normal.model_copy(update={"name": name}) for name in ("one", "other"))
     frames, camera, known = taken(experiment.model_copy(update={"methods": methods}))
-    calibration = known[experiment.known]
+    calibration = known[experiment.calibration_choice]
     row, col = calibration.pick_row[calibration.valid], calibration.pick_col[calibration.valid]
     light = [frame.dn[row, col].astype(float) for name in ("one", "other") for frame in frames[name]]
     expected = 2 * (np.mean(light) - calibration.black_dn.mean()) / camera.sensor.step_e
@@ -80,7 +80,7 @@ def test_every_draw_has_its_own_numbers_and_another_seed_others(monkeypatch: pyt
     runs = []
     for seed in (1, 2, 1):
         experiment = small("camera.effects.all=ideal", f"seed={seed}", n_frames=FRAMES)
-        bench = loop.calibrate(experiment, experiment.known._replace(operator="bench"))
+        bench = loop.calibrate(experiment, experiment.calibration_choice._replace(operator="bench"))
         still = tuple(method for method in experiment.methods if method.name in ("normal", "random"))
         frames, *_ = taken(experiment.model_copy(update={"methods": still}))
         arrays = [bench, frames["random"][0].code.levels, *(f.dn for name in frames for f in frames[name])]

@@ -8,7 +8,7 @@ import pytest
 from dense_mixture import asked, dense_posterior, dense_variance, drawn, some_mixture, unit_weights
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibration.sample import take
+from optsim.calibration.demixed import take
 from optsim.coding import RandomExposure
 from optsim.core.errors import ConfigError, StorageError, ValueCheckError
 from optsim.core.quantities import ExposureCode
@@ -233,11 +233,11 @@ def test_darkness_stays_dark_in_the_mean(trained, monkeypatch):
     # 4096 pixels of 3 DN of noise and 270 DN a slot; each patch has the mean of its own signals. Leak of
     # 33 slots at 1 % adds a tenth to what three open slots gather.
     deviation = 3 / 270 / 3.33 / 64
-    (layer,) = decoder.layers(frames, calibration)
+    (layer,) = decoder.partials(frames, calibration)
     # What may be there is the noise of a patch, of 64 pixels.
     assert 0.5 * 8 * deviation < float(layer.irradiance_w_m2.mean()) < 1.5 * 8 * deviation
     monkeypatch.setattr(coded_images, "positive_mean", lambda mean, variance: mean)
-    (signed,) = decoder.layers(frames, calibration)
+    (signed,) = decoder.partials(frames, calibration)
     assert abs(float(signed.irradiance_w_m2.mean())) < 4 * deviation
 
 
@@ -273,7 +273,7 @@ def test_the_decoder_errs_by_what_it_says(tmp_path, k):
     patches = drawn(mixture, 256, rng)
     video = patches.reshape(16, 16, 8, 8, SLOTS).transpose(4, 0, 2, 1, 3).reshape(SLOTS, 128, 128)
     calibration, frames = filmed(video.astype(np.float32))
-    (layer,) = GaussianMixture(mixture=path, stride_px=8, uncertainty=True).layers(frames, calibration)
+    (layer,) = GaussianMixture(mixture=path, stride_px=8, uncertainty=True).partials(frames, calibration)
     error = (layer.irradiance_w_m2 - video) / layer.uncertainty_w_m2
     scores = np.square(error).reshape(SLOTS, 16, 8, 16, 8).mean(axis=(0, 2, 4)).ravel()
     bound = 4 * scores.std() / 16
@@ -288,7 +288,7 @@ def test_one_patch_is_dense_algebra_at_its_brightness(tmp_path):
     video = 0.5 * drawn(mixture, 1, rng).transpose(2, 0, 1).reshape(SLOTS, 8, 8)
     calibration, frames = filmed(video.astype(np.float32))
     decoder = GaussianMixture(mixture=path, uncertainty=True, noise_gain=2.0)
-    (layer,) = decoder.layers(frames, calibration)
+    (layer,) = decoder.partials(frames, calibration)
     sample, _ = take(calibration, frames[0], None, "undone")
     scale = sample.signal.sum() / sample.exposure.sum()
     weights = np.moveaxis(sample.weights, 0, -1).reshape(64, SLOTS).astype(np.float64)
@@ -303,7 +303,7 @@ def test_darkness_and_closed_pixels_are_as_uncertain_as_they_should_be(trained):
     dark = still_light(np.zeros((64, 64), np.float32))
     calibration, frames = filmed(dark)
     decoder = GaussianMixture(mixture=trained, uncertainty=True)
-    (layer,) = decoder.layers(frames, calibration)
+    (layer,) = decoder.partials(frames, calibration)
     score = np.sqrt(np.square(layer.irradiance_w_m2 / layer.uncertainty_w_m2).mean())
     # Errors are the noise of the brightness, a part of which the overlap averages out; said is that of one
     # patch, and the prior's variation at the brightness that noise lent to it.
@@ -314,7 +314,7 @@ def test_darkness_and_closed_pixels_are_as_uncertain_as_they_should_be(trained):
     levels[:, 8:40, 8:40] = 0
     code = ExposureCode(levels, np.ones((64, 64), np.bool_))
     (frame,) = film(calibration, Closed(code), [video], np.random.default_rng(4))
-    (layer,) = decoder.layers([frame], calibration)
+    (layer,) = decoder.partials([frame], calibration)
     spread = layer.uncertainty_w_m2
     assert spread[:, 20:28, 20:28].min() > 0.5 * video.mean(), "never open: as uncertain as bright"
     assert spread[:, 20:28, 20:28].max() < 5 * video.max()
@@ -358,10 +358,10 @@ def test_some_of_the_patches_speak_for_all(trained, monkeypatch, stride):
     moving[13:30, 11:32] = True
     frames = [replace(f, code=replace(f.code, moving=moving)) for f in frames]
     decoder = GaussianMixture(mixture=trained, stride_px=stride, uncertainty=True)
-    (some,) = decoder.layers(frames, calibration)
+    (some,) = decoder.partials(frames, calibration)
     monkeypatch.setattr(gaussian_mixture, "_half_apart", lambda corners, *_: np.ones(len(corners), np.bool_))
-    (every,) = decoder.layers(frames, calibration)
-    assert (some.uncertainty_w_m2[:, some.opacity > 0] > 0).all()
+    (every,) = decoder.partials(frames, calibration)
+    assert (some.uncertainty_w_m2[:, some.blend_weight > 0] > 0).all()
     inside = np.square(some.uncertainty_w_m2[:, moving]), np.square(every.uncertainty_w_m2[:, moving])
     assert inside[0].mean() == pytest.approx(inside[1].mean(), rel=0.05)
     assert np.sqrt(np.square(inside[0] / inside[1] - 1).mean()) < 0.15

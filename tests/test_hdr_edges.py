@@ -8,12 +8,12 @@ from ideal_camera import film, ideal_calibration, still_light
 from scipy import stats
 
 from optsim.calibration import Glare
-from optsim.calibration.sample import Brightness, attribution_variance, separate, take
+from optsim.calibration.demixed import Brightness, attribution_variance, separate, take
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge
-from optsim.decoding.layer import positive_mean
-from optsim.decoding.narrow_picks import missed
+from optsim.decoding.partial import positive_mean
+from optsim.decoding.readout_window import missed
 
 ROWS, COLS = 24, 32
 KERNEL = np.array([[0, 0.03, 0], [0.03, 0.88, 0.03], [0, 0.03, 0]], np.float32)
@@ -251,9 +251,9 @@ def test_what_a_narrow_pick_misses_of_rough_light(ratio):
     field = np.fft.ifft2(np.fft.fft2(rng.standard_normal(square.shape)) / np.sqrt(square)).real
     cells = field.reshape(pixels, samples, pixels, samples)
     middle = slice((samples - samples // ratio) // 2, (samples + samples // ratio) // 2)
-    picks = cells[:, middle, :, middle].mean(axis=(1, 3)).astype(np.float32)
-    error = (picks - cells.mean(axis=(1, 3)))[1:-1, 1:-1]
-    stated = missed(picks, np.zeros_like(picks), ratio)[1:-1, 1:-1]
+    ccd_pixels = cells[:, middle, :, middle].mean(axis=(1, 3)).astype(np.float32)
+    error = (ccd_pixels - cells.mean(axis=(1, 3)))[1:-1, 1:-1]
+    stated = missed(ccd_pixels, np.zeros_like(ccd_pixels), ratio)[1:-1, 1:-1]
     # A curvature above the median counts as well: it makes a tenth.
     assert np.sqrt(np.mean(error**2)) == pytest.approx(np.sqrt(np.mean(stated**2)), rel=0.15, abs=1e-6)
 
@@ -281,9 +281,9 @@ def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
     row, col = (3 * pick + 1 for pick in (calibration.pick_row, calibration.pick_col))
     wide = [CodedFrame(f.index, f.dn.repeat(3, axis=0).repeat(3, axis=1), f.code) for f in frames]
-    *_, plain = HdrMerge().layers(frames, calibration)
+    *_, plain = HdrMerge().partials(frames, calibration)
     size = (3 * ROWS, 3 * COLS)
-    *_, narrow = HdrMerge().layers(wide, replace(calibration, pick_row=row, pick_col=col, ccd_shape=size))
+    *_, narrow = HdrMerge().partials(wide, replace(calibration, pick_row=row, pick_col=col, ccd_shape=size))
     np.testing.assert_array_equal(plain.irradiance_w_m2, narrow.irradiance_w_m2)
     off = missed(plain.irradiance_w_m2[0], plain.uncertainty_w_m2[0] ** 2, 3.0)
     np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, off), rtol=1e-4)

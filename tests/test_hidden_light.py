@@ -46,7 +46,7 @@ def merged(images, true, known, seed=1, kernel=KERNEL):
         dn = rng.poisson(np.minimum(electrons, 1e6)) + rng.normal(0, 3, image.shape) + BLACK_DN
         counts = np.rint(dn.clip(0, 16_383)).astype(np.uint16)
         frames[index] = CodedFrame(index, counts, frame.code)
-    *_, layer = HdrMerge(neighbours=False).layers(frames, calibration)
+    *_, layer = HdrMerge(neighbours=False).partials(frames, calibration)
     return layer
 
 

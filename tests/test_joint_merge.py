@@ -6,7 +6,7 @@ from ideal_camera import SLOTS, film, ideal_calibration, still_light
 from scipy import ndimage, sparse
 
 from optsim.calibration import Glare
-from optsim.calibration.sample import noise_variance, predicted_variance, take
+from optsim.calibration.demixed import noise_variance, predicted_variance, take
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge

@@ -95,7 +95,7 @@ def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
             job.execute(experiment, folder, progress=stop_at(stage, done))
     assert exposed == [k for k in range(FRAMES) for _ in METHODS], "each of them once"
     asked: list[tuple[int, bool]] = []
-    layers = GaussianMixture.layers
+    partials = GaussianMixture.partials
 
     def watched(decoder: GaussianMixture, frames: Iterable[CodedFrame], known: Any) -> Any:
         def seen() -> Iterator[CodedFrame]:
@@ -103,12 +103,12 @@ def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
                 asked.append((frame.index, bool(frame.code.moving.any())))
                 yield frame
 
-        return layers(decoder, seen(), known)
+        return partials(decoder, seen(), known)
 
     # All is scored, but pictures are of the last two.
     with pytest.raises(KeyboardInterrupt):
         job.execute(experiment, folder, progress=stop_at("decode", FRAMES))
-    monkeypatch.setattr(GaussianMixture, "layers", watched)
+    monkeypatch.setattr(GaussianMixture, "partials", watched)
     results = job.execute(experiment, folder)
     assert len(exposed) == FRAMES * len(METHODS)
     assert {index for index, video in asked if video} == {2, 3}

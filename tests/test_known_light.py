@@ -6,7 +6,7 @@ from test_scoring import COLS, ROWS, flat, small
 
 from optsim.calibration import Calibration
 from optsim.camera.camera import CodedCamera
-from optsim.camera.known_calibration import ideal_calibration, true_calibration
+from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.experiment.experiment import Experiment
 

@@ -16,8 +16,8 @@ from optsim.calibration import Bench, Calibration, calibrate_from
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import with_effects
 from optsim.camera.hardware.cameras import demo, prototype
-from optsim.camera.known_calibration import true_calibration
 from optsim.camera.laboratory import measure_bench
+from optsim.camera.true_calibration import true_calibration
 from optsim.core.errors import BenchError
 from optsim.optics.fringing import border_shares, fine_image
 
@@ -157,7 +157,7 @@ def test_kernels_are_right_in_the_middle_and_in_the_corners_of_a_lens_that_varie
     camera = demo()
     bench = measure_bench(camera, np.random.default_rng(12)) if source == "bench" else None
     kernels = (calibrate_from(bench) if bench else true_calibration(camera)).crosstalk
-    row, col, _ = camera.relay_geometry().picks(3)
+    row, col, _ = camera.relay_geometry().ccd_pixels(3)
     operator, borders = camera.relay_operator(), border_shares(camera.modulator.fringing_px, 3)
 
     def seen(panel: np.ndarray) -> np.ndarray:
@@ -264,7 +264,7 @@ def test_a_bench_finds_another_converter_and_a_misaligned_panel(state: str) -> N
     switches = {"read_noise": state, "quantisation": state, "alignment": "pessimistic"}
     other = with_effects(demo().model_copy(update={"panel_rows": 48, "panel_cols": 64}), switches)
     found = calibrate_from(measure_bench(other, np.random.default_rng(11)))
-    row, col, _ = other.relay_geometry().picks(3)
+    row, col, _ = other.relay_geometry().ccd_pixels(3)
     # Centres lie near borders of pixels somewhere in the field; elsewhere the same pixel is picked.
     assert (found.valid & (np.abs(found.pick_row - row) + np.abs(found.pick_col - col) > 0)).mean() < 0.1
     assert found.dn_per_e * other.sensor.step_e == pytest.approx(1, rel=0.01)

@@ -12,9 +12,9 @@ from skimage.metrics import peak_signal_noise_ratio
 from optsim.app.cli import app
 from optsim.calibration import calibrate_from
 from optsim.camera.hardware import demo
-from optsim.camera.known_calibration import true_calibration
 from optsim.camera.laboratory import measure_bench
 from optsim.camera.probe import shrunk
+from optsim.camera.true_calibration import true_calibration
 from optsim.coding import RandomExposure
 from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
 from optsim.core.files import read_exr, write_exr, write_png8, write_png16

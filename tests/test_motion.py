@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, still_light
 
-from optsim.calibration.sample import sample_bounds, take
+from optsim.calibration.demixed import sample_bounds, take
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
 from optsim.core.quantities import CodedFrame
 from optsim.optics.motion import _changed_together, _pair, bounds, changed
-from optsim.optics.neighbourhoods import grown, without_specks
+from optsim.optics.neighbourhoods import dilated, without_specks
 
 ROWS, COLS = 96, 128
 
@@ -128,7 +128,7 @@ def test_a_moving_edge_is_found_and_nothing_else():
     # At 1/36 exposure 0.1 gives 27 electrons and 0.3 gives 81: about 5 sigma apart, so most pixels are found.
     assert moved[truth].mean() > 0.85
     assert moved[~truth].mean() < 1e-3
-    grown_mask = grown(without_specks(moved, 4), 1)
+    grown_mask = dilated(without_specks(moved, 4), 1)
     assert grown_mask[truth].all()
     assert not grown_mask[:17].any()
 
@@ -149,7 +149,7 @@ def test_what_is_too_dark_for_a_pixel_is_found_in_its_surroundings():
     together, _ = changed(first, second, 4.0)
     assert alone[inside].mean() < 0.3
     assert together[inside].mean() > 0.8
-    assert together[~grown(truth, 2)].mean() < 1e-3
+    assert together[~dilated(truth, 2)].mean() < 1e-3
 
 
 def test_noise_averages_out_over_a_square_and_model_error_does_not():
@@ -319,7 +319,7 @@ def test_growth_is_the_square_neighbourhood(reach, seed):
     near = np.zeros_like(mask)
     for row, col in zip(rows, cols, strict=True):
         near |= (np.abs(v - row) <= reach) & (np.abs(u - col) <= reach)
-    np.testing.assert_array_equal(grown(mask, reach), near)
+    np.testing.assert_array_equal(dilated(mask, reach), near)
 
 
 def test_specks_go_and_regions_stay():

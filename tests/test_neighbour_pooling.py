@@ -22,7 +22,7 @@ def decoded(light, scheme, seed=3, **options):
     """The last of four noisy frames."""
     calibration = ideal_calibration(*light.shape)
     frames = filmed(calibration, scheme, [still_light(light)] * 4, np.random.default_rng(seed))
-    *_, layer = HdrMerge(**options).layers(frames, calibration)
+    *_, layer = HdrMerge(**options).partials(frames, calibration)
     return layer
 
 

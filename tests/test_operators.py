@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from small_experiment import COLS, ROWS, moving_bar
 
-from optsim.calibration.choice import Known
-from optsim.camera.known_calibration import ideal_calibration
+from optsim.calibration.choice import CalibrationChoice
+from optsim.camera.true_calibration import ideal_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import RadianceVideo, Reconstruction
 from optsim.experiment import job, loop, trace
@@ -75,7 +75,7 @@ def test_a_method_gets_what_an_experiment_of_its_calibration_gives(
 
 
 def test_all_are_scored_on_the_same_pixels(mixed: Result) -> None:
-    valid = [mixed.calibrations[Known(name, 1)].valid for name in ("true", "ideal")]
+    valid = [mixed.calibrations[CalibrationChoice(name, 1)].valid for name in ("true", "ideal")]
     assert not np.array_equal(*valid), "or this tests nothing"
     counts: dict[tuple[str, str, str], set[int]] = {}
     for r in score(mixed):
@@ -87,7 +87,7 @@ def test_light_is_set_by_the_calibration_of_the_experiment() -> None:
     experiment, _ = planned(small(*OWN, n_frames=1))
     bright = moving_bar(experiment, 3)
     _, light = set_light(experiment, bright, calibrate(experiment))
-    _, ideal = set_light(experiment, bright, calibrate(experiment, Known("ideal", 1)))
+    _, ideal = set_light(experiment, bright, calibrate(experiment, CalibrationChoice("ideal", 1)))
     assert light.nd_transmission != pytest.approx(ideal.nd_transmission, rel=0.01)
     assert asdict(run(experiment, bright).light) == asdict(light)
 
@@ -126,7 +126,10 @@ def test_what_the_bench_would_refuse_is_said_for_a_method_too(tmp_path: Path) ->
 
 def test_true_is_read_as_the_word_here_too() -> None:
     experiment = small("methods.random.calibration=true", calibration="ideal")
-    assert [experiment.known_to(method).operator for method in experiment.methods] == [*3 * ["ideal"], "true"]
+    assert [experiment.choice_of(method).operator for method in experiment.methods] == [
+        *3 * ["ideal"],
+        "true",
+    ]
 
 
 def test_a_trace_sees_the_frame_of_the_run(
@@ -134,7 +137,7 @@ def test_a_trace_sees_the_frame_of_the_run(
 ) -> None:
     monkeypatch.setattr(trace, "render_truth", lambda *_, **__: dark)
     last = mixed.frames["adaptive"][-1]
-    found = trace.trace_experiment(small(*OWN), trace.Aim(40, 50, last.index, "adaptive"))
+    found = trace.trace_experiment(small(*OWN), trace.TracedPixel(40, 50, last.index, "adaptive"))
     assert found.reading.drawn_dn == last.dn[40, 50]
     assert found.nd_transmission == mixed.light.nd_transmission
 

@@ -285,8 +285,8 @@ def test_a_camera_that_drifts_before_a_wall(flat_view) -> None:
     col = centres(flat_view)[1]
     np.testing.assert_array_equal(aside.occluded_forward, col + expected[..., 1] < 0)
     ahead = render_passes(flat_scene({"velocity_m_s": [0, 10.0, 0]}), flat_view, 0.0, step)
-    grown = np.moveaxis(centres(flat_view), 0, -1) - (30, 40)
-    np.testing.assert_allclose(ahead.flow_forward_px, grown * (WALL_M / (WALL_M - 0.2) - 1), atol=1e-4)
+    dilated = np.moveaxis(centres(flat_view), 0, -1) - (30, 40)
+    np.testing.assert_allclose(ahead.flow_forward_px, dilated * (WALL_M / (WALL_M - 0.2) - 1), atol=1e-4)
 
 
 def test_a_camera_that_pans(flat_view) -> None:

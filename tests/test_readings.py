@@ -11,12 +11,12 @@ from small_camera import small, uniform_light
 from small_experiment import COLS, ROWS, moving_bar
 
 from optsim.calibration import Bench, Calibration, calibrate_from
-from optsim.calibration.choice import Known, widest_reading
-from optsim.calibration.sample import take
+from optsim.calibration.choice import CalibrationChoice, widest_reading
+from optsim.calibration.demixed import take
 from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import demo
-from optsim.camera.known_calibration import ideal_calibration, true_calibration
 from optsim.camera.laboratory import measure_bench
+from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import HdrMerge, hdr_merge
@@ -164,7 +164,7 @@ def test_each_method_reads_as_it_says_and_claims_leave_it_out() -> None:
     chosen = experiment("methods.random.reading_px=3")
     light = moving_bar(chosen, 0.8)
     result, plain = loop.run(chosen, light), loop.run(experiment(), light)
-    assert set(result.calibrations) == {Known("true", 1), Known("true", 3)}
+    assert set(result.calibrations) == {CalibrationChoice("true", 1), CalibrationChoice("true", 3)}
     for name, ours in result.reconstructions.items():
         theirs = plain.reconstructions[name][-1].irradiance_w_m2
         assert np.array_equal(ours[-1].irradiance_w_m2, theirs) == (name != "random")
@@ -186,7 +186,7 @@ def test_the_bench_is_measured_once_for_all_readings(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(loop, "measure_bench", lambda *_: measured.append(1))
     monkeypatch.setattr(loop, "bench_calibration", lambda _, __, side, measure: (measure(), side)[1])
     chosen = experiment("calibration=bench", "methods.random.reading_px=3")
-    assert loop.calibrate_all(chosen) == {Known("bench", 1): 1, Known("bench", 3): 3}
+    assert loop.calibrate_all(chosen) == {CalibrationChoice("bench", 1): 1, CalibrationChoice("bench", 3): 3}
     assert len(measured) == 1
 
 
@@ -250,8 +250,8 @@ def test_what_a_reading_misses_of_its_pixel_is_that_of_its_width(
 
 def test_squares_that_leave_the_ccd_are_not_valid(camera: CodedCamera) -> None:
     geometry = replace(camera.relay_geometry(), shift_y_px=-12.0, shift_x_px=9.0)
-    row, col, one = geometry.picks(3)
-    *same, whole = geometry.picks(3, 3)
+    row, col, one = geometry.ccd_pixels(3)
+    *same, whole = geometry.ccd_pixels(3, 3)
     np.testing.assert_array_equal(same, (row, col))
     inner = one & (row > 0) & (row < 155) & (col > 0) & (col < 203)
     assert inner.sum() < one.sum() < one.size

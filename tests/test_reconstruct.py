@@ -10,7 +10,7 @@ from ideal_camera import BLACK_DN, KERNEL, SLOTS, crossing, expose, film, ideal_
 from pydantic import TypeAdapter
 
 from optsim.calibration import Glare
-from optsim.calibration.sample import Brightness, noise_variance, separate, separated_variance, take
+from optsim.calibration.demixed import Brightness, noise_variance, separate, separated_variance, take
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -22,7 +22,7 @@ from optsim.coding import (
     RandomLengths,
     ShutterGrid,
 )
-from optsim.coding.leaves import LEAVES
+from optsim.coding.static_schemes import STATIC_SCHEMES
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import (
@@ -364,7 +364,7 @@ def test_every_code_measures_the_constant_atom(scheme):
 
 
 def test_no_temporal_scheme_is_forgotten():
-    assert {type(scheme) for scheme, *_ in CODED} == {leaf for leaf in LEAVES if leaf.TEMPORAL}
+    assert {type(scheme) for scheme, *_ in CODED} == {leaf for leaf in STATIC_SCHEMES if leaf.TEMPORAL}
 
 
 def test_own_matrices_equal_shared_ones_and_survive_dead_pixels(monkeypatch):
@@ -395,7 +395,7 @@ def test_merge_errs_by_what_it_says(kernel, literal, neighbours):
     if literal:
         light = still_light(np.full((96, 96), 0.1))
     frames = film(calibration, HdrMosaic(), [light] * 4, np.random.default_rng(3))
-    *_, layer = HdrMerge(threshold_sigma=6, neighbours=neighbours, paper_literal=literal).layers(
+    *_, layer = HdrMerge(threshold_sigma=6, neighbours=neighbours, paper_literal=literal).partials(
         frames, calibration
     )
     error = (layer.irradiance_w_m2[0] - light[0]) / layer.uncertainty_w_m2[0]
@@ -585,8 +585,8 @@ def test_total_variation_agrees_with_what_was_measured_as_far_as_the_noise_lets_
 def test_average_is_the_mean_of_its_two():
     calibration = ideal_calibration(ROWS, COLS, leak=0.01)
     frames = film(calibration, RandomExposure(), crossing(1), np.random.default_rng(1))
-    (both,) = Average().layers(frames, calibration)
-    (one,) = SparseCoding().layers(frames, calibration)
-    (other,) = GaussianMixture(stride_px=1).layers(frames, calibration)
+    (both,) = Average().partials(frames, calibration)
+    (one,) = SparseCoding().partials(frames, calibration)
+    (other,) = GaussianMixture(stride_px=1).partials(frames, calibration)
     wanted = (one.irradiance_w_m2 + other.irradiance_w_m2) / 2
     np.testing.assert_allclose(both.irradiance_w_m2, wanted, rtol=1e-6)

@@ -12,7 +12,7 @@ from optsim.core.quantities import Timing, View
 from optsim.experiment.experiment import load_experiment
 from optsim.experiment.truth import camera_noise
 from optsim.render import CameraNoise, RenderSettings, choose_backend, render_truth
-from optsim.render.allocation import TILE_PX, Tiles, allocate, relative_deviation, tally
+from optsim.render.allocation import TILE_PX, Statistics, allocate, relative_deviation, tally
 from optsim.render.backend import activate
 from optsim.render.difference import Difference
 from optsim.render.full import render_slot, slot_image
@@ -81,7 +81,7 @@ def test_tiles_pool_their_neighbourhood_and_forget_slowly():
     assert deviation[8, 23] == pytest.approx(np.sqrt(0.9 * 4 + 0.1 * 2.5), rel=1e-5)
     later = tiles.and_then(tally(shape, pixels, 9 * variance, np.ones(len(pixels))))
     assert float((later.variance / later.count)[0, 0]) == pytest.approx(4 * (0.8 + 9) / 1.8, rel=1e-5)
-    nothing = Tiles(*(np.zeros((4, 6), np.float32),) * 3)
+    nothing = Statistics(*(np.zeros((4, 6), np.float32),) * 3)
     assert (relative_deviation(nothing, shape, 1.0) == 1).all()
     assert tiles.count.shape == (16 // TILE_PX, 24 // TILE_PX)
 

@@ -11,11 +11,11 @@ from optsim.core.cache import Cache
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_passes, render_truth
 from optsim.render.backend import activate
-from optsim.render.carried import Key
 from optsim.render.footprint import path_px, project
 from optsim.render.gbuffer import sample_rays
 from optsim.render.lens import distorted, ideal, margin_px, touched, undistorted
 from optsim.render.plan import Plan, seed_of
+from optsim.render.reprojection import Key
 from optsim.render.stage import Stage
 from optsim.scene import Scene
 
@@ -122,7 +122,7 @@ def test_a_footprint_holds_all_that_is_seen_of_a_mover(view, tmp_path):
     stage, n = Stage(scene, view), np.full(len(pixels), 256)
     for time_s in (0.0, 0.4):
         stage.pose(time_s)
-        looks = stage.looks(pixels, n, np.full(len(pixels), 3), light=False)
+        looks = stage.hits(pixels, n, np.full(len(pixels), 3), light=False)
         seen = (looks.shape == stage.shape_of("ball")).reshape(len(pixels), -1).any(axis=1)
         own = plan.own(time_s).ravel()
         assert seen.any()

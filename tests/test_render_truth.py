@@ -10,7 +10,7 @@ from optsim.render import RenderSettings, choose_backend, render_footage, render
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, path_px, project
 from optsim.render.full import slot_image
-from optsim.render.spacing import hat_means
+from optsim.render.pose_sampling import hat_means
 from optsim.render.stage import Stage, outside_mask
 from optsim.scene import load_scene
 

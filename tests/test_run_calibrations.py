@@ -184,13 +184,13 @@ def test_an_experiment_takes_a_calibration_from_a_path(
         chosen = load_experiment(str(lab), [f"calibration={path}", f"methods.plain.calibration={path}"])
     job.check(chosen, None, None)
     monkeypatch.setattr(loop, "true_calibration", lambda *_: pytest.fail("calibrated anew"))
-    kept = loop.calibrate_all(chosen)[chosen.known]
+    kept = loop.calibrate_all(chosen)[chosen.calibration_choice]
     np.testing.assert_array_equal(
         kept.responsivity_dn, read_calibration(run / "calibration.npz").responsivity_dn
     )
     # A record of it can be read where the file isn't.
     again = chosen.model_dump(mode="json") | {"calibration": "/gone/calibration.npz"}
-    assert Experiment.model_validate(again).known.file == Path("/gone/calibration.npz")
+    assert Experiment.model_validate(again).calibration_choice.file == Path("/gone/calibration.npz")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from optsim import render_truth
 from optsim.core.files import read_exr, read_png16
 from optsim.experiment import job, loop
 from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
-from optsim.experiment.gallery import Gallery
+from optsim.experiment.figures import Gallery
 
 FRAMES = 3
 STILL, SCALE = 0.4, 0.5
@@ -68,7 +68,7 @@ def test_frames_codes_and_masks_are_those_that_were_taken(folder: Path, experime
     modelled, _ = loop.planned(experiment)
     known = loop.calibrate_all(modelled)
     radiance = render_truth(experiment)
-    camera, _ = loop.set_light(modelled, radiance, known[experiment.known])
+    camera, _ = loop.set_light(modelled, radiance, known[experiment.calibration_choice])
     taken = loop.capture(modelled, camera, camera.form_image(radiance), known)
     for name, frames in taken.items():
         for index, frame in enumerate(frames):

@@ -81,7 +81,7 @@ def test_capture_passes_the_panel_on_and_draws_new_photons() -> None:
     experiment = small()
     radiance = flat(experiment, 0.2)
     known = calibrate_all(experiment)
-    camera, _ = set_light(experiment, radiance, known[experiment.known])
+    camera, _ = set_light(experiment, radiance, known[experiment.calibration_choice])
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, known)["normal"]
     panel = None
@@ -141,7 +141,7 @@ def test_photons_are_electrons() -> None:
     radiance = flat(experiment, 0.02)
     calibration = calibrate(experiment)
     scores = scorer(experiment, radiance)
-    frames = capture(experiment, scores.camera, scores.truth, {experiment.known: calibration})
+    frames = capture(experiment, scores.camera, scores.truth, {experiment.calibration_choice: calibration})
     row = next(r for r in scores.photons(frames) if r["method"] == "normal")
     frame = frames["normal"][1]
     settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
@@ -177,7 +177,7 @@ def test_a_uniform_static_scene_reads_back_through_the_mosaic_at_any_ratio(ratio
     calibration = calibrate(experiment)
     camera, _ = set_light(experiment, radiance, calibration)
     truth = camera.form_image(radiance)
-    frames = capture(experiment, camera, truth, {experiment.known: calibration})["hdr_mosaic"]
+    frames = capture(experiment, camera, truth, {experiment.calibration_choice: calibration})["hdr_mosaic"]
     last = list(HdrMerge().decode(frames, calibration))[-1]
     middle = np.s_[5:-5, 5:-5]
     quotient = (last.irradiance_w_m2[0] / camera.reference(truth, 3)[0])[middle][last.valid[middle]]

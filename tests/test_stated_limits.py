@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibration.sample import sample_bounds, take
+from optsim.calibration.demixed import sample_bounds, take
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography
 from optsim.core.quantities import ExposureCode
 from optsim.decoding import HdrMerge
@@ -62,7 +62,7 @@ def test_a_pixel_moves_beyond_so_many_standard_deviations(
     assert found.sum() == int(moves)
     calibration = ideal_calibration(ROWS, COLS, **camera)
     merge = HdrMerge(threshold_sigma=sigma, speck_px=1, neighbours=False)
-    *_, layer = merge.layers(film(calibration, NORMAL, lights, None), calibration)
+    *_, layer = merge.partials(film(calibration, NORMAL, lights, None), calibration)
     expected = lights[1][0, 20, 24] if moves else (lights[0] + lights[1])[0, 20, 24] / 2
     # A count is 1e-4; the mean and the newest differ by 2 % and more.
     assert layer.irradiance_w_m2[0, 20, 24] == pytest.approx(expected, rel=2e-3)

@@ -9,13 +9,13 @@ import pytest
 from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
-from optsim.calibration import sample
-from optsim.calibration.sample import Brightness, take_next
-from optsim.camera.known_calibration import true_calibration
+from optsim.calibration import demixed
+from optsim.calibration.demixed import Brightness, take_next
+from optsim.camera.true_calibration import true_calibration
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.core.quantities import ExposureCode, PanelState
 from optsim.decoding import HdrMerge, SparseCoding, Union
-from optsim.decoding.layer import Layer
+from optsim.decoding.partial import Partial
 from optsim.experiment.loop import calibrate_all, capture, set_light
 
 V, U = 24, 24
@@ -40,7 +40,7 @@ def test_the_panel_of_a_frame_is_what_the_frame_before_left(
         panels.append(given[2])
         return take_next(*given)
 
-    monkeypatch.setattr(motion_adaptive if isinstance(taker, MotionAdaptive) else sample, "take_next", spy)
+    monkeypatch.setattr(motion_adaptive if isinstance(taker, MotionAdaptive) else demixed, "take_next", spy)
     if isinstance(taker, MotionAdaptive):
         state = taker.init(calibration, np.random.default_rng(0))
         taker.next(3, frames[:2], state)
@@ -63,7 +63,7 @@ def test_all_methods_show_the_same_random_tile() -> None:
     experiment = small()
     radiance = flat(experiment, 0.1)
     known = calibrate_all(experiment)
-    camera, _ = set_light(experiment, radiance, known[experiment.known])
+    camera, _ = set_light(experiment, radiance, known[experiment.calibration_choice])
     frames = capture(experiment, camera, camera.form_image(radiance), known)
     np.testing.assert_array_equal(frames["adaptive"][0].code.levels, frames["random"][0].code.levels)
 
@@ -108,7 +108,7 @@ def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: p
         given.append(taken[3])
         return take_next(*taken)
 
-    monkeypatch.setattr(sample, "take_next", spy)
+    monkeypatch.setattr(demixed, "take_next", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))
@@ -126,16 +126,16 @@ def test_the_union_fades_from_one_branch_to_the_other(monkeypatch: pytest.Monkey
     moving = np.array([[True, False, False, True]])
     still_valid = np.array([[True, True, True, False]])
 
-    def layer(value: float, opacity: list[float], valid: np.ndarray, filled: np.ndarray) -> Any:
-        def layers(_: Any, frames: Any, *__: Any) -> Iterator[Layer]:
+    def layer(value: float, blend_weight: list[float], valid: np.ndarray, filled: np.ndarray) -> Any:
+        def partials(_: Any, frames: Any, *__: Any) -> Iterator[Partial]:
             next(iter(frames))
             image = np.full((36, 1, 4), value, np.float32)
-            yield Layer(0, image, np.array([opacity], np.float32), valid, filled, moving, 36)
+            yield Partial(0, image, np.array([blend_weight], np.float32), valid, filled, moving, 36)
 
-        return layers
+        return partials
 
-    monkeypatch.setattr(HdrMerge, "layers", layer(1.0, [1, 1, 1, 1], still_valid, yes))
-    monkeypatch.setattr(SparseCoding, "layers", layer(3.0, [1, 0.5, 0, 1], moving, no))
+    monkeypatch.setattr(HdrMerge, "partials", layer(1.0, [1, 1, 1, 1], still_valid, yes))
+    monkeypatch.setattr(SparseCoding, "partials", layer(3.0, [1, 0.5, 0, 1], moving, no))
     calibration = ideal_calibration(1, 4)
     frames = film(calibration, RandomExposure(), [scene(0.5)[:, :1, :4]], None)
     joined = next(iter(Union(video="coded").decode(frames, calibration)))

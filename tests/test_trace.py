@@ -17,8 +17,8 @@ from optsim.core.quantities import Block, CodedFrame, ExposureCode, RadianceVide
 from optsim.experiment import job, loop, trace
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.loop import Shot
-from optsim.experiment.origins import ORIGINS, read_out
-from optsim.experiment.trace import Aim, choose_aim, trace_experiment, trace_pixel
+from optsim.experiment.signal_breakdown import ORIGINS, read_out
+from optsim.experiment.trace import TracedPixel, choose_pixel, trace_experiment, trace_pixel
 from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
 from optsim.report.trace_plot import trace_plot
 from optsim.report.trace_record import Trace
@@ -73,16 +73,16 @@ def one_frame(camera: CodedCamera, load) -> RadianceVideo:
     return made_radiance(camera.view, camera.slot_s, load, slots_per_segment=9, n_slots=SLOTS)
 
 
-def traced(experiment: Experiment, aim: Aim) -> tuple[Trace, CodedCamera, np.ndarray, Shot]:
+def traced(experiment: Experiment, traced: TracedPixel) -> tuple[Trace, CodedCamera, np.ndarray, Shot]:
     """Trace a pixel behind a fixed density; the camera, its own expected electrons, and the shot."""
     camera = experiment.camera.with_nd(0.5)
     radiance = made_scene(camera)
     light = camera.form_image(radiance)
-    method = next(m for m in experiment.methods if m.name == aim.method)
+    method = next(m for m in experiment.methods if m.name == traced.method)
     taken = loop.shots(experiment, method, camera, light, loop.calibrate(experiment))
-    shot = [next(taken) for _ in range(aim.frame + 1)][-1]
-    expected, _ = camera.expected_electrons(light, aim.frame, shot.frame.code, shot.before)
-    return trace_pixel(experiment, camera, radiance, light, shot, aim), camera, expected, shot
+    shot = [next(taken) for _ in range(traced.frame + 1)][-1]
+    expected, _ = camera.expected_electrons(light, traced.frame, shot.frame.code, shot.before)
+    return trace_pixel(experiment, camera, radiance, light, shot, traced), camera, expected, shot
 
 
 def with_camera(experiment: Experiment, camera: CodedCamera) -> Experiment:
@@ -104,7 +104,7 @@ def shown(experiment: Experiment, camera: CodedCamera, image: np.ndarray, levels
     code = ExposureCode(levels.astype(np.uint8), np.zeros((ROWS, COLS), np.bool_))
     shot = Shot(CodedFrame(0, np.zeros(CCD, np.uint16), code), None)
     return trace_pixel(
-        experiment, camera, radiance, camera.form_image(radiance), shot, Aim(y, x, 0, "normal")
+        experiment, camera, radiance, camera.form_image(radiance), shot, TracedPixel(y, x, 0, "normal")
     )
 
 
@@ -116,7 +116,7 @@ def shown(experiment: Experiment, camera: CodedCamera, image: np.ndarray, levels
 @pytest.mark.parametrize("state", ["nominal", "pessimistic"])
 def test_the_origins_add_up_to_the_expected_signal(experiment, pixel, state) -> None:
     worse = with_camera(experiment, with_effects(experiment.camera, {"all": state}))
-    found, camera, expected, _ = traced(worse, Aim(*pixel, 1, "hdr_mosaic"))
+    found, camera, expected, _ = traced(worse, TracedPixel(*pixel, 1, "hdr_mosaic"))
     assert before_readout(found) == pytest.approx(expected[pixel], rel=ROUNDING, abs=0)
     assert found.reading.collected_e == expected[pixel]
     smear = camera.sensor.smear_e(expected, camera.exposure_s)[pixel[1]]
@@ -135,7 +135,7 @@ def test_stuck_pixels_and_a_closed_shutter_are_in_the_sum(experiment) -> None:
     stuck, levels = camera.stuck_pixels
     v, u = (int(k) for k in np.argwhere(stuck & (levels == 255))[0])
     pixel = (3 * v + 5, 3 * u + 5)
-    found, _, expected, shot = traced(with_camera(experiment, camera), Aim(*pixel, 1, "hdr_mosaic"))
+    found, _, expected, shot = traced(with_camera(experiment, camera), TracedPixel(*pixel, 1, "hdr_mosaic"))
     assert before_readout(found) == pytest.approx(expected[pixel], rel=ROUNDING, abs=0)
     assert (found.target.v, found.target.u, found.target.stuck) == (v, u, True)
     assert found.slots.shutter_open == (True,) * 28 + (False,) * 8
@@ -205,7 +205,9 @@ def test_leak_and_late_light_of_the_own_pixel_are_told_apart(experiment) -> None
 def test_wings_ghost_and_veil_are_what_their_switches_take_away(experiment) -> None:
     camera = with_effects(experiment.camera, {"ghost": "pessimistic", "relay_glare": "pessimistic"})
     pixel = (41, 50)
-    found, camera, expected, shot = traced(with_camera(experiment, camera), Aim(*pixel, 1, "hdr_mosaic"))
+    found, camera, expected, shot = traced(
+        with_camera(experiment, camera), TracedPixel(*pixel, 1, "hdr_mosaic")
+    )
     light = camera.form_image(made_scene(camera))
     glare, ghost = camera.relay.glare_share, camera.relay.ghost_share
 
@@ -224,7 +226,7 @@ def test_wings_ghost_and_veil_are_what_their_switches_take_away(experiment) -> N
 
 
 def test_neighbourhood_and_sources_are_the_near_light_pixel_by_pixel(experiment) -> None:
-    found, *_ = traced(experiment, Aim(5, 14, 1, "hdr_mosaic"))  # panel pixel (0, 3): near two edges
+    found, *_ = traced(experiment, TracedPixel(5, 14, 1, "hdr_mosaic"))  # panel pixel (0, 3): near two edges
     assert (found.target.v, found.target.u) == (0, 3)
     near = np.array([[np.nan if e is None else e for e in row] for row in found.neighbourhood_e])
     assert np.isnan(near[:5]).all()
@@ -269,7 +271,7 @@ def test_radiance_and_irradiance_follow_the_scene_slot_by_slot(experiment) -> No
     code = ExposureCode(np.full((SLOTS, ROWS, COLS), 255, np.uint8), np.zeros((ROWS, COLS), np.bool_))
     shot = Shot(CodedFrame(0, np.zeros(CCD, np.uint16), code), None)
     found = trace_pixel(
-        experiment, camera, radiance, camera.form_image(radiance), shot, Aim(41, 50, 0, "normal")
+        experiment, camera, radiance, camera.form_image(radiance), shot, TracedPixel(41, 50, 0, "normal")
     )
     expected = 0.1 * (1 + (np.arange(SLOTS) + 0.5) / 9)
     slots = found.slots
@@ -291,7 +293,7 @@ def test_fine_image_adjoint_is_the_transpose() -> None:
 
 
 def test_a_pixel_outside_the_image_says_so_and_gets_only_veil(experiment) -> None:
-    found, _, expected, _ = traced(experiment, Aim(1, 2, 1, "normal"))
+    found, _, expected, _ = traced(experiment, TracedPixel(1, 2, 1, "normal"))
     assert (found.target.relation, found.target.v, found.target.u) == ("outside", 0, 0)
     assert electrons(found)["veil"] == pytest.approx(
         expected[1, 2] - electrons(found)["dark_current"], rel=1e-5
@@ -303,7 +305,7 @@ def test_a_pixel_outside_the_image_says_so_and_gets_only_veil(experiment) -> Non
 
 def test_where_nothing_can_arrive_the_light_seen_is_null_not_nan(experiment) -> None:
     camera = with_effects(experiment.camera, {"all": "ideal"})
-    found, *_ = traced(with_camera(experiment, camera), Aim(1, 2, 1, "normal"))
+    found, *_ = traced(with_camera(experiment, camera), TracedPixel(1, 2, 1, "normal"))
     assert set(found.slots.radiance_w_m2_sr) == set(found.slots.irradiance_w_m2) == {None}
     assert None not in found.slots.own_radiance_w_m2_sr
     assert before_readout(found) == 0
@@ -370,7 +372,7 @@ def test_the_drawn_number_is_exactly_that_of_the_run(experiment, tmp_path: Path)
     for method, frame in (("adaptive", 2), ("random", 1), ("hdr_mosaic", 0)):
         written = read_png16(tmp_path / "frames" / method / f"{frame:06d}.png")
         for pixel in ((41, 50), (1, 2)):
-            found = trace_experiment(experiment, Aim(*pixel, frame, method))
+            found = trace_experiment(experiment, TracedPixel(*pixel, frame, method))
             assert found.reading.drawn_dn == written[pixel], (method, frame, pixel)
         assert found.fingerprint == read_json(tmp_path / "experiment.json")["fingerprint"]
         light = read_json(tmp_path / "results.json")["light_rule"]
@@ -379,7 +381,7 @@ def test_the_drawn_number_is_exactly_that_of_the_run(experiment, tmp_path: Path)
 
 def test_a_shot_says_how_the_panel_was_when_its_frame_began(experiment) -> None:
     """Taken again from there, with the method's own photons, the frame is the same to the last number."""
-    _, camera, _, shot = traced(experiment, Aim(41, 50, 2, "hdr_mosaic"))
+    _, camera, _, shot = traced(experiment, TracedPixel(41, 50, 2, "hdr_mosaic"))
     light = camera.form_image(made_scene(camera))
     photons = loop.stream(experiment.seed, "shot", "hdr_mosaic", 2)
     again, _ = camera.expose(light, 2, shot.frame.code, shot.before, photons)
@@ -459,9 +461,9 @@ def test_bad_input_exits_2_with_the_cure_before_rendering(cli, monkeypatch, tmp_
 
 def test_the_first_steady_frame_and_the_first_method_are_the_defaults() -> None:
     long = load_experiment("demo")
-    assert choose_aim(long, "180,240") == Aim(180, 240, 5, "adaptive")
-    assert choose_aim(long.model_copy(update={"n_frames": 6}), "0,0") == Aim(0, 0, 5, "adaptive")
-    assert choose_aim(long.model_copy(update={"n_frames": 4}), "0,0") == Aim(0, 0, 3, "adaptive")
+    assert choose_pixel(long, "180,240") == TracedPixel(180, 240, 5, "adaptive")
+    assert choose_pixel(long.model_copy(update={"n_frames": 6}), "0,0") == TracedPixel(0, 0, 5, "adaptive")
+    assert choose_pixel(long.model_copy(update={"n_frames": 4}), "0,0") == TracedPixel(0, 0, 3, "adaptive")
     late = long.model_copy(update={"camera": long.camera.model_copy(update={"latency_frames": 3})})
-    assert choose_aim(late, "367,487", None, "random") == Aim(367, 487, 7, "random")
-    assert choose_aim(long, "1,2", 0, "normal") == Aim(1, 2, 0, "normal")
+    assert choose_pixel(late, "367,487", None, "random") == TracedPixel(367, 487, 7, "random")
+    assert choose_pixel(long, "1,2", 0, "normal") == TracedPixel(1, 2, 0, "normal")

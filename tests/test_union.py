@@ -41,8 +41,8 @@ def test_equation_1_takes_each_branch_in_its_place():
     known = (joined.uncertainty_w_m2 > 0).all(axis=0)
     assert 0.1 < known.mean() < 0.9
     np.testing.assert_array_equal((joined.uncertainty_w_m2 > 0).any(axis=0), known)
-    *_, layer = SparseCoding().layers(frames, calibration)
-    np.testing.assert_array_equal(known, layer.opacity == 0)
+    *_, layer = SparseCoding().partials(frames, calibration)
+    np.testing.assert_array_equal(known, layer.blend_weight == 0)
     spread = np.broadcast_to(still.uncertainty_w_m2, joined.uncertainty_w_m2.shape)
     np.testing.assert_array_equal(joined.uncertainty_w_m2[:, known], spread[:, known])
 
@@ -53,13 +53,13 @@ def test_union_is_as_sure_as_who_makes_the_picture():
     sure = GaussianMixture(uncertainty=True)
     *_, joined = Union(moving=sure, video="coded").decode(frames, calibration)
     *_, still = HdrMerge().decode(frames, calibration)
-    *_, video = sure.layers(frames, calibration)
+    *_, video = sure.partials(frames, calibration)
     moving, spread = frames[-1].code.moving, joined.uncertainty_w_m2
     np.testing.assert_allclose(spread[:, moving], video.uncertainty_w_m2[:, moving], rtol=1e-5)
     np.testing.assert_array_equal(
-        spread[:, video.opacity == 0], still.uncertainty_w_m2[:, video.opacity == 0]
+        spread[:, video.blend_weight == 0], still.uncertainty_w_m2[:, video.blend_weight == 0]
     )
-    mixed = (video.opacity > 0) & (video.opacity < 1)
+    mixed = (video.blend_weight > 0) & (video.blend_weight < 1)
     assert mixed.any()
     both = np.stack([still.uncertainty_w_m2, video.uncertainty_w_m2])[:, :, mixed]
     assert (spread[:, mixed] <= both.max(axis=0) * (1 + 1e-5)).all()

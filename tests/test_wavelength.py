@@ -12,9 +12,9 @@ from test_bands import scene as coloured
 from optsim.calibration import calibrate_from
 from optsim.camera.effects import changed, with_effects
 from optsim.camera.hardware import demo, icx674, imx174, lcr720, prototype
-from optsim.camera.known_calibration import ideal_calibration, true_calibration
 from optsim.camera.laboratory import measure_bench
 from optsim.camera.parts import Splitter
+from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.errors import BenchError, ConfigError, ValueCheckError
 from optsim.core.quantities import ExposureCode
 from optsim.experiment.experiment import load_experiment
@@ -153,8 +153,8 @@ def test_electrons_of_a_white_frame_by_closed_forms(wavelength_m):
     cameras = [with_effects(small(light, **quiet), {"fields": "ideal"}) for light in (GREEN, wavelength_m)]
     green, other = (mean_electrons(camera) for camera in cameras)
     shape = {BLUE: np.interp(470, (450, 500), (0.95, 1.03)), RED: np.interp(630, (600, 650), (0.90, 0.76))}
-    grown = ((wavelength_m - GREEN) / 100e-9) ** 2
-    coating = (0.95 - 0.03 * grown) * (0.99 - 0.001 * grown) / (0.95 * 0.99)
+    dilated = ((wavelength_m - GREEN) / 100e-9) ** 2
+    coating = (0.95 - 0.03 * dilated) * (0.99 - 0.001 * dilated) / (0.95 * 0.99)
     panel = np.sin(np.pi / 2 * GREEN / wavelength_m) ** 2
     expected = wavelength_m / GREEN * shape[wavelength_m] / 0.99 * panel * coating
     # The polarisers' thousandth of crossed light is all that is left out.
@@ -186,9 +186,9 @@ def test_contrast_falls_with_the_coating_and_the_darker_white():
         camera = small(wavelength_m)
         d, white = panel.depolarised_share, np.sin(np.pi / 2 * GREEN / wavelength_m) ** 2
         gaps = 0.08 * 0.05 / (0.92 * panel.mirror_reflectivity)
-        grown = 1 + ((wavelength_m - GREEN) / 100e-9) ** 2
-        p, s = 0.95 - 0.03 * (grown - 1), 0.99 - 0.001 * (grown - 1)
-        coating = grown * (0.03 / s + 0.001 / p) / 1000
+        dilated = 1 + ((wavelength_m - GREEN) / 100e-9) ** 2
+        p, s = 0.95 - 0.03 * (dilated - 1), 0.99 - 0.001 * (dilated - 1)
+        coating = dilated * (0.03 / s + 0.001 / p) / 1000
         off = d / 2 + gaps / 2 + coating * (1 - d)
         on = white * (1 - d) + off
         assert 1 / camera.contrast == pytest.approx(off / on, rel=3e-3)

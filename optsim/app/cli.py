@@ -219,15 +219,15 @@ def trace(
     from optsim.core.folder_claims import claimed_empty, output_folder
     from optsim.experiment import job
     from optsim.experiment.experiment import load_experiment
-    from optsim.experiment.trace import choose_aim, show, trace_experiment
+    from optsim.experiment.trace import choose_pixel, show, trace_experiment
     from optsim.report.trace_plot import trace_plot
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
-    aim = choose_aim(loaded, pixel, frame, method)
+    traced = choose_pixel(loaded, pixel, frame, method)
     with output_folder(out, f"trace-{loaded.name}") as folder, claimed_empty(folder):
         job.check(loaded, folder, backend)
         with progress_bars() as progress:
-            found = trace_experiment(loaded, aim, backend=backend, progress=progress)
+            found = trace_experiment(loaded, traced, backend=backend, progress=progress)
         write_json(folder / "trace.json", asdict(found))
         write_text(folder / "trace.svg", trace_plot(found))
     if as_json:

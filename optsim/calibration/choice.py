@@ -58,7 +58,7 @@ def _with_a_middle(value: int) -> int:
 ReadingPx = Annotated[int, Field(ge=1, le=9), AfterValidator(_with_a_middle)]
 
 
-class Known(NamedTuple):
+class CalibrationChoice(NamedTuple):
     """What schemes and decoders know of the camera, and what they read of it.
 
     Parameters

@@ -9,7 +9,7 @@ from optsim.calibration.calibration import Calibration
 from optsim.calibration.light_spread import crosstalk, measured_glare
 from optsim.calibration.pixel_map import map_pixels
 from optsim.calibration.sensor_noise import photon_transfer, saturation_threshold
-from optsim.calibration.shading import Picker, drive_exponent, shading
+from optsim.calibration.shading import PixelReader, drive_exponent, shading
 from optsim.calibration.step_response import field_drive, response_times
 from optsim.core.errors import BenchError
 from optsim.optics.panel import PanelResponse
@@ -40,7 +40,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     """
     black_dn = bench.darks.mean(axis=0, dtype=np.float32)
     pixel_map = map_pixels(bench, black_dn)
-    row, col = pixel_map.picks()
+    row, col = pixel_map.ccd_pixels()
     height, width = black_dn.shape
     edge = _MARGIN + reading_px // 2
     inside = (row >= edge) & (row < height - edge) & (col >= edge) & (col < width - edge)
@@ -56,7 +56,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     square = row, col, reading_px
     black_at = mean_reading(black_dn, *square)
     clipped = zip(places(bench.saturated.dn, *square), places(black_dn, *square), strict=True)
-    picker = Picker(
+    reader = PixelReader(
         row,
         col,
         black_dn=black_at,
@@ -68,20 +68,20 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
         noise=noise,
         side=reading_px,
     )
-    flat = shading(bench, picker, inside)
+    flat = shading(bench, reader, inside)
     valid = flat.valid
     # Pixels without meaning get the typical value, so that nobody divides by zero or meets a NaN.
     responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
-    saturation_dn = np.where(valid, picker.saturation_dn, np.median(picker.saturation_dn[valid]))
+    saturation_dn = np.where(valid, reader.saturation_dn, np.median(reader.saturation_dn[valid]))
     response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad)
     # Each needs the others; fields that differ by 5 % are settled after two rounds.
     for _ in range(2 if bench.fields else 1):
-        exponent = drive_exponent(bench.greys, picker, flat, response, bench.slot_s)
+        exponent = drive_exponent(bench.greys, reader, flat, response, bench.slot_s)
         if exponent is not None:
             response = response.model_copy(update={"drive_exponent": exponent})
-        response = response_times(bench.steps, picker, valid, bench.slot_s, response)
-        response = field_drive(bench.fields, picker, valid, bench.slot_s, response)
-    glare = measured_glare(bench.glare, picker, flat)
+        response = response_times(bench.steps, reader, valid, bench.slot_s, response)
+        response = field_drive(bench.fields, reader, valid, bench.slot_s, response)
+    glare = measured_glare(bench.glare, reader, flat)
     return Calibration(
         source="bench",
         slot_s=bench.slot_s,
@@ -97,7 +97,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
         saturation_dn=saturation_dn.astype(np.float32),
         read_noise_dn=noise.read_noise_dn,
         dn_per_e=noise.dn_per_e,
-        crosstalk=crosstalk(bench.dots, picker, flat, pixel_map.pick_offsets_px(row, col), glare),
+        crosstalk=crosstalk(bench.dots, reader, flat, pixel_map.offsets_px(row, col), glare),
         gain_uncertainty=flat.gain_uncertainty,
         leak_uncertainty=flat.leak_uncertainty,
         map_residual_px=pixel_map.residual_px,

@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.calibration.bench import Patches
 from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, wings_blur
-from optsim.calibration.shading import Picker, Shading
+from optsim.calibration.shading import PixelReader, Shading
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.optics.crosstalk import REACH, Dots, crosstalk_kernels
@@ -28,7 +28,7 @@ _WIDEST_RING = 1 / 2
 _MOST = 0.5
 
 
-def measured_glare(patterns: Sequence[Patches], picker: Picker, flat: Shading) -> Glare:
+def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shading) -> Glare:
     """Estimate glare from what dark places see of a bright patch; none without images.
 
     Light there exceeds the panel's own leak by what :meth:`Glare.light` says of the pattern: linear in all
@@ -43,7 +43,7 @@ def measured_glare(patterns: Sequence[Patches], picker: Picker, flat: Shading) -
         return NO_GLARE
     from scipy.optimize import fminbound, nnls
 
-    lights, places, excess, sigma = _dark_places(patterns, picker, flat)
+    lights, places, excess, sigma = _dark_places(patterns, reader, flat)
     shape = (flat.valid.shape[0], flat.valid.shape[1])
 
     def term(arriving: Callable[[Doubles], Doubles]) -> Doubles:
@@ -79,7 +79,7 @@ def measured_glare(patterns: Sequence[Patches], picker: Picker, flat: Shading) -
 
 
 def _dark_places(
-    patterns: Sequence[Patches], picker: Picker, flat: Shading
+    patterns: Sequence[Patches], reader: PixelReader, flat: Shading
 ) -> tuple[list[Doubles], list[Bools], Doubles, Doubles]:
     """Light of each pattern, where its kernel does not reach, what is seen there and its standard error.
 
@@ -98,7 +98,7 @@ def _dark_places(
                 f"bench glare: no panel pixel is more than {REACH} pixels from the patch; use a smaller "
                 "patch, or leave the list empty on a panel too small for it"
             )
-        rate, variance = picker.rate((pattern,))
+        rate, variance = reader.rate((pattern,))
         lights.append(np.where(lit, flat.responsivity_dn - flat.off_dn, 0))
         places.append(far)
         excess.append((rate - flat.off_dn)[far])
@@ -107,7 +107,7 @@ def _dark_places(
 
 
 def crosstalk(
-    dots: Sequence[Patches], picker: Picker, flat: Shading, offset_px: Doubles, glare: Glare
+    dots: Sequence[Patches], reader: PixelReader, flat: Shading, offset_px: Doubles, glare: Glare
 ) -> Floats:
     """Crosstalk kernel of every panel pixel: array of shape (v, u, k, k), float32, each of sum 1.
 
@@ -131,7 +131,7 @@ def crosstalk(
     lattices: list[Dots] = []
     for dot in dots:
         light = np.where(dot.levels((full.shape[0], full.shape[1])) > 0, full, 0)
-        seen = picker.rate((dot,))[0] - flat.off_dn - glare.light(light, REACH)
+        seen = reader.rate((dot,))[0] - flat.off_dn - glare.light(light, REACH)
         lattices.append(
             Dots(np.array(dot.rows), np.array(dot.cols), seen / np.where(flat.valid, full, np.inf))
         )

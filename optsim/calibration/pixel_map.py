@@ -47,13 +47,13 @@ class PixelMap:
         """CCD coordinates (y, x) of panel points (v, u): arrays of shape (n, 2), float64."""
         return _terms(panel, self.panel_shape, _ORDER) @ self.coefficients
 
-    def picks(self) -> tuple[Ints, Ints]:
+    def ccd_pixels(self) -> tuple[Ints, Ints]:
         """CCD row and column containing each panel pixel's centre: two arrays (v, u); may be off the CCD."""
         centres = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
         pick: Ints = np.floor(self.on_ccd(centres)).astype(np.int64)
         return pick[:, 0].reshape(self.panel_shape), pick[:, 1].reshape(self.panel_shape)
 
-    def pick_offsets_px(self, row: Ints, col: Ints) -> Doubles:
+    def offsets_px(self, row: Ints, col: Ints) -> Doubles:
         """Centre of each picked CCD pixel less that of its panel pixel, along v and u: array (v, u, 2).
 
         In panel pixels, through the inverse of the map's slope there: right for mirrored and turned cameras.

@@ -28,7 +28,7 @@ _EXPONENTS = (0.02, 50.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Picker:
+class PixelReader:
     """Reads light rates: of the picked CCD pixels, or of squares around them.
 
     Parameters
@@ -102,7 +102,7 @@ class Shading:
     leak_uncertainty: float
 
 
-def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
+def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
     """Estimate responsivity and leak from the flats with the panel on and off.
 
     Raises
@@ -112,15 +112,15 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
     """
     from scipy.ndimage import binary_dilation, median_filter
 
-    on, on_variance = picker.rate(bench.flats)
-    off, off_variance = picker.rate((bench.off,))
+    on, on_variance = reader.rate(bench.flats)
+    off, off_variance = reader.rate((bench.off,))
     typical = float(np.median(on[inside])) if inside.any() else 0.0
     valid = (
         inside
         & (on > _DEAD * median_filter(on, size=5))
         & (on > 0)
         & (off < _STUCK * on)
-        & ~picker.clipped((*bench.flats, bench.off))
+        & ~reader.clipped((*bench.flats, bench.off))
     )
     if typical <= 0 or not valid.any():
         raise BenchError(
@@ -140,7 +140,7 @@ def shading(bench: Bench, picker: Picker, inside: Bools) -> Shading:
 
 
 def drive_exponent(
-    greys: Sequence[Flat], picker: Picker, flat: Shading, response: PanelResponse, slot_s: float
+    greys: Sequence[Flat], reader: PixelReader, flat: Shading, response: PanelResponse, slot_s: float
 ) -> float | None:
     """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
 
@@ -161,7 +161,7 @@ def drive_exponent(
     exponents: list[float] = []
     on = float(flat.responsivity_dn[flat.valid].sum())
     for grey in greys:
-        rate, _ = picker.rate((grey,))
+        rate, _ = reader.rate((grey,))
         open_share = (float(rate[flat.valid].sum()) / on - flat.leak) / (1 - flat.leak)
         past_a_half_wave = response.white_rad > np.pi
         if not (0 < grey.level < 255 and open_share > 0 and (open_share < 1 or past_a_half_wave)):

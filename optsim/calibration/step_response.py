@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from optsim.calibration.bench import Step
-from optsim.calibration.shading import Picker
+from optsim.calibration.shading import PixelReader
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Bytes, Doubles, Ints
 from optsim.optics.panel import (
@@ -75,7 +75,7 @@ def step_weights(
 
 
 def response_times(
-    steps: tuple[Step, ...], picker: Picker, valid: Bools, slot_s: float, known: PanelResponse
+    steps: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, known: PanelResponse
 ) -> PanelResponse:
     """Fit time constants and the turns of the rows to the signals of bands of rows, by least squares.
 
@@ -109,13 +109,13 @@ def response_times(
 
     if not any(s.after > s.before for s in steps) or not any(s.after < s.before for s in steps):
         raise BenchError("bench steps: expected steps to a higher and to a lower level; take both")
-    lit = _lit(steps, picker, valid)
+    lit = _lit(steps, reader, valid)
     rows = len(valid)
     bands = np.minimum(np.nonzero(lit)[0] * _BANDS // rows, _BANDS - 1)
     used, counts = np.unique(bands, return_counts=True)
     places = np.array([(np.nonzero(lit)[0][bands == band].mean() + 0.5) / rows for band in used])
-    signal = _band_means(steps, picker, lit, bands, used)
-    peak, noise = float(signal.max()), picker.noise
+    signal = _band_means(steps, reader, lit, bands, used)
+    peak, noise = float(signal.max()), reader.noise
     samples = np.array([len(s.dn) for s in steps])[:, None] * counts
     sigma = np.sqrt((noise.dn_per_e * np.maximum(signal, 0) + noise.read_noise_dn**2) / samples) / peak
     signal = signal / peak
@@ -138,7 +138,7 @@ def response_times(
 
 
 def field_drive(
-    fields: tuple[Step, ...], picker: Picker, valid: Bools, slot_s: float, response: PanelResponse
+    fields: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, response: PanelResponse
 ) -> PanelResponse:
     """Relative retardance of successive slots, from flashes as long as a slot with the panel held.
 
@@ -178,9 +178,9 @@ def field_drive(
             "bench fields: expected a flash in each of two or more successive slots, from the first one on, "
             "once with the panel held at a grey level and once at 255; take them all"
         )
-    lit = _lit(fields, picker, valid)
+    lit = _lit(fields, reader, valid)
     every = np.zeros(int(lit.sum()), np.int64)
-    signal = _band_means(fields, picker, lit, every, np.zeros(1, np.int64))[:, 0]
+    signal = _band_means(fields, reader, lit, every, np.zeros(1, np.int64))[:, 0]
     dark, bright = (signal[[slots[lv, slot] for slot in range(n)]] for lv in (level, 255))
     held: Bytes = np.full((2 * n, 1, 1), level, np.uint8)
 
@@ -200,13 +200,13 @@ def field_drive(
     return response.model_copy(update={"field_drive": tuple(float(d) for d in drives)})
 
 
-def _lit(steps: tuple[Step, ...], picker: Picker, valid: Bools) -> Bools:
+def _lit(steps: tuple[Step, ...], reader: PixelReader, valid: Bools) -> Bools:
     """Panel pixels that the flash lights; where it is weak there is nothing to learn."""
-    row, col, black = picker.row[valid], picker.col[valid], picker.black_dn[valid]
+    row, col, black = reader.row[valid], reader.col[valid], reader.black_dn[valid]
     brightest = max(steps, key=lambda s: float(np.mean(s.dn[:, row, col])))
     light = brightest.dn[:, row, col].mean(axis=0) - black
     full = float(np.percentile(light, 99.9))
-    if full < 20 * picker.noise.read_noise_dn:
+    if full < 20 * reader.noise.read_noise_dn:
         raise BenchError(
             f"bench steps: even the brightest has {full:.1f} DN only; check that flash and exposure meet"
         )
@@ -215,8 +215,8 @@ def _lit(steps: tuple[Step, ...], picker: Picker, valid: Bools) -> Bools:
     return lit
 
 
-def _band_means(steps: tuple[Step, ...], picker: Picker, lit: Bools, bands: Ints, used: Ints) -> Doubles:
+def _band_means(steps: tuple[Step, ...], reader: PixelReader, lit: Bools, bands: Ints, used: Ints) -> Doubles:
     """Mean signal of each band of lit pixels in each step, DN: array (step, band)."""
-    row, col, black = picker.row[lit], picker.col[lit], picker.black_dn[lit]
+    row, col, black = reader.row[lit], reader.col[lit], reader.black_dn[lit]
     light = np.stack([s.dn[:, row, col].mean(axis=0, dtype=np.float64) - black for s in steps])
     return np.stack([light[:, bands == band].mean(axis=1) for band in used], axis=1)

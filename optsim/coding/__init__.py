@@ -4,9 +4,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from optsim.coding.leaves import (
-    LEAVES,
-    AnyLeaf,
+from optsim.coding.motion_adaptive import MotionAdaptive
+from optsim.coding.static_schemes import (
+    STATIC_SCHEMES,
+    AnyStaticScheme,
     CodedRollingShutter,
     FlutterShutter,
     HdrMosaic,
@@ -16,10 +17,9 @@ from optsim.coding.leaves import (
     RandomLengths,
     ShutterGrid,
 )
-from optsim.coding.motion_adaptive import MotionAdaptive
 
-ALL = (*LEAVES, MotionAdaptive)
-Scheme = Annotated[AnyLeaf | MotionAdaptive, Field(discriminator="kind")]
+ALL = (*STATIC_SCHEMES, MotionAdaptive)
+Scheme = Annotated[AnyStaticScheme | MotionAdaptive, Field(discriminator="kind")]
 
 __all__ = [
     "ALL",

@@ -10,23 +10,23 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import (
+from optsim.calibration.demixed import (
     Brightness,
     Crosstalk,
-    Sample,
+    DemixedFrame,
     check_crosstalk,
     sample_bounds,
     take_next,
 )
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
-from optsim.coding.leaves import Leaf
 from optsim.coding.random_exposure import RandomExposure
+from optsim.coding.static_schemes import StaticScheme
 from optsim.coding.tiles import TiledCode
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode, PanelState
 from optsim.optics.motion import changed
-from optsim.optics.neighbourhoods import grown, without_specks
+from optsim.optics.neighbourhoods import dilated, without_specks
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Watch:
     moving: TiledCode
     panel: PanelState | None
     n_seen: int
-    last: Sample | None
+    last: DemixedFrame | None
     seen: Brightness
     label: Bools
     label_before: Bools
@@ -105,8 +105,8 @@ class MotionAdaptive(Part):
     """
 
     kind: Literal["motion_adaptive"] = "motion_adaptive"
-    static: Leaf = HdrMosaic()
-    moving: Leaf = RandomExposure()
+    static: StaticScheme = HdrMosaic()
+    moving: StaticScheme = RandomExposure()
     threshold_sigma: float = Field(default=4.0, gt=0)
     least_change: float = Field(default=0.2, ge=0)
     speck_px: int = Field(default=4, ge=1)
@@ -159,12 +159,12 @@ class MotionAdaptive(Part):
             if self.growth == "displacement":
                 # The newest frame that arrived is n_seen - 1: the mask is that of a frame this far back.
                 decoded = swept_ahead(decoded, self._cleaned(state.label_before), index - (state.n_seen - 1))
-        shown = grown(decoded, self.patch_px - 1 + self.psf_px)
+        shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
         levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
         return ExposureCode(levels, decoded), state
 
     def _cleaned(self, label: Bools) -> Bools:
-        return grown(without_specks(label, self.speck_px), self.dilation_px)
+        return dilated(without_specks(label, self.speck_px), self.dilation_px)
 
     def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
         # If nothing moves, saturated pixels give what they gave before: right where the test needs it.

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from optsim.decoding.average import Average
-from optsim.decoding.branches import (
+from optsim.decoding.partial_decoders import (
     GaussianMixture,
     HdrMerge,
     Interpolation,

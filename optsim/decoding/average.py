@@ -9,11 +9,11 @@ from typing import Literal
 
 from optsim.calibration.calibration import Calibration
 from optsim.core.quantities import CodedFrame
-from optsim.decoding.branches import GaussianMixture, SparseCoding
-from optsim.decoding.layer import Branch, Layer
+from optsim.decoding.partial import Partial, PartialDecoder
+from optsim.decoding.partial_decoders import GaussianMixture, SparseCoding
 
 
-class Average(Branch):
+class Average(PartialDecoder):
     """Mean of sparse coding and Gaussian mixture: their errors are alike in size and partly independent.
 
     Parameters
@@ -26,15 +26,15 @@ class Average(Branch):
     sparse: SparseCoding = SparseCoding()
     mixture: GaussianMixture = GaussianMixture(stride_px=1)
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, with the opacity of the seam."""
         one, other = tee(frames)
         pairs = zip(
-            self.sparse.layers(one, calibration), self.mixture.layers(other, calibration), strict=True
+            self.sparse.partials(one, calibration), self.mixture.partials(other, calibration), strict=True
         )
         for a, b in pairs:
             yield replace(
                 a,
                 irradiance_w_m2=(a.irradiance_w_m2 + b.irradiance_w_m2) / 2,
-                opacity=(a.opacity + b.opacity) / 2,
+                blend_weight=(a.blend_weight + b.blend_weight) / 2,
             )

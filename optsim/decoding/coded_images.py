@@ -10,9 +10,9 @@ from typing import cast
 import numpy as np
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import LEAST_EXPOSURE, Crosstalk, nearest, sampled
+from optsim.calibration.demixed import LEAST_EXPOSURE, Crosstalk, nearest, sampled
 from optsim.core.quantities import Bools, CodedFrame, Floats
-from optsim.decoding.layer import Layer, positive_mean
+from optsim.decoding.partial import Partial, positive_mean
 
 # Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
 _AROUND = 8
@@ -54,7 +54,7 @@ class CodedImage:
 def coded_images(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
-    """Frames with their pixels separated, as :func:`~optsim.calibration.sample.sampled` takes them."""
+    """Frames with their pixels separated, as :func:`~optsim.calibration.demixed.sampled` takes them."""
     for frame, sample in sampled(frames, calibration, crosstalk):
         usable = sample.valid & (sample.exposure > LEAST_EXPOSURE)
         yield (
@@ -89,7 +89,7 @@ def covered(
     count: Floats,
     full: Floats,
     variance: Floats | None = None,
-) -> Layer:
+) -> Partial:
     """Mean of the patches over each pixel; the fewer of all patches there are, the less opaque.
 
     Patches over a pixel have seen the same samples with the same prior, so their errors are nearly the same
@@ -127,7 +127,7 @@ def covered(
     interpolated = moving & (image.saturated | ~image.usable)
     if spread is not None:
         spread[:, interpolated] = np.maximum(spread[:, interpolated], video[:, interpolated])
-    return Layer(
+    return Partial(
         frame.index,
         video,
         (count / full).astype(np.float32),

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import (
+from optsim.calibration.demixed import (
     LEAST_EXPOSURE,
     Brightness,
     Crosstalk,
-    Sample,
+    DemixedFrame,
     noise_variance,
     predicted_variance,
     separate,
@@ -59,7 +59,7 @@ class Merged:
 
 def merged(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     least: Floats,
     crosstalk: Crosstalk,
@@ -126,14 +126,14 @@ def merged(
 
 def _pass(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     mean: Floats,
     *,
     usable: Sequence[Bools],
     found: Bools,
     least: Floats,
     crosstalk: Crosstalk,
-) -> tuple[Sequence[Sample], Doubles, Floats]:
+) -> tuple[Sequence[DemixedFrame], Doubles, Floats]:
     """Separate the frames by the pooled estimate; its certainty, one over its variance, and its change."""
     light = np.maximum(mean, 0)
     if crosstalk == "undone":
@@ -147,7 +147,7 @@ def _pass(
 
 
 def _variances(
-    calibration: Calibration, samples: Sequence[Sample], light: Floats, crosstalk: Crosstalk
+    calibration: Calibration, samples: Sequence[DemixedFrame], light: Floats, crosstalk: Crosstalk
 ) -> list[Floats]:
     """Of the frames' signals if such were the light, which is nowhere negative."""
     if crosstalk == "undone":
@@ -157,7 +157,7 @@ def _variances(
 
 def _unsettled(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     found: Bools,
     mean: Floats,

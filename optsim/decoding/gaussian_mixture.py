@@ -15,13 +15,13 @@ from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Crosstalk, nearest
+from optsim.calibration.demixed import Crosstalk, nearest
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
-from optsim.decoding.layer import Branch, Layer
 from optsim.decoding.mixture.posterior import Seen, posterior, seen_through
 from optsim.decoding.mixture.posterior_spread import Spread
+from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.patch_grid import overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.mixture import Mixture, load_mixture, shipped_mixture
@@ -36,7 +36,7 @@ _NOTHING = np.float32(1e-12)
 _NOISIEST = 1e12
 
 
-class GaussianMixture(Branch):
+class GaussianMixture(PartialDecoder):
     """Posterior mean over a learned mixture of Gaussians, overlapping patches averaged.
 
     Yang et al., IEEE Trans. Image Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. The same code, mask
@@ -75,7 +75,7 @@ class GaussianMixture(Branch):
     crosstalk: Crosstalk = "undone"
     uncertainty: bool = False
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, with the opacity of the seam."""
         prior = self._prior(calibration)
         spread = Spread.of(prior) if self.uncertainty else None

@@ -12,17 +12,24 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import LEAST_EXPOSURE, Crosstalk, Sample, nearest, sample_bounds, sampled
+from optsim.calibration.demixed import (
+    LEAST_EXPOSURE,
+    Crosstalk,
+    DemixedFrame,
+    nearest,
+    sample_bounds,
+    sampled,
+)
 from optsim.core.quantities import Bools, CodedFrame, Floats
 from optsim.decoding.frame_merge import Merged, merged
-from optsim.decoding.layer import Branch, Layer, positive_mean
-from optsim.decoding.narrow_picks import missed
 from optsim.decoding.neighbour_pooling import pooled
+from optsim.decoding.partial import Partial, PartialDecoder, positive_mean
+from optsim.decoding.readout_window import missed
 from optsim.optics.motion import Bounds, changed
 from optsim.optics.neighbourhoods import without_specks
 
 
-class HdrMerge(Branch):
+class HdrMerge(PartialDecoder):
     """Merge all unsaturated samples of a pixel since it last changed.
 
     The estimate is the weighted least-squares one, ``sum(W I / var) / sum(W^2 / var)``, which is
@@ -32,7 +39,7 @@ class HdrMerge(Branch):
     (``attribution_variance``): there long exposures are trusted, short ones not.
     Any code counts, the paper's mosaic or another. The uncertainty holds ``sum(W^2 / var) ** -0.5``, that of
     the responsivity, what is left of glare, and what a narrow pick may miss of light that changes within a
-    pixel (:func:`~optsim.decoding.narrow_picks.missed`); it holds no other errors of the calibration, nor
+    pixel (:func:`~optsim.decoding.readout_window.missed`); it holds no other errors of the calibration, nor
     motion that nobody noticed.
 
     Then each pixel is averaged with its neighbours, as far as noise makes that worth while
@@ -79,7 +86,7 @@ class HdrMerge(Branch):
     contrast: float = Field(default=0.05, gt=0, le=10)
     paper_literal: bool = False
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`: one image a frame."""
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
@@ -101,7 +108,7 @@ class HdrMerge(Branch):
             systematic = (calibration.gain_uncertainty * light) ** 2
             systematic += missed(light, variance, calibration.ratio / calibration.reading_px) ** 2
             error = np.sqrt(variance + systematic)
-            yield Layer(
+            yield Partial(
                 frame.index,
                 light[None],
                 np.ones(calibration.shape, np.float32),
@@ -131,7 +138,7 @@ class HdrMerge(Branch):
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    sample: Sample
+    sample: DemixedFrame
     bounds: Bounds
 
 
@@ -149,7 +156,7 @@ def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) 
     return result
 
 
-def _literal(samples: Sequence[Sample], least: Floats) -> Merged:
+def _literal(samples: Sequence[DemixedFrame], least: Floats) -> Merged:
     """Mean of I / S over the frames, no less than none; its variance is that of the samples."""
     quotients = [s.signal / np.maximum(s.exposure, 1e-6) for s in samples]
     variances = [s.variance / np.maximum(s.exposure, 1e-6) ** 2 for s in samples]
@@ -158,7 +165,7 @@ def _literal(samples: Sequence[Sample], least: Floats) -> Merged:
     return Merged(mean, lambda _: variance, samples[0].valid, least, np.zeros_like(mean))
 
 
-def _least(samples: Sequence[Sample], alive: Sequence[Bools]) -> Floats:
+def _least(samples: Sequence[DemixedFrame], alive: Sequence[Bools]) -> Floats:
     """Greatest of what saturated samples say that there is at least."""
     return np.max([np.where(ok, s.least, 0) for s, ok in zip(samples, alive, strict=True)], axis=0)
 

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Sample, predicted_variance
+from optsim.calibration.demixed import DemixedFrame, predicted_variance
 from optsim.core.quantities import Bools, Doubles, Floats
 
 # So many regions are told apart at most, of so many pixels at least: the glare of less is lost in errors of
@@ -28,7 +28,7 @@ _NEAR = 1e-4
 
 def told_by_glare(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     usable: Sequence[Bools],
     mean: Floats,
@@ -129,7 +129,7 @@ def _regions(light: Floats) -> list[Bools]:
     return [labels == k for k in brightest[:_REGIONS]]
 
 
-def _darkest(samples: Sequence[Sample], alive: Sequence[Bools], light: Floats) -> Floats:
+def _darkest(samples: Sequence[DemixedFrame], alive: Sequence[Bools], light: Floats) -> Floats:
     """Least factors: those of pixels among others as bright, which just saturate; (v, u)."""
     even = np.zeros(light.shape, np.float32)
     for sample, ok in zip(samples, alive, strict=True):

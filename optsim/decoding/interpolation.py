@@ -10,16 +10,16 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Crosstalk
+from optsim.calibration.demixed import Crosstalk
 from optsim.core.quantities import CodedFrame, Floats
 from optsim.decoding.coded_images import coded_images, covered
-from optsim.decoding.layer import Branch, Layer
+from optsim.decoding.partial import Partial, PartialDecoder
 
 # Gaussians are cut here, in standard deviations; what has no sample so near is not valid.
 _CUT = 4.0
 
 
-class Interpolation(Branch):
+class Interpolation(PartialDecoder):
     """Normalised convolution of the samples in space and time.
 
     H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081. A pixel's mean irradiance while it
@@ -39,7 +39,7 @@ class Interpolation(Branch):
     sigma_slots: float = Field(default=1.5, gt=0, le=20)
     crosstalk: Crosstalk = "undone"
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, as layers."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Squared: what a dark panel leaks in every slot says little about any of them.

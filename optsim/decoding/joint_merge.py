@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Sample, noise_variance, predicted_variance
+from optsim.calibration.demixed import DemixedFrame, noise_variance, predicted_variance
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 
 # How far from even light a pixel is, one standard deviation (a sensible default, no source).
@@ -25,7 +25,7 @@ _REMAINDER = 1e-4
 
 def solved_together(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     usable: Sequence[Bools],
     irradiance: Floats,
@@ -53,7 +53,7 @@ def solved_together(
     irradiance : ndarray of shape (v, u), float32
         W m^-2; right where it is not unknown.
     least : ndarray of shape (v, u), float32
-        What saturated samples say (:attr:`~optsim.calibration.sample.Sample.least`), W m^-2: taken for the
+        What saturated samples say (:attr:`~optsim.calibration.demixed.Sample.least`), W m^-2: taken for the
         light of pixels that no frame measured, unless their neighbours know better.
     unknown : ndarray of shape (v, u), bool
         The pixels to find: measured in a frame, or saturated.
@@ -84,7 +84,7 @@ def solved_together(
 
 def _expected(
     calibration: Calibration,
-    samples: Sequence[Sample],
+    samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     usable: Sequence[Bools],
     least: Floats,
@@ -121,7 +121,7 @@ def _least_squares(matrix: sparse.csr_array, wanted: Doubles) -> Doubles:
 
 def _equations(
     calibration: Calibration,
-    sample: Sample,
+    sample: DemixedFrame,
     alive: Bools,
     usable: Bools,
     irradiance: Floats,

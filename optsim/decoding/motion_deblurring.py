@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Crosstalk, nearest
+from optsim.calibration.demixed import Crosstalk, nearest
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats
 from optsim.decoding.coded_blur import CodedBlur, Velocity, carried, coded_blur, spectrum_of
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
-from optsim.decoding.layer import Branch, Layer
+from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.velocity_choice import explained
 
 # Pixels whose weights differ from the common ones by less than this share have the same code: what the panel
@@ -24,7 +24,7 @@ _ALIKE = 0.1
 _LEAST = 1e-6
 
 
-class MotionDeblurring(Branch):
+class MotionDeblurring(PartialDecoder):
     """Deconvolution along constant velocities, the natural decoder of one code for all pixels.
 
     R. Raskar, A. Agrawal and J. Tumblin, "Coded exposure photography: motion deblurring using fluttered
@@ -73,7 +73,7 @@ class MotionDeblurring(Branch):
     rounds: int = Field(default=60, ge=0, le=1000)
     crosstalk: Crosstalk = "undone"
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, as layers.
 
         Raises
@@ -178,6 +178,6 @@ def painted(
         for slot in range(slots):
             late = slot - blur.middle
             there, mask = carried(spectra, blur.light.shape, (late * velocity[0], late * velocity[1]))
-            opacity = np.clip(mask[inside], 0, 1) if place else np.float32(1)
-            light[slot] += opacity * (there[inside] - light[slot])
+            blend_weight = np.clip(mask[inside], 0, 1) if place else np.float32(1)
+            light[slot] += blend_weight * (there[inside] - light[slot])
     return light

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage  # type: ignore[import-untyped]
 
 from optsim.core.quantities import Bools, Doubles, Floats
-from optsim.decoding.layer import positive_mean
+from optsim.decoding.partial import positive_mean
 
 # Linear interpolation between the samples of one exposure of a 2 x 2 mosaic; the pixel itself is apart.
 _AROUND = {(0, 1): 0.5, (0, -1): 0.5, (1, 0): 0.5, (-1, 0): 0.5} | dict.fromkeys(

@@ -9,17 +9,17 @@ from typing import Literal
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Crosstalk
+from optsim.calibration.demixed import Crosstalk
 from optsim.core.quantities import CodedFrame
 from optsim.decoding.coded_images import coded_images, covered
-from optsim.decoding.layer import Branch, Layer
+from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.patch_grid import overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.priors.prior_file import fitted
 
 
-class SparseCoding(Branch):
+class SparseCoding(PartialDecoder):
     """Orthogonal matching pursuit patch by patch, overlapping patches averaged.
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
@@ -52,7 +52,7 @@ class SparseCoding(Branch):
     weight_tolerance: float = Field(default=0.02, ge=0)
     crosstalk: Crosstalk = "undone"
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, with the opacity of the seam."""
         # Brings numba along, which reading an experiment must not.
         from optsim.decoding.sparse.patch_codes import PatchCoder

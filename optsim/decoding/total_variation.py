@@ -9,18 +9,18 @@ import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.sample import Crosstalk, nearest
+from optsim.calibration.demixed import Crosstalk, nearest
 from optsim.core.compiled import compiled
 from optsim.core.quantities import CodedFrame, Floats
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
-from optsim.decoding.layer import Branch, Layer
+from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.tv_smoothing import smoothed
 
 _SLOTS_LIKE_PIXELS = 24
 _WHITE = 99.0  # percentile of the means that is brought to 1 before the total variation is weighed
 
 
-class TotalVariation(Branch):
+class TotalVariation(PartialDecoder):
     """Generalised alternating projection with total variation (GAP-TV).
 
     X. Yuan, "Generalized alternating projection based total variation minimization for compressive sensing",
@@ -52,7 +52,7 @@ class TotalVariation(Branch):
     inner_rounds: int = Field(default=4, ge=1, le=100)
     crosstalk: Crosstalk = "undone"
 
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, as layers."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Pixels that no slot opens are smoothed with the others.

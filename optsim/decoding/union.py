@@ -16,7 +16,9 @@ from optsim.calibration.calibration import Calibration
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
 from optsim.decoding.average import Average
-from optsim.decoding.branches import (
+from optsim.decoding.coded_images import box_mean
+from optsim.decoding.partial import Partial
+from optsim.decoding.partial_decoders import (
     GaussianMixture,
     HdrMerge,
     Interpolation,
@@ -24,8 +26,6 @@ from optsim.decoding.branches import (
     SparseCoding,
     TotalVariation,
 )
-from optsim.decoding.coded_images import box_mean
-from optsim.decoding.layer import Layer
 
 _Moving = Annotated[
     SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation | MotionDeblurring,
@@ -78,20 +78,20 @@ class Union(Part):
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
         """Decode frame by frame, each from itself and those before."""
         first, second = tee(frames)
-        merged: deque[tuple[Layer, Floats]] = deque()
+        merged: deque[tuple[Partial, Floats]] = deque()
 
         def changing() -> Iterator[CodedFrame]:
-            for frame, still in zip(first, self.static.layers(second, calibration), strict=True):
+            for frame, still in zip(first, self.static.partials(second, calibration), strict=True):
                 changed = still.moving if self.video == "changed" else np.ones_like(still.moving)
                 near = _nearness(changed, self.fade_px)
                 merged.append((still, near))
                 moving = frame.code.moving & (near >= _LEAST_SHARE)
                 yield replace(frame, code=replace(frame.code, moving=moving))
 
-        for video in self.moving.layers(changing(), calibration):
+        for video in self.moving.partials(changing(), calibration):
             still, near = merged.popleft()
             # Inside the mask all patches are there, so the opacity is 1.
-            share = np.where(still.valid, near * video.opacity, np.sign(video.opacity))
+            share = np.where(still.valid, near * video.blend_weight, np.sign(video.blend_weight))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
             spread = _mixed(still.uncertainty_w_m2, video.uncertainty_w_m2, share)
             yield Reconstruction(

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibration import Calibration
-from optsim.calibration.choice import Known, Operator, ReadingPx, find_kept, widest_reading
+from optsim.calibration.choice import CalibrationChoice, Operator, ReadingPx, find_kept, widest_reading
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import drifted
 from optsim.camera.table import check_hardware, on_hardware
@@ -221,13 +221,13 @@ class Experiment(Part):
         return self
 
     @property
-    def known(self) -> Known:
+    def calibration_choice(self) -> CalibrationChoice:
         """What is known of the camera where no method says otherwise."""
-        return Known(self.calibration, self.reading_px)
+        return CalibrationChoice(self.calibration, self.reading_px)
 
-    def known_to(self, method: Method) -> Known:
+    def choice_of(self, method: Method) -> CalibrationChoice:
         """Say what a method knows of the camera: its own choice, or else the experiment's."""
-        return Known(method.calibration or self.calibration, method.reading_px or self.reading_px)
+        return CalibrationChoice(method.calibration or self.calibration, method.reading_px or self.reading_px)
 
     @property
     def schemes(self) -> dict[str, Scheme]:
@@ -235,14 +235,14 @@ class Experiment(Part):
         return {method.name: method.scheme for method in self.methods}
 
     @property
-    def all_known(self) -> tuple[Known, ...]:
+    def calibration_choices(self) -> tuple[CalibrationChoice, ...]:
         """What is asked for, each once; the experiment's own, by which light is set, first."""
-        return tuple(dict.fromkeys((self.known, *map(self.known_to, self.methods))))
+        return tuple(dict.fromkeys((self.calibration_choice, *map(self.choice_of, self.methods))))
 
-    def check_methods(self, known: Mapping[Known, Calibration]) -> None:
+    def check_methods(self, known: Mapping[CalibrationChoice, Calibration]) -> None:
         """Refuse what any method cannot do with the calibration that it knows (:meth:`Method.check`)."""
         for method in self.methods:
-            method.check(known[self.known_to(method)])
+            method.check(known[self.choice_of(method)])
 
     def at_work(self) -> CodedCamera:
         """Camera that takes the frames: the one that was calibrated, as it has changed since.

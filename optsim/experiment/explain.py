@@ -86,7 +86,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         },
         "contrast": camera.contrast if math.isfinite(camera.contrast) else None,
         "contrast_budget": contrast_budget(camera),
-        "calibrations": {m.name: str(experiment.known_to(m)) for m in experiment.methods},
+        "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         "densities": {name: densities(camera, each) for name, each in mosaics(experiment).items()},
         "drift": experiment.drift,
         "noise_e": plan.probes.noise_e if plan else None,

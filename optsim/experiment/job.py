@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from optsim.camera.camera import CodedCamera
-from optsim.camera.known_calibration import check_kept, ideal_calibration
 from optsim.camera.laboratory import check_panel
+from optsim.camera.true_calibration import check_kept, ideal_calibration
 from optsim.core.cache import Cache
 from optsim.core.errors import OptsimError, StorageError
 from optsim.core.files import holds_nothing, read_record, writable_folder, write_exr, write_json
@@ -28,8 +28,8 @@ from optsim.core.stopwatch import Stopwatch
 from optsim.experiment import evidence
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.explain import MID_GREY, plan_record
+from optsim.experiment.figures import MOVING_FRAMES, Figures
 from optsim.experiment.finished import UNFINISHED, results_key, versions
-from optsim.experiment.gallery import MOVING_FRAMES, Gallery
 from optsim.experiment.journal import Journal, run_key
 from optsim.experiment.loop import LightLevel, calibrate_all, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
@@ -79,11 +79,14 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
         With the cure.
     """
     check_truth(experiment)
-    if any(known.operator == "bench" for known in experiment.all_known):
+    if any(known.operator == "bench" for known in experiment.calibration_choices):
         check_panel(experiment.camera)
-    check_kept(experiment.all_known, experiment.camera)
+    check_kept(experiment.calibration_choices, experiment.camera)
     experiment.check_methods(
-        {known: ideal_calibration(experiment.camera, known.reading_px) for known in experiment.all_known}
+        {
+            known: ideal_calibration(experiment.camera, known.reading_px)
+            for known in experiment.calibration_choices
+        }
     )
     view, timing = experiment.camera.view, experiment.timing
     if experiment.source is not None:
@@ -189,13 +192,13 @@ def _execute(
     experiment, names = modelled, [method.name for method in experiment.methods]
     resumed = {"captured": journal.n_shots(names)}
     with watch.stage("capture"):
-        camera, light = set_light(experiment, radiance, known[experiment.known])
+        camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
         truth = camera.form_image(radiance)
         frames = capture(experiment, camera, truth, known, progress, journal)
         write_frames(folder, frames)
     scorer = Scorer(experiment, camera, truth, radiance)
-    saturation_dn = float(np.median(known[experiment.known].saturation_dn))
-    gallery = Gallery(experiment, scorer, saturation_dn)
+    saturation_dn = float(np.median(known[experiment.calibration_choice].saturation_dn))
+    figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
     # Pictures are of the last frames.
     scored = journal.scores(names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
@@ -208,7 +211,7 @@ def _execute(
             scores = scorer.add(decoded.videos)
             for name, video in decoded.videos.items():
                 decode_s[name] += decoded.seconds[name]
-                gallery.add(name, video, frames[name][decoded.index])
+                figures.add(name, video, frames[name][decoded.index])
                 if name in experiment.save_reconstructions:
                     _write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
             journal.keep_scores(decoded.index, scores)
@@ -218,7 +221,7 @@ def _execute(
     if export_truth:
         export_radiance(radiance, folder / "truth", experiment, progress)
     with watch.stage("pictures"):
-        pictures = gallery.write(folder)
+        pictures = figures.write(folder)
     origin = describe_truth(experiment, Cache())
     results: Results = {
         "schema_version": SCHEMA_VERSION,
@@ -250,10 +253,10 @@ def _execute(
             "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
         },
         "methods": {
-            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, calibration: {experiment.known_to(m)}"
+            m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, calibration: {experiment.choice_of(m)}"
             for m in experiment.methods
         },
-        "calibrations": {m.name: str(experiment.known_to(m)) for m in experiment.methods},
+        "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         "calibration_files": kept,
         **scorer.results(),
         "plan": plan_record(plan),

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.random import Generator, SeedSequence
 
 from optsim.calibration import Bench, Calibration
-from optsim.calibration.choice import Known
+from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.bench_calibration import bench_calibration
 from optsim.camera.camera import CodedCamera
-from optsim.camera.known_calibration import ideal_calibration, kept_calibration, true_calibration
 from optsim.camera.laboratory import measure_bench
 from optsim.camera.plan import CameraPlan, plan_camera
+from optsim.camera.true_calibration import ideal_calibration, kept_calibration, true_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import (
@@ -39,7 +39,7 @@ from optsim.experiment.truth import illumination
 from optsim.optics.integrate import cell_means
 
 Frames = dict[str, tuple[CodedFrame, ...]]
-Calibrations = Mapping[Known, Calibration]
+Calibrations = Mapping[CalibrationChoice, Calibration]
 
 
 def stream(seed: int, *purpose: str | int) -> Generator:
@@ -114,7 +114,7 @@ def set_light(
     return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
 
 
-def calibrate(experiment: Experiment, known: Known | None = None) -> Calibration:
+def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) -> Calibration:
     """Make what will be known of the camera: from the bench, the true or ideal operator, or a file.
 
     Parameters
@@ -124,22 +124,28 @@ def calibrate(experiment: Experiment, known: Known | None = None) -> Calibration
     known : Known, optional
         By default the experiment's own.
     """
-    return _calibrations(experiment, (known or experiment.known,))[0]
+    return _calibrations(experiment, (known or experiment.calibration_choice,))[0]
 
 
 def calibrate_all(experiment: Experiment) -> Calibrations:
     """Make each calibration that the light rule or a method asks for, once: the bench takes long."""
-    return dict(zip(experiment.all_known, _calibrations(experiment, experiment.all_known), strict=True))
+    return dict(
+        zip(
+            experiment.calibration_choices,
+            _calibrations(experiment, experiment.calibration_choices),
+            strict=True,
+        )
+    )
 
 
-def _calibrations(experiment: Experiment, wanted: Sequence[Known]) -> list[Calibration]:
+def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -> list[Calibration]:
     camera = experiment.camera.with_nd(1.0)
 
     @cache
     def bench() -> Bench:
         return measure_bench(camera, stream(experiment.seed, "laboratory"))
 
-    def make(known: Known) -> Calibration:
+    def make(known: CalibrationChoice) -> Calibration:
         if known.file is not None:
             return kept_calibration(known, camera)
         if known.operator == "true":
@@ -222,7 +228,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.known_to(m)], journal)
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], journal)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}
@@ -262,7 +268,7 @@ def decode(
     running: dict[str, Iterator[Reconstruction]] = {}
     for m in experiment.methods:
         asked = _without_video(frames[m.name], first)
-        running[m.name] = m.decoder.decode(asked, calibrations[experiment.known_to(m)])
+        running[m.name] = m.decoder.decode(asked, calibrations[experiment.choice_of(m)])
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
         seconds: dict[str, float] = {}
@@ -320,7 +326,7 @@ class Result:
     @property
     def calibration(self) -> Calibration:
         """What the light rule went by, and every method without a calibration of its own."""
-        return self.calibrations[self.experiment.known]
+        return self.calibrations[self.experiment.calibration_choice]
 
     def reference(self, index: int) -> Floats:
         """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
@@ -362,7 +368,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     experiment, plan = planned(experiment)
     known = calibrate_all(experiment)
     experiment.check_methods(known)
-    camera, light = set_light(experiment, radiance, known[experiment.known])
+    camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
     truth = camera.form_image(radiance)
     frames = capture(experiment, camera, truth, known, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from optsim.calibration import Calibration, read_calibration, write_calibration
-from optsim.calibration.choice import CALIBRATION_FILE, Known
+from optsim.calibration.choice import CALIBRATION_FILE, CalibrationChoice
 from optsim.core.errors import StorageError
 from optsim.core.files import read_record
 from optsim.experiment.experiment import Experiment
@@ -17,17 +17,17 @@ _RESULTS = "results.json"
 _KEY = "calibration_files"
 
 
-def calibration_names(experiment: Experiment) -> dict[Known, str]:
+def calibration_names(experiment: Experiment) -> dict[CalibrationChoice, str]:
     """File of each calibration in a run's folder: one by the first method that alone knows it."""
     first, suffix = Path(CALIBRATION_FILE).stem, Path(CALIBRATION_FILE).suffix
-    names = {experiment.known: CALIBRATION_FILE}
+    names = {experiment.calibration_choice: CALIBRATION_FILE}
     for method in experiment.methods:
-        names.setdefault(experiment.known_to(method), f"{first}-{method.name}{suffix}")
+        names.setdefault(experiment.choice_of(method), f"{first}-{method.name}{suffix}")
     return names
 
 
 def keep_calibrations(
-    experiment: Experiment, folder: Path, calibrations: Mapping[Known, Calibration]
+    experiment: Experiment, folder: Path, calibrations: Mapping[CalibrationChoice, Calibration]
 ) -> list[dict[str, Any]]:
     """Write all calibrations of a run into its folder; return what results.json says of them."""
     records: list[dict[str, Any]] = []
@@ -38,13 +38,13 @@ def keep_calibrations(
                 "calibration": str(known),
                 "file": name,
                 "sha256": sha256_of(folder / name),
-                "methods": [m.name for m in experiment.methods if experiment.known_to(m) == known],
+                "methods": [m.name for m in experiment.methods if experiment.choice_of(m) == known],
             }
         )
     return records
 
 
-def calibration_of_run(experiment: Experiment, folder: Path, known: Known) -> Calibration | None:
+def calibration_of_run(experiment: Experiment, folder: Path, known: CalibrationChoice) -> Calibration | None:
     """Read what a run kept; None of one that kept none, as earlier versions did.
 
     Raises

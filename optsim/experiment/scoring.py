@@ -9,7 +9,7 @@ import numpy as np
 
 from optsim import metrics
 from optsim.camera.camera import CodedCamera
-from optsim.camera.known_calibration import true_calibration
+from optsim.camera.true_calibration import true_calibration
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
 from optsim.experiment.experiment import Experiment
@@ -214,7 +214,7 @@ class Scorer:
         pixel = self._ideal_pixel
         rows: list[dict[str, Any]] = []
         for method in self.experiment.methods:
-            name, taken, side = method.name, frames[method.name], self.experiment.known_to(method).reading_px
+            name, taken, side = method.name, frames[method.name], self.experiment.choice_of(method).reading_px
             square = pixel.pick_row, pixel.pick_col, side
             raw = np.stack([mean_reading(f.dn, *square)[pixel.valid] for f in taken])
             most = np.stack([brightest(f.dn, *square)[pixel.valid] for f in taken])
@@ -246,11 +246,15 @@ class Scorer:
 def no_rivals(experiment: Experiment) -> list[str]:
     """Methods that claims leave out: they code as the adaptive one does, or know another camera than it."""
     by_name = {m.name: m for m in experiment.methods}
-    ours = experiment.known_to(by_name[metrics.ADAPTIVE]) if metrics.ADAPTIVE in by_name else experiment.known
+    ours = (
+        experiment.choice_of(by_name[metrics.ADAPTIVE])
+        if metrics.ADAPTIVE in by_name
+        else experiment.calibration_choice
+    )
     return [
         m.name
         for m in experiment.methods
-        if m.scheme.kind == "motion_adaptive" or experiment.known_to(m) != ours
+        if m.scheme.kind == "motion_adaptive" or experiment.choice_of(m) != ours
     ]
 
 

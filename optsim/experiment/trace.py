@@ -14,7 +14,7 @@ from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bytes, Doubles, IrradianceVideo, RadianceVideo
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import Shot, calibrate_all, planned, set_light, shots
-from optsim.experiment.origins import (
+from optsim.experiment.signal_breakdown import (
     NEAR_PX,
     ORIGINS,
     count_electrons,
@@ -26,7 +26,7 @@ from optsim.experiment.origins import (
 from optsim.experiment.truth import render_truth
 from optsim.metrics import first_steady, phase_of
 from optsim.optics.fringing import border_shares, fine_image_adjoint
-from optsim.report.trace_record import Origin, Slots, Source, Trace, open_slots, sentences
+from optsim.report.trace_record import SignalShare, Slots, Source, Trace, open_slots, sentences
 
 _SOURCES = 12
 NOTES = (
@@ -41,7 +41,7 @@ NOTES = (
 
 
 @dataclass(frozen=True)
-class Aim:
+class TracedPixel:
     """Which CCD pixel, coded frame and method to trace."""
 
     y: int
@@ -50,9 +50,9 @@ class Aim:
     method: str
 
 
-def choose_aim(
+def choose_pixel(
     experiment: Experiment, pixel: str, frame: int | None = None, method: str | None = None
-) -> Aim:
+) -> TracedPixel:
     """Read what to trace, before anything is rendered.
 
     Parameters
@@ -95,11 +95,11 @@ def choose_aim(
     names = [each.name for each in experiment.methods]
     if method is not None and method not in names:
         raise unknown_name("--method", method, names)
-    return Aim(y, x, frame, method or names[0])
+    return TracedPixel(y, x, frame, method or names[0])
 
 
 def trace_experiment(
-    experiment: Experiment, aim: Aim, *, backend: str | None = None, progress: Progress = silent
+    experiment: Experiment, traced: TracedPixel, *, backend: str | None = None, progress: Progress = silent
 ) -> Trace:
     """Trace a pixel: truth, calibration, light and loop are those of a run, the loop of one method alone.
 
@@ -107,8 +107,8 @@ def trace_experiment(
     ----------
     experiment : Experiment
         What would be run.
-    aim : Aim
-        From :func:`choose_aim`.
+    traced : TracedPixel
+        From :func:`choose_pixel`.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -116,19 +116,19 @@ def trace_experiment(
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     progress("laboratory", 0, 1)
-    method = next(each for each in experiment.methods if each.name == aim.method)
+    method = next(each for each in experiment.methods if each.name == traced.method)
     modelled = planned(experiment)[0].model_copy(update={"methods": (method,)})
     known = calibrate_all(modelled)
     progress("laboratory", 1, 1)
-    camera, _ = set_light(modelled, radiance, known[modelled.known])
+    camera, _ = set_light(modelled, radiance, known[modelled.calibration_choice])
     truth = camera.form_image(radiance)
-    taken = shots(modelled, method, camera, truth, known[modelled.known_to(method)])
-    for index in range(aim.frame):
+    taken = shots(modelled, method, camera, truth, known[modelled.choice_of(method)])
+    for index in range(traced.frame):
         next(taken)
-        progress("capture", index + 1, aim.frame + 1)
+        progress("capture", index + 1, traced.frame + 1)
     shot = next(taken)
-    progress("capture", aim.frame + 1, aim.frame + 1)
-    return trace_pixel(experiment, camera, radiance, truth, shot, aim)
+    progress("capture", traced.frame + 1, traced.frame + 1)
+    return trace_pixel(experiment, camera, radiance, truth, shot, traced)
 
 
 def trace_pixel(
@@ -137,7 +137,7 @@ def trace_pixel(
     radiance: RadianceVideo,
     truth: IrradianceVideo,
     shot: Shot,
-    aim: Aim,
+    traced: TracedPixel,
 ) -> Trace:
     """Trace a pixel of a frame that has been taken.
 
@@ -151,31 +151,31 @@ def trace_pixel(
         The scene, and its light on the modulator.
     shot : Shot
         The frame, and the panel before it.
-    aim : Aim
+    traced : TracedPixel
         The CCD pixel and the frame's index and method.
     """
     code, pitch = shot.frame.code, truth.samples_per_pitch
-    paths = light_paths(camera, aim.y, aim.x, pitch)
+    paths = light_paths(camera, traced.y, traced.x, pitch)
     even = fine_image_adjoint(paths[0], border_shares(camera.modulator.fringing_px, pitch))
-    target = look_at(camera, aim.y, aim.x, pitch, even)
+    target = look_at(camera, traced.y, traced.x, pitch, even)
     own = (target.v, target.u)
-    counted = count_electrons(camera, truth, aim.frame, code, shot.before, paths, own)
-    expected, _ = camera.expected_electrons(truth, aim.frame, code, shot.before)
-    reading = read_out(camera, expected, aim.y, aim.x, int(shot.frame.dn[aim.y, aim.x]))
+    counted = count_electrons(camera, truth, traced.frame, code, shot.before, paths, own)
+    expected, _ = camera.expected_electrons(truth, traced.frame, code, shot.before)
+    reading = read_out(camera, expected, traced.y, traced.x, int(shot.frame.dn[traced.y, traced.x]))
     whole_e = {name: float(by_slot.sum()) for name, by_slot in counted.by_slot.items()}
     whole_e["smear"] = reading.smear_e
     total_e = sum(whole_e.values())
     slots = camera.slots_per_frame
     seen = np.stack([_on_own_pixel(paths[0], own, pitch), paths.sum(axis=0)])
-    scene, light = (seen_per_slot(video, aim.frame * slots, slots, seen) for video in (radiance, truth))
+    scene, light = (seen_per_slot(video, traced.frame * slots, slots, seen) for video in (radiance, truth))
     return Trace(
         experiment=experiment.name,
         fingerprint=experiment.fingerprint(),
-        method=aim.method,
-        frame=aim.frame,
-        phase=phase_of(aim.frame, camera.latency_frames),
-        y=aim.y,
-        x=aim.x,
+        method=traced.method,
+        frame=traced.frame,
+        phase=phase_of(traced.frame, camera.latency_frames),
+        y=traced.y,
+        x=traced.x,
         nd_transmission=camera.objective.nd_transmission,
         irradiance_per_radiance=camera.irradiance_per_radiance,
         target=target,
@@ -189,7 +189,9 @@ def trace_pixel(
             shutter_open=tuple(slot < camera.coded_slots for slot in range(slots)),
             origins_e={name: tuple(by_slot.tolist()) for name, by_slot in counted.by_slot.items()},
         ),
-        origins=tuple(Origin(n, ORIGINS[n], e, e / total_e if total_e else 0.0) for n, e in whole_e.items()),
+        origins=tuple(
+            SignalShare(n, ORIGINS[n], e, e / total_e if total_e else 0.0) for n, e in whole_e.items()
+        ),
         reading=reading,
         sources=_sources(counted.by_pixel, even, code.levels, own, total_e),
         neighbourhood_e=_neighbourhood(counted.by_pixel, own),

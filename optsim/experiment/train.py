@@ -50,7 +50,7 @@ def training_textures() -> list[str]:
 
 def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
     """Clips of leaves, (slot, v, u), that carry the textures of the training scene; cached."""
-    from optsim.scene.moving_leaves import moving_leaves
+    from optsim.scene.dead_leaves import dead_leaves
     from optsim.scene.textures import reflectance_map
 
     cache = Cache()
@@ -59,7 +59,7 @@ def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
     clips: list[Floats] = []
 
     def one(number: int) -> Floats:
-        return moving_leaves(textures, np.random.default_rng([seed, number]))
+        return dead_leaves(textures, np.random.default_rng([seed, number]))
 
     for first in range(0, _LEAVES, _BATCH):
         progress("training footage", first, _LEAVES)
@@ -132,7 +132,7 @@ def train_prior(
     seed : int
         Of footage, patches and where learning begins.
     footage : {"scene", "leaves", "both"}, optional
-        Renders of the training scene's variations, clips of :mod:`optsim.scene.moving_leaves`, or both; by
+        Renders of the training scene's variations, clips of :mod:`optsim.scene.dead_leaves`, or both; by
         default what the shipped prior learned from, and none of them beside imported clips.
     clips : sequence of ImportedClip
         Footage of one's own.

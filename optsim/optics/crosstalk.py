@@ -116,7 +116,7 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
     return kernels.astype(np.float32)
 
 
-def seen_at_picks(
+def seen_by_ccd_pixels(
     panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, side: int = 1
 ) -> Doubles:
     """Light of a pattern on the panel as each of its pixels reads it, without veil: array (v, u).
@@ -151,8 +151,8 @@ def true_dots(
         CCD pixels to a side of the square around each pick that is read.
     """
     rows, cols = pick_row.shape
-    picks = pick_row, pick_col, side
-    flat = np.maximum(seen_at_picks(np.ones((rows, cols)), operator, borders, *picks), 1e-30)
+    ccd_pixels = pick_row, pick_col, side
+    flat = np.maximum(seen_by_ccd_pixels(np.ones((rows, cols)), operator, borders, *ccd_pixels), 1e-30)
     found: list[Dots] = []
     n_dots = 0
     # One lattice is plenty on a large panel; on a small one it has fewer dots than the fit has terms.
@@ -161,7 +161,7 @@ def true_dots(
         if v.size and u.size:
             lit = np.zeros((rows, cols))
             lit[np.ix_(v, u)] = 1
-            found.append(Dots(v, u, seen_at_picks(lit, operator, borders, *picks) / flat))
+            found.append(Dots(v, u, seen_by_ccd_pixels(lit, operator, borders, *ccd_pixels) / flat))
             n_dots += v.size * u.size
         if n_dots >= _ENOUGH * len(_EVERY_POWER):
             break

@@ -45,7 +45,7 @@ def regions(mask: Bools) -> tuple[Ints, int]:
     return cast("Callable[..., tuple[Ints, int]]", ndimage.label)(mask, structure=np.ones((3, 3), int))
 
 
-def grown(mask: Bools, reach_px: int) -> Bools:
+def dilated(mask: Bools, reach_px: int) -> Bools:
     """Dilate by a square: every pixel within ``reach_px`` rows and columns of the mask."""
     if reach_px == 0:
         return mask

@@ -87,7 +87,7 @@ class RelayGeometry:
             c * dx - s * dy + self.ccd_cols / 2 + self.shift_x_px,
         )
 
-    def picks(self, pitch: int, side: int = 1) -> tuple[Ints, Ints, Bools]:
+    def ccd_pixels(self, pitch: int, side: int = 1) -> tuple[Ints, Ints, Bools]:
         """CCD pixel at the centre of each panel pixel, and whether the CCD has what is read; each (v, u).
 
         Parameters
@@ -112,9 +112,9 @@ class RelayGeometry:
         on_ccd &= (col >= half) & (col < self.ccd_cols - half)
         return row.clip(0, self.ccd_rows - 1), col.clip(0, self.ccd_cols - 1), on_ccd
 
-    def pick_offsets_px(self, pitch: int) -> Doubles:
+    def offsets_px(self, pitch: int) -> Doubles:
         """Centre of each picked CCD pixel less that of its panel pixel: array (v, u, 2), panel pixels."""
-        row, col, _ = self.picks(pitch)
+        row, col, _ = self.ccd_pixels(pitch)
         y, x = self._pixel_centres(pitch)
         return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
 

@@ -29,7 +29,7 @@ _MEMORY = np.float32(0.8)
 
 
 @dataclass(frozen=True, eq=False)
-class Tiles:
+class Statistics:
     """Sums over each tile's pixels: what one pose leaves behind for the next.
 
     Parameters
@@ -46,21 +46,21 @@ class Tiles:
     radiance: Floats
     count: Floats
 
-    def and_then(self, later: Tiles) -> Tiles:
+    def and_then(self, later: Statistics) -> Statistics:
         """Pool with what a later pose showed; what is older counts less."""
-        return Tiles.of(_MEMORY * self.arrays() + later.arrays())
+        return Statistics.of(_MEMORY * self.arrays() + later.arrays())
 
     def arrays(self) -> Floats:
         """Stack for the cache: (3, ty, tx)."""
         return np.stack([self.variance, self.radiance, self.count])
 
     @staticmethod
-    def of(arrays: Floats) -> Tiles:
+    def of(arrays: Floats) -> Statistics:
         """Unstack what :meth:`arrays` stacked."""
-        return Tiles(*np.asarray(arrays))
+        return Statistics(*np.asarray(arrays))
 
 
-def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Doubles) -> Tiles:
+def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Doubles) -> Statistics:
     """Sum pixel statistics by tile.
 
     Parameters
@@ -78,10 +78,10 @@ def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Dou
     def summed(values: Doubles) -> Floats:
         return np.bincount(tile, values, rows * cols).reshape(rows, cols).astype(np.float32)
 
-    return Tiles(summed(variance), summed(radiance), summed(np.ones(len(pixels))))
+    return Statistics(summed(variance), summed(radiance), summed(np.ones(len(pixels))))
 
 
-def relative_deviation(tiles: Tiles, shape: tuple[int, int], floor_w_m2_sr: float) -> Floats:
+def relative_deviation(statistics: Statistics, shape: tuple[int, int], floor_w_m2_sr: float) -> Floats:
     """Predict the standard deviation of one sample over (radiance + floor), per pixel, from smoothed tiles.
 
     Returns
@@ -89,7 +89,9 @@ def relative_deviation(tiles: Tiles, shape: tuple[int, int], floor_w_m2_sr: floa
     ndarray of shape (y, x), float32
         Where no tile nearby knows anything, the mean over all.
     """
-    variance, radiance, count = (_blurred(x) for x in (tiles.variance, tiles.radiance, tiles.count))
+    variance, radiance, count = (
+        _blurred(x) for x in (statistics.variance, statistics.radiance, statistics.count)
+    )
     known = count > 1e-6
     per = np.where(known, count, 1)
     squared = variance / per / (np.maximum(radiance / per, 0) + floor_w_m2_sr) ** 2
@@ -100,16 +102,16 @@ def relative_deviation(tiles: Tiles, shape: tuple[int, int], floor_w_m2_sr: floa
 
 def smoothed(shape: tuple[int, int], values: Doubles) -> Floats:
     """Average over the neighbouring tiles of something known in every pixel, (y, x)."""
-    tiles = tally(shape, np.arange(shape[0] * shape[1]), values.ravel(), values.ravel())
-    return _spread(_blurred(tiles.variance) / _blurred(tiles.count), shape)
+    statistics = tally(shape, np.arange(shape[0] * shape[1]), values.ravel(), values.ravel())
+    return _spread(_blurred(statistics.variance) / _blurred(statistics.count), shape)
 
 
 def _blurred(image: Floats) -> Floats:
     return cast("Floats", ndimage.uniform_filter(image, 3, mode="constant"))  # type: ignore[no-untyped-call]
 
 
-def _spread(tiles: Floats, shape: tuple[int, int]) -> Floats:
-    fine = np.repeat(np.repeat(tiles, TILE_PX, 0), TILE_PX, 1)
+def _spread(statistics: Floats, shape: tuple[int, int]) -> Floats:
+    fine = np.repeat(np.repeat(statistics, TILE_PX, 0), TILE_PX, 1)
     return fine[: shape[0], : shape[1]].astype(np.float32)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
-from optsim.render.allocation import Tiles, smoothed, tally
+from optsim.render.allocation import Statistics, smoothed, tally
 from optsim.render.nearby import boxes_around
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage
@@ -61,16 +61,18 @@ class Difference:
         entry = plan.cache.get(plan.key("near", plan.timing.n_slots), self._near_share)
         self._cost = np.array(entry["share"]).ravel() + np.float32(_LOOK_UP)
 
-    def counts(self, tiles: Tiles, pixels: Ints, target: float) -> Floats:
+    def counts(self, statistics: Statistics, pixels: Ints, target: float) -> Floats:
         """Share out samples a half over some pixels, from what other random numbers showed."""
         cost = self._cost[pixels]
-        return self._plan.counts(tiles, pixels, self._static[pixels], target, least=1, most=_MOST, cost=cost)
+        return self._plan.counts(
+            statistics, pixels, self._static[pixels], target, least=1, most=_MOST, cost=cost
+        )
 
-    def pilot(self, time_s: float, pixels: Ints) -> Tiles:
+    def pilot(self, time_s: float, pixels: Ints) -> Statistics:
         """Statistics at an instant from random numbers of their own."""
         return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
 
-    def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Tiles]:
+    def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Statistics]:
         """Render what the movers change at an instant, in some pixels.
 
         Parameters

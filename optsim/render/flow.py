@@ -83,7 +83,7 @@ class PassRenderer:
         before = self._places(points, now)
         ends = [self._moment(time_s - step_s), self._moment(time_s + step_s)]
         (back, lost_back), (ahead, lost_ahead) = (
-            self._flow(hits, before, self._carried(hits, points, now, end), end) for end in ends
+            self._flow(hits, before, self._reprojected(hits, points, now, end), end) for end in ends
         )
         moments = (ends[0], now, ends[1])
 
@@ -122,17 +122,17 @@ class PassRenderer:
         vertices = {name: mover.vertices(time_s) for name, mover in self._movers.items()}
         return _Moment(time_s, pose, camera_to_world(pose), vertices)
 
-    def _carried(self, hits: Hits, points: Doubles, now: _Moment, end: _Moment) -> Doubles:
+    def _reprojected(self, hits: Hits, points: Doubles, now: _Moment, end: _Moment) -> Doubles:
         """Where surface points (n, 3) are at another instant, m."""
-        carried = points.copy()
+        reprojected = points.copy()
         for shape, name in self._ids.movers.items():
             mine = np.flatnonzero(hits.shape == shape)
             corners = self._faces[name][hits.face[mine]]
             second, third = hits.weights[mine].T
             weights = np.stack([1 - second - third, second, third], axis=-1)
             way = end.vertices_m[name] - now.vertices_m[name]
-            carried[mine] += np.einsum("nk,nkx->nx", weights, way[corners])
-        return carried
+            reprojected[mine] += np.einsum("nk,nkx->nx", weights, way[corners])
+        return reprojected
 
     def _places(self, points: Doubles, moment: _Moment) -> Doubles:
         """Row, column and depth (n, 3) of points; without meaning where the depth isn't positive."""
@@ -142,15 +142,15 @@ class PassRenderer:
             row, col = distorted(row, col, self._view)
         return np.stack([row, col, there[:, 2]], axis=-1)
 
-    def _flow(self, hits: Hits, before: Doubles, carried: Doubles, end: _Moment) -> tuple[Doubles, Bools]:
+    def _flow(self, hits: Hits, before: Doubles, reprojected: Doubles, end: _Moment) -> tuple[Doubles, Bools]:
         """Flow (n, 2) from places ``before`` to where points are seen then, and which of them aren't."""
-        after = self._places(carried, end)
+        after = self._places(reprojected, end)
         row, col, depth = after.T
         sensible = (hits.shape >= 0) & (depth > end.pose.near_m) & (depth < end.pose.far_m)
         flow = np.where(sensible[:, None], (after - before)[:, :2], 0.0)
         seen = sensible & (row >= 0) & (row < self._view.rows) & (col >= 0) & (col < self._view.cols)
         lanes = np.flatnonzero(seen)
-        ways = carried[lanes] - end.matrix[:3, 3]
+        ways = reprojected[lanes] - end.matrix[:3, 3]
         distance = np.linalg.norm(ways, axis=1)
         self._stage.pose(end.time_s)
         found = cast(self._stage, end.pose, ways / distance[:, None])

@@ -8,13 +8,13 @@ import numpy as np
 
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Block, Doubles, Floats, Segment, Timing, View
-from optsim.render.allocation import Tiles
+from optsim.render.allocation import Statistics
 from optsim.render.backend import activate
 from optsim.render.footprint import path_px
 from optsim.render.plan import Plan, seed_of
 from optsim.render.stage import Stage
 from optsim.render.still import halves_tally
-from optsim.render.tracks import way_px
+from optsim.render.trajectories import way_px
 from optsim.scene.scene import Scene
 
 _PILOT_SAMPLES = 4
@@ -36,7 +36,7 @@ def poses_per_instant(plan: Plan, slot: int) -> int:
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))
 
 
-def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Tiles) -> dict[str, Floats]:
+def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Statistics) -> dict[str, Floats]:
     """Render both halves of every instant of a slot, samples allocated by the slot before.
 
     Poses are at the middles of equal parts of an instant, so that their mean is its motion blur. A pixel
@@ -72,10 +72,12 @@ def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Tiles
             half, where = np.nonzero(pose % size == np.floor(chance * size))
             seen = stage.paths(where, samples[where], seeds[half], group[where] * samples[where])
             light[half, instant, where] += seen * samples[where] / counts[where]
-    tiles = [halves_tally(plan, pixels, light[:, i], counts.astype(np.float64)) for i in range(n_instants)]
+    statistics = [
+        halves_tally(plan, pixels, light[:, i], counts.astype(np.float64)) for i in range(n_instants)
+    ]
     return {
         "light": light.reshape(2, n_instants, *plan.shape).astype(np.float32),
-        "tiles": np.asarray(np.mean([each.arrays() for each in tiles], axis=0), np.float32),
+        "tiles": np.asarray(np.mean([each.arrays() for each in statistics], axis=0), np.float32),
     }
 
 
@@ -94,7 +96,7 @@ def load_slots(plan: Plan) -> list[str]:
         what = chosen.moving_error, chosen.interpolation_error, chosen.instants_per_slot, plan.stop()
         keys.append(plan.key("slot", slot, *what))
         if keys[-1] not in plan.cache:
-            before = Tiles.of(plan.cache.get(keys[-2], pilot)["tiles"])
+            before = Statistics.of(plan.cache.get(keys[-2], pilot)["tiles"])
             n_poses = poses_per_instant(plan, slot)
             plan.cache.get(keys[-1], lambda s=slot, n=n_poses, b=before: render_slot(plan, stage, s, n, b))
         plan.progress("slots", slot + 1, plan.timing.n_slots)

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from optsim.core.quantities import Doubles, Floats, Ints
-from optsim.render.allocation import Tiles
-from optsim.render.carried import Key, filled, seen_at
+from optsim.render.allocation import Statistics
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of, project, vertices_at
 from optsim.render.plan import Plan
+from optsim.render.reprojection import Key, filled, seen_at
 from optsim.render.still import halves_tally
-from optsim.render.tracks import Track
+from optsim.render.trajectories import Trajectory
 from optsim.scene.materials import Diffuse
 
 
@@ -39,47 +39,51 @@ class Span:
     difference: Difference
     static: Floats
     first_slot: int
-    tracks: list[Track]
+    trajectories: list[Trajectory]
 
     @property
     def n_poses(self) -> int:
         """Equal steps of the segment."""
-        return self.tracks[0].n_steps
+        return self.trajectories[0].n_steps
 
     @cached_property
     def times_s(self) -> list[float]:
         """When each pose is."""
         return self.plan.times_s(self.first_slot, self.first_slot + self.plan.segment_slots, self.n_poses)
 
-    def due(self, pose: int) -> list[Track]:
+    def due(self, pose: int) -> list[Trajectory]:
         """Tracks that have a pose then."""
-        return [track for track in self.tracks if pose * track.n_steps % self.n_poses == 0]
+        return [
+            trajectory for trajectory in self.trajectories if pose * trajectory.n_steps % self.n_poses == 0
+        ]
 
-    def due_keys(self, pose: int) -> list[Track]:
+    def due_keys(self, pose: int) -> list[Trajectory]:
         """Tracks that have a key then."""
-        return [track for track in self.tracks if pose * track.n_keys % self.n_poses == 0]
+        return [
+            trajectory for trajectory in self.trajectories if pose * trajectory.n_keys % self.n_poses == 0
+        ]
 
-    def between_keys(self, track: Track, pose: int) -> bool:
+    def between_keys(self, trajectory: Trajectory, pose: int) -> bool:
         """Whether a track has a key then that it might do without."""
-        number, rest = divmod(pose * track.n_keys, self.n_poses)
+        number, rest = divmod(pose * trajectory.n_keys, self.n_poses)
         return rest == 0 and number % 2 == 1
 
-    def places(self, track: Track, pose: int) -> Doubles:
+    def places(self, trajectory: Trajectory, pose: int) -> Doubles:
         """Where a mover's vertices are in the picture: row, column, depth."""
         time_s = self.times_s[pose]
-        vertices = vertices_at(self.plan.scene.singles()[track.name], time_s)
+        vertices = vertices_at(self.plan.scene.singles()[trajectory.name], time_s)
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
-    def matt(self, track: Track) -> bool:
+    def matt(self, trajectory: Trajectory) -> bool:
         """Whether a mover's radiance is reflectance times irradiance, so that it can carry it."""
         scene = self.plan.scene
-        return isinstance(scene.materials[scene.singles()[track.name].material], Diffuse)
+        return isinstance(scene.materials[scene.singles()[trajectory.name].material], Diffuse)
 
     def eased(self, target: float, parts: int) -> float:
         """Ease a target for one pose of so many in the segment: the slot's mean must reach the stated one."""
         return target * float(np.sqrt(max(1.0, parts / self.plan.segment_slots)))
 
-    def own_counts(self, own: Tiles, pixels: Ints, parts: int) -> Ints:
+    def own_counts(self, own: Statistics, pixels: Ints, parts: int) -> Ints:
         """Share out samples a half over movers' own pixels, at a pose of so many in the segment."""
         target = self.eased(self.plan.settings.moving_error, parts)
         about = self.static.reshape(2, -1)[0, pixels]
@@ -106,12 +110,14 @@ class KeyPose:
     beside: dict[str, Floats]
 
 
-def ends(some: list[Track]) -> Ints:
+def ends(some: list[Trajectory]) -> Ints:
     """Where each track's samples end among all of theirs, but for the last."""
-    return np.cumsum([len(track.pixels) for track in some])[:-1]
+    return np.cumsum([len(trajectory.pixels) for trajectory in some])[:-1]
 
 
-def render_keys(span: Span, own: Tiles, change: Sequence[Tiles]) -> tuple[dict[int, KeyPose], Tiles]:
+def render_keys(
+    span: Span, own: Statistics, change: Sequence[Statistics]
+) -> tuple[dict[int, KeyPose], Statistics]:
     """Render the key poses of all movers.
 
     Parameters
@@ -135,76 +141,82 @@ def render_keys(span: Span, own: Tiles, change: Sequence[Tiles]) -> tuple[dict[i
     beside: dict[int, dict[str, Floats]] = {}
     for number, pose in enumerate(poses):
         turn = number % len(change)
-        places[pose] = {track.name: span.places(track, pose) for track in span.due_keys(pose)}
+        places[pose] = {trajectory.name: span.places(trajectory, pose) for trajectory in span.due_keys(pose)}
         found, seen, own = _own_light(span, pose, places[pose], own)
         beside[pose] = _beside(span, pose, turn, counts[turn], found)
         bent = span.plan.view.aperture_m or span.plan.view.distortion
         light[pose] = found.by_place(*seen) if bent else found
-    for track in span.tracks:
-        mine = [pose for pose in poses if track.name in beside[pose]]
-        without = span.static.reshape(2, -1)[:, track.pixels]
-        each = np.stack([beside[pose][track.name] for pose in mine])
-        known = filled(each, without, track.mask, span.plan.floor_w_m2_sr)
+    for trajectory in span.trajectories:
+        mine = [pose for pose in poses if trajectory.name in beside[pose]]
+        without = span.static.reshape(2, -1)[:, trajectory.pixels]
+        each = np.stack([beside[pose][trajectory.name] for pose in mine])
+        known = filled(each, without, trajectory.mask, span.plan.floor_w_m2_sr)
         for pose, there in zip(mine, known, strict=True):
-            beside[pose][track.name] = there
+            beside[pose][trajectory.name] = there
     return {pose: KeyPose(places[pose], light[pose], beside[pose]) for pose in poses}, own
 
 
-def _counts_beside(span: Span, change: Sequence[Tiles]) -> list[dict[str, Floats]]:
+def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, Floats]]:
     """Share out samples beside the movers, for each turn by track; trace their paths without movers.
 
     They are the same for all keys of a turn: then what is traced without movers is traced once.
     """
     target = span.plan.settings.change_error
-    pixels = np.concatenate([track.pixels for track in span.tracks])
+    pixels = np.concatenate([trajectory.pixels for trajectory in span.trajectories])
     counts: list[dict[str, Floats]] = []
-    for turn, tiles in enumerate(change):
+    for turn, statistics in enumerate(change):
         wanted = {
-            track.name: span.difference.counts(tiles, track.pixels, span.eased(target, track.n_keys))
-            for track in span.tracks
+            trajectory.name: span.difference.counts(
+                statistics, trajectory.pixels, span.eased(target, trajectory.n_keys)
+            )
+            for trajectory in span.trajectories
         }
         span.difference.trace_without(turn, pixels, np.concatenate(list(wanted.values())))
         counts.append(wanted)
     return counts
 
 
-def _own_light(span: Span, pose: int, places: dict[str, Doubles], own: Tiles) -> tuple[Key, Doubles, Tiles]:
+def _own_light(
+    span: Span, pose: int, places: dict[str, Doubles], own: Statistics
+) -> tuple[Key, Doubles, Statistics]:
     """Follow whole paths where movers are that have a key at a pose, and pool their statistics.
 
     Also say where in the ideal image it is what each path met, row and column; NaN if it is no such mover.
     """
     plan, time_s, moving = span.plan, span.times_s[pose], span.difference.moving
     wanted = np.zeros(plan.view.rows * plan.view.cols, np.int64)
-    for track in filter(span.matt, span.due_keys(pose)):
-        pixels = np.flatnonzero(plan.own(time_s, movers=[track.name]))
-        wanted[pixels] = np.maximum(wanted[pixels], span.own_counts(own, pixels, track.n_keys))
+    for trajectory in filter(span.matt, span.due_keys(pose)):
+        pixels = np.flatnonzero(plan.own(time_s, movers=[trajectory.name]))
+        wanted[pixels] = np.maximum(wanted[pixels], span.own_counts(own, pixels, trajectory.n_keys))
     pixels = np.flatnonzero(wanted)
     samples = np.tile(wanted[pixels], 2)
     moving.pose(time_s)
     seeds = np.asarray(plan.seeds("mover", span.first_slot, pose), np.int64)
-    looks = moving.looks(np.tile(pixels, 2), samples, np.repeat(seeds, len(pixels)), light=True)
-    met = np.full((len(looks.shape), 3), np.nan)
+    hits = moving.hits(np.tile(pixels, 2), samples, np.repeat(seeds, len(pixels)), light=True)
+    met = np.full((len(hits.shape), 3), np.nan)
     for name, here in places.items():
-        hit = np.flatnonzero(looks.shape == moving.shape_of(name))
-        met[hit] = seen_at(looks, hit, faces_of(plan.scene.singles()[name]), here)
+        hit = np.flatnonzero(hits.shape == moving.shape_of(name))
+        met[hit] = seen_at(hits, hit, faces_of(plan.scene.singles()[name]), here)
     if len(pixels):
-        sums = np.add.reduceat(looks.light, np.cumsum(samples) - samples, dtype=np.float64)
+        sums = np.add.reduceat(hits.light, np.cumsum(samples) - samples, dtype=np.float64)
         light = (sums / samples).reshape(2, -1)
         own = own.and_then(halves_tally(plan, pixels, light, wanted[pixels].astype(np.float64)))
     first = np.concatenate([[0], np.cumsum(np.tile(wanted, 2))])
     depth = met[:, 2].astype(np.float32)
-    key = Key((0, 0), plan.shape, first, looks.shape, depth, looks.albedo, looks.light)
+    key = Key((0, 0), plan.shape, first, hits.shape, depth, hits.albedo, hits.light)
     return key, met[:, :2].T, own
 
 
 def _beside(span: Span, pose: int, turn: int, counts: dict[str, Floats], light: Key) -> dict[str, Floats]:
     """Radiance beside the movers at a pose, in tracks that have a key then; NaN where movers cover all."""
     due, time_s = span.due_keys(pose), span.times_s[pose]
-    pixels = np.concatenate([track.pixels for track in due])
+    pixels = np.concatenate([trajectory.pixels for trajectory in due])
     bare = np.flatnonzero(~span.plan.own(time_s).ravel()[pixels])
-    samples = np.concatenate([counts[track.name] for track in due])[bare]
+    samples = np.concatenate([counts[trajectory.name] for trajectory in due])[bare]
     change, _ = span.difference.change(time_s, pixels[bare], samples, turn)
     # Where a mover covers a part of a sample, some of the paths to it go past.
-    found = light.beside([span.difference.moving.shape_of(track.name) for track in span.tracks])[:, pixels]
+    found = light.beside(
+        [span.difference.moving.shape_of(trajectory.name) for trajectory in span.trajectories]
+    )[:, pixels]
     found[:, bare] = span.static.reshape(2, -1)[:, pixels[bare]] + change
-    return dict(zip((track.name for track in due), np.split(found, ends(due), axis=1), strict=True))
+    return dict(zip((trajectory.name for trajectory in due), np.split(found, ends(due), axis=1), strict=True))

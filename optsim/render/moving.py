@@ -12,27 +12,27 @@ from typing import Any
 import numpy as np
 
 from optsim.core.quantities import Block, Bools, Doubles, Floats, Ints, Segment
-from optsim.render.allocation import Tiles
-from optsim.render.carried import between
+from optsim.render.allocation import Statistics
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of
 from optsim.render.keys import KeyPose, Span, ends, render_keys
 from optsim.render.plan import Plan
-from optsim.render.spacing import Trial, assumed
-from optsim.render.stage import Looks, Stage
+from optsim.render.pose_sampling import Trial, assumed
+from optsim.render.reprojection import between
+from optsim.render.stage import PrimaryHits, Stage
 from optsim.render.still import halves_tally
-from optsim.render.tracks import Density, Track, tracks
+from optsim.render.trajectories import Density, Trajectory, trajectories
 
 Half = Callable[[Floats], Floats]
 
 _PILOT_SAMPLES = 4
 # Rays for first surfaces, a half and slot: cheap, and edges and textures are then less noisy than what is
 # carried. Measured on half_moving: 16 of both halves leave 3 % of a matt sample's reflectance to chance.
-_LOOKS = 8
+_HITS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class MoverHistory:
     """What earlier segments showed of the movers.
 
     Parameters
@@ -43,17 +43,17 @@ class Known:
         How dense poses and keys the interpolation bound asks for, by mover; only of those seen already.
     """
 
-    own: Tiles
+    own: Statistics
     density: dict[str, Density]
 
     @staticmethod
-    def of(arrays: dict[str, Any]) -> Known:
+    def of(arrays: dict[str, Any]) -> MoverHistory:
         """Read them from a segment's arrays."""
         tail = "_density"
         found = {
             key.removesuffix(tail): Density(*arrays[key].tolist()) for key in arrays if key.endswith(tail)
         }
-        return Known(Tiles.of(arrays["tiles"]), found)
+        return MoverHistory(Statistics.of(arrays["tiles"]), found)
 
     def arrays(self) -> dict[str, Any]:
         """Write them as arrays."""
@@ -61,12 +61,12 @@ class Known:
         return {"tiles": self.own.arrays()} | density
 
 
-def pilot(plan: Plan, moving: Stage, time_s: float) -> Known:
+def pilot(plan: Plan, moving: Stage, time_s: float) -> MoverHistory:
     """Estimate statistics of the movers' own pixels at an instant, from random numbers of their own."""
     pixels = np.flatnonzero(plan.own(time_s))
     moving.pose(time_s)
     light = moving.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot", "movers"))
-    return Known(halves_tally(plan, pixels, light, float(_PILOT_SAMPLES)), {})
+    return MoverHistory(halves_tally(plan, pixels, light, float(_PILOT_SAMPLES)), {})
 
 
 def render_segment(
@@ -74,8 +74,8 @@ def render_segment(
     difference: Difference,
     static: Floats,
     first_slot: int,
-    before: Known,
-    change: Sequence[Tiles],
+    before: MoverHistory,
+    change: Sequence[Statistics],
 ) -> dict[str, Any]:
     """Render all samples that a mover touches during a segment, in each of its instants, both halves.
 
@@ -106,49 +106,51 @@ def render_segment(
     def density(name: str) -> Density:
         return before.density.get(name, assumed(bound))
 
-    found = tracks(plan, first_slot, first_slot + plan.segment_slots, density)
+    found = trajectories(plan, first_slot, first_slot + plan.segment_slots, density)
     if not found:
         return before.arrays()
     span = Span(plan, difference, static, first_slot, found)
     keys, own = render_keys(span, before.own, change)
-    trials = {track.name: Trial(track, n_instants, plan.floor_w_m2_sr) for track in found}
+    trials = {trajectory.name: Trial(trajectory, n_instants, plan.floor_w_m2_sr) for trajectory in found}
     for pose in range(span.n_poses + 1):
-        due = [track for track in span.due(pose) if len(track.pixels)]
+        due = [trajectory for trajectory in span.due(pose) if len(trajectory.pixels)]
         if not due:
             continue
-        covered = plan.own(span.times_s[pose]).ravel()[np.concatenate([track.pixels for track in due])]
+        covered = plan.own(span.times_s[pose]).ravel()[
+            np.concatenate([trajectory.pixels for trajectory in due])
+        ]
         seen, coarse, own = _look(span, keys, pose, due, covered, own)
         cut = ends(due)
         parts = np.split(seen, cut, axis=1), np.split(coarse, cut, axis=1), np.split(covered, cut)
-        for track, light, without, hidden in zip(due, *parts, strict=True):
-            trials[track.name].add(pose * track.n_steps // span.n_poses, light, hidden)
-            if span.between_keys(track, pose):
-                trials[track.name].compare(light, without, hidden)
+        for trajectory, light, without, hidden in zip(due, *parts, strict=True):
+            trials[trajectory.name].add(pose * trajectory.n_steps // span.n_poses, light, hidden)
+            if span.between_keys(trajectory, pose):
+                trials[trajectory.name].compare(light, without, hidden)
     measured = {name: trial.density(bound, density(name)) for name, trial in trials.items()}
-    arrays = Known(own, before.density | measured).arrays()
-    for track in found:
-        if not track.mask.any():
+    arrays = MoverHistory(own, before.density | measured).arrays()
+    for trajectory in found:
+        if not trajectory.mask.any():
             continue
-        rows, cols = (np.flatnonzero(track.mask.any(axis=axis)) for axis in (1, 0))
+        rows, cols = (np.flatnonzero(trajectory.mask.any(axis=axis)) for axis in (1, 0))
         arrays |= {
-            f"{track.name}_light": trials[track.name].light.astype(np.float32),
-            f"{track.name}_mask": track.mask[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1],
-            f"{track.name}_corner": np.array([rows[0], cols[0]]),
+            f"{trajectory.name}_light": trials[trajectory.name].light.astype(np.float32),
+            f"{trajectory.name}_mask": trajectory.mask[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1],
+            f"{trajectory.name}_corner": np.array([rows[0], cols[0]]),
         }
     return arrays
 
 
 def _look(
-    span: Span, keys: dict[int, KeyPose], pose: int, due: list[Track], covered: Bools, own: Tiles
-) -> tuple[Doubles, Doubles, Tiles]:
+    span: Span, keys: dict[int, KeyPose], pose: int, due: list[Trajectory], covered: Bools, own: Statistics
+) -> tuple[Doubles, Doubles, Statistics]:
     """Find both halves of some tracks at a pose, (2, samples of these tracks), and statistics.
 
     Twice, the second time with every other key only, where some of these tracks have one here.
     """
-    pixels = np.concatenate([track.pixels for track in due])
-    tried = (1, 2) if any(span.between_keys(track, pose) for track in due) else (1,)
+    pixels = np.concatenate([trajectory.pixels for trajectory in due])
+    tried = (1, 2) if any(span.between_keys(trajectory, pose) for trajectory in due) else (1,)
     seen = [
-        np.concatenate([_beside_at(span, keys, pose, track, every) for track in due], axis=1)
+        np.concatenate([_beside_at(span, keys, pose, trajectory, every) for trajectory in due], axis=1)
         for every in tried
     ]
     chosen = np.flatnonzero(covered | np.isnan(seen[0]).any(axis=0))
@@ -157,21 +159,26 @@ def _look(
     moving = span.difference.moving
     moving.pose(span.times_s[pose])
     seeds = np.repeat(np.asarray(span.plan.seeds("look", span.first_slot), np.int64), len(chosen))
-    steps = np.concatenate([np.full(len(track.pixels), track.n_steps) for track in due])[chosen]
-    rays = np.tile(_looks_a_pose(steps / span.plan.segment_slots), 2)
+    steps = np.concatenate([np.full(len(trajectory.pixels), trajectory.n_steps) for trajectory in due])[
+        chosen
+    ]
+    rays = np.tile(_hits_a_pose(steps / span.plan.segment_slots), 2)
     # They go on from pose to pose, so that those of a slot stratify as one set.
     first = rays * np.tile(pose * steps // span.n_poses, 2)
-    looks = moving.looks(np.tile(pixels[chosen], 2), rays, seeds, first, light=False)
+    hits = moving.hits(np.tile(pixels[chosen], 2), rays, seeds, first, light=False)
     place, starts = np.repeat(np.arange(len(seeds)), rays), np.cumsum(rays) - rays
-    met = [(track, np.flatnonzero(looks.shape == moving.shape_of(track.name))) for track in span.tracks]
+    met = [
+        (trajectory, np.flatnonzero(hits.shape == moving.shape_of(trajectory.name)))
+        for trajectory in span.trajectories
+    ]
     missed = np.zeros(len(seeds), np.int64)
     for every, light in reversed(list(zip(tried, seen, strict=True))):
         each = light[:, chosen].ravel()[place]
-        for track, hit in met:
-            if span.matt(track):
+        for trajectory, hit in met:
+            if span.matt(trajectory):
                 half = place[hit] // len(chosen)
-                carried = _carried(span, keys, pose, track, every, looks, hit, half)
-                each[hit] = looks.albedo[hit] * carried
+                reprojected = _reprojected(span, keys, pose, trajectory, every, hits, hit, half)
+                each[hit] = hits.albedo[hit] * reprojected
         unknown = np.isnan(each)
         each[unknown] = 0.0
         missed = np.add.reduceat(unknown, starts, dtype=np.int64)
@@ -179,8 +186,8 @@ def _look(
     # A few rays to what no key knows are left out. Where most are, or any that meet no matt surface, all is
     # rendered, from other random numbers.
     shiny = np.zeros(len(place), np.bool_)
-    for track, hit in met:
-        shiny[hit] = not span.matt(track)
+    for trajectory, hit in met:
+        shiny[hit] = not span.matt(trajectory)
     anew = (np.logical_or.reduceat(shiny, starts) | (2 * missed > rays)).reshape(2, -1).any(axis=0)
     if anew.any():
         at = chosen[anew]
@@ -190,12 +197,12 @@ def _look(
     return seen[0], seen[-1], own
 
 
-def _looks_a_pose(poses_a_slot: Doubles) -> Ints:
+def _hits_a_pose(poses_a_slot: Doubles) -> Ints:
     """Share out the looks of a slot over its poses: powers of two, which stratify best."""
-    return 1 << np.clip(np.rint(np.log2(_LOOKS / poses_a_slot)), 1, 6).astype(np.int64)
+    return 1 << np.clip(np.rint(np.log2(_HITS / poses_a_slot)), 1, 6).astype(np.int64)
 
 
-def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Tiles) -> tuple[Doubles, Tiles]:
+def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Statistics) -> tuple[Doubles, Statistics]:
     """Render samples of tracks with so many steps as they are at a pose, both halves, and pool statistics."""
     samples = np.ones(len(pixels), np.int64)
     for n_steps in np.unique(steps):
@@ -207,34 +214,36 @@ def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Tiles) -> tupl
 
 
 def _keys_round(
-    span: Span, keys: dict[int, KeyPose], pose: int, track: Track, every: int
+    span: Span, keys: dict[int, KeyPose], pose: int, trajectory: Trajectory, every: int
 ) -> tuple[KeyPose, KeyPose, float]:
     """Key poses of a track round a pose, of all or of every other one, and how far it is between, 0..1."""
-    step = span.n_poses // track.n_keys * every
+    step = span.n_poses // trajectory.n_keys * every
     before = pose // step * step
     return keys[before], keys[min(before + step, span.n_poses)], (pose - before) / step
 
 
-def _beside_at(span: Span, keys: dict[int, KeyPose], pose: int, track: Track, every: int) -> Doubles:
-    before, after, share = _keys_round(span, keys, pose, track, every)
-    return between(before.beside[track.name], after.beside[track.name], share).astype(np.float64)
+def _beside_at(
+    span: Span, keys: dict[int, KeyPose], pose: int, trajectory: Trajectory, every: int
+) -> Doubles:
+    before, after, share = _keys_round(span, keys, pose, trajectory, every)
+    return between(before.beside[trajectory.name], after.beside[trajectory.name], share).astype(np.float64)
 
 
-def _carried(
+def _reprojected(
     span: Span,
     keys: dict[int, KeyPose],
     pose: int,
-    track: Track,
+    trajectory: Trajectory,
     every: int,
-    looks: Looks,
-    hits: Ints,
+    hits: PrimaryHits,
+    met: Ints,
     half: Ints,
 ) -> Floats:
-    """Irradiance over pi that a mover carries at a pose to where looks hit it; NaN where no key knows."""
-    *known, share = _keys_round(span, keys, pose, track, every)
-    faces, then = faces_of(span.plan.scene.singles()[track.name]), span.places(track, pose)
+    """Irradiance over pi that a mover carries at a pose to where primary hits are; NaN where no key knows."""
+    *known, share = _keys_round(span, keys, pose, trajectory, every)
+    faces, then = faces_of(span.plan.scene.singles()[trajectory.name]), span.places(trajectory, pose)
     first, last = (
-        key.light.irradiance(looks, hits, half, faces, key.places[track.name], then, span.plan.view)
+        key.light.irradiance(hits, met, half, faces, key.places[trajectory.name], then, span.plan.view)
         for key in known
     )
     return between(first, last, share)

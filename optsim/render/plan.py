@@ -11,7 +11,7 @@ import numpy as np
 from optsim.core.cache import Cache, hash_of
 from optsim.core.progress import Progress
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, Timing, View
-from optsim.render.allocation import MOST, Tiles, allocate, relative_deviation
+from optsim.render.allocation import MOST, Statistics, allocate, relative_deviation
 from optsim.render.footprint import cover, faces_of, vertices_at
 from optsim.render.lens import ideal, touched
 from optsim.render.settings import CameraNoise, RenderSettings
@@ -121,7 +121,7 @@ class Plan:
 
     def counts(
         self,
-        tiles: Tiles,
+        statistics: Statistics,
         pixels: Ints,
         light: Floats,
         target: float,
@@ -147,7 +147,7 @@ class Plan:
         cost : ndarray of shape (n,), optional
             Relative cost of a sample of each, where it differs.
         """
-        deviation = relative_deviation(tiles, self.shape, self.floor_w_m2_sr).ravel()[pixels]
+        deviation = relative_deviation(statistics, self.shape, self.floor_w_m2_sr).ravel()[pixels]
         share, noise = self.settings.noise_share, self.noise
         if share is None or noise is None:
             return allocate(deviation, target, least=least, most=most, cost=cost)

@@ -27,7 +27,7 @@ from optsim.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class PrimaryHits:
     """What random paths meet first; (n,) each, path by path.
 
     Parameters
@@ -197,9 +197,9 @@ class Stage:
                 told(part.stop / len(pixels))
         return result / samples
 
-    def looks(
+    def hits(
         self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0, *, light: bool
-    ) -> Looks:
+    ) -> PrimaryHits:
         """Say what the paths that :meth:`paths` would follow meet first, each by itself.
 
         Parameters
@@ -210,13 +210,13 @@ class Stage:
             Whether to follow them on, too; otherwise this costs a small part of it.
         """
         if not len(pixels):
-            return Looks(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
+            return PrimaryHits(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
         parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
         found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
         shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
         shape[~np.isfinite(found[2])] = -1
-        return Looks(shape, face, found[3].T, found[4], found[5])
+        return PrimaryHits(shape, face, found[3].T, found[4], found[5])
 
     def _trace(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints) -> Floats:
         """Radiance along random paths, in one launch."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from optsim.core.quantities import Doubles, Floats, Ints
-from optsim.render.allocation import Tiles, tally
+from optsim.render.allocation import Statistics, tally
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage
 
@@ -20,7 +20,7 @@ _MOST_SAMPLES = 4096
 _PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
 
 
-def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Tiles:
+def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
     """Statistics of plain estimates: the variance of one sample from the difference of the two halves.
 
     Parameters
@@ -48,12 +48,12 @@ def static_light(plan: Plan, still: Stage) -> Floats:
     def pilot() -> dict[str, Floats]:
         told = _telling(plan, "pilot", 0.0, 1.0)
         light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"), told=told)
-        tiles = halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
-        return {"tiles": tiles.arrays(), "light": light.mean(axis=0).astype(np.float32)}
+        statistics = halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
+        return {"tiles": statistics.arrays(), "light": light.mean(axis=0).astype(np.float32)}
 
     known = plan.cache.get(plan.key("pilot"), pilot)
     counts = plan.counts(
-        Tiles.of(known["tiles"]), pixels, known["light"], target, least=_PASSES[1], most=_MOST_SAMPLES
+        Statistics.of(known["tiles"]), pixels, known["light"], target, least=_PASSES[1], most=_MOST_SAMPLES
     )
     total = np.zeros((2, len(pixels)))
     spent, budget = 0.0, float(counts.sum())

@@ -32,7 +32,7 @@ from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, RadianceVideo, Segment, Timing, View
 from optsim.render import moving
-from optsim.render.allocation import Tiles
+from optsim.render.allocation import Statistics
 from optsim.render.backend import activate, versions
 from optsim.render.difference import Difference
 from optsim.render.full import load_slots, slot_image, slot_segment
@@ -42,7 +42,7 @@ from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.render.stage import Stage, outside_mask
 from optsim.render.still import static_light
 from optsim.render.stokes import polarised
-from optsim.render.tracks import slots_per_segment
+from optsim.render.trajectories import slots_per_segment
 from optsim.scene.scene import Scene
 
 # Samples a fine sample, slot and half of the scalar fallback.
@@ -191,12 +191,12 @@ def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, t
         # The movers' own pixels are the segments' business.
         pixels = np.flatnonzero(~plan.own(time_s))
         pilot = difference().pilot(time_s, pixels) if index == 0 else None
-        tiles = pilot or _others(plan, index, turn)
-        counts = difference().counts(tiles, pixels, plan.settings.change_error)
-        found, tiles = difference().change(time_s, pixels, counts, turn)
+        statistics = pilot or _others(plan, index, turn)
+        counts = difference().counts(statistics, pixels, plan.settings.change_error)
+        found, statistics = difference().change(time_s, pixels, counts, turn)
         change = np.zeros((2, plan.view.rows * plan.view.cols), np.float32)
         change[:, pixels] = found
-        entry = {"change": change.reshape(2, *plan.shape), "tiles": tiles.arrays()}
+        entry = {"change": change.reshape(2, *plan.shape), "tiles": statistics.arrays()}
         return entry | ({"pilot": pilot.arrays()} if pilot else {})
 
     plan.cache.get(_key(plan, index), make)
@@ -204,16 +204,16 @@ def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, t
     return _key(plan, index)
 
 
-def _others(plan: Plan, before: int, turn: int) -> Tiles:
+def _others(plan: Plan, before: int, turn: int) -> Statistics:
     """Pool the statistics of earlier key instants that had other random numbers than this turn's.
 
     Samples must not decide how many of them there are: that would be a bias.
     """
-    tiles = Tiles.of(plan.cache.read(_key(plan, 0))["pilot"])
+    statistics = Statistics.of(plan.cache.read(_key(plan, 0))["pilot"])
     for index in range(max(0, before - _REMEMBERED), before):
         if index % plan.settings.key_seeds != turn:
-            tiles = tiles.and_then(Tiles.of(plan.cache.read(_key(plan, index))["tiles"]))
-    return tiles
+            statistics = statistics.and_then(Statistics.of(plan.cache.read(_key(plan, index))["tiles"]))
+    return statistics
 
 
 def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, index: int, total: int) -> str:
@@ -227,7 +227,7 @@ def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, i
 
     def make() -> dict[str, Any]:
         if index:
-            before = moving.Known.of(plan.cache.read(key(first - plan.segment_slots)))
+            before = moving.MoverHistory.of(plan.cache.read(key(first - plan.segment_slots)))
         else:
             before = moving.pilot(plan, difference().moving, 0.0)
         change = [_others(plan, index + 1, turn) for turn in range(chosen.key_seeds)]

@@ -69,7 +69,7 @@ class Slots:
 
 
 @dataclass(frozen=True)
-class Origin:
+class SignalShare:
     """Electrons of one origin.
 
     Parameters
@@ -201,7 +201,7 @@ class Trace:
     irradiance_per_radiance: float
     target: Target
     slots: Slots
-    origins: tuple[Origin, ...]
+    origins: tuple[SignalShare, ...]
     reading: Reading
     sources: tuple[Source, ...]
     neighbourhood_e: tuple[tuple[float | None, ...], ...]

@@ -127,7 +127,7 @@ class _Taken:
     @cached_property
     def open_shares(self) -> dict[str, float]:
         """Exposure of each method's fullest pixel, as the experiment's own calibration tells it."""
-        known = self.known[self.experiment.known]
+        known = self.known[self.experiment.calibration_choice]
         return {name: open_share(frames, known) for name, frames in self.frames.items()}
 
     @property
@@ -142,7 +142,7 @@ def _take(experiment: Experiment, share: float, radiance: RadianceVideo, progres
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
     modelled.check_methods(known)
-    camera, light = set_light(modelled, radiance, known[modelled.known])
+    camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
     camera = camera.with_nd(min(1.0, light.wanted_transmission / share))
     truth = camera.form_image(radiance)
     frames = capture(modelled, camera, truth, known, progress)

@@ -12,7 +12,7 @@ from optsim.camera.hardware import demo
 from optsim.core.quantities import Doubles
 from optsim.decoding.coded_blur import coded_blur, spectrum_of
 from optsim.decoding.tv_smoothing import smoothed
-from optsim.experiment.origins import light_paths
+from optsim.experiment.signal_breakdown import light_paths
 from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
 
 CLAIM = (
@@ -32,7 +32,7 @@ REASON = "In units of what is allowed: 1e-10 of the norms in float64, 1e-6 in fl
 FILES = (
     "optsim/optics/*.py",
     "optsim/camera/parts/relay.py",
-    "optsim/experiment/origins.py",
+    "optsim/experiment/signal_breakdown.py",
     "optsim/decoding/coded_blur.py",
     "optsim/decoding/tv_smoothing.py",
 )

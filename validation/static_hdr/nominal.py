@@ -8,8 +8,8 @@ import numpy as np
 
 from optsim.calibration import Calibration, calibrate_from
 from optsim.camera.camera import CodedCamera
-from optsim.camera.known_calibration import true_calibration
 from optsim.camera.laboratory import measure_bench
+from optsim.camera.true_calibration import true_calibration
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame, PanelState
 from optsim.decoding import HdrMerge

@@ -45,7 +45,7 @@ def read_run(folder: Path, method: str | None) -> Measurement:
     ccd = camera.sensor.rows, camera.sensor.cols
     code = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
     frames = read_frames(folder, chosen.name, experiment.n_frames, ccd, code)
-    known = experiment.known_to(chosen)
+    known = experiment.choice_of(chosen)
     calibration = calibration_of_run(experiment, folder, known)
     if calibration is None:
         calibration = calibrate(planned(experiment)[0], known)

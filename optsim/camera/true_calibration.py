@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from optsim.calibration import Bench, Calibration, Glare, calibrate_from, read_calibration
-from optsim.calibration.choice import BENCH_FILE, Known, kept_file
+from optsim.calibration.choice import BENCH_FILE, CalibrationChoice, kept_file
 from optsim.calibration.glare import ring_strengths
 from optsim.calibration.sensor_noise import SensorNoise
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
-from optsim.optics.crosstalk import REACH, crosstalk_kernels, seen_at_picks, true_dots
+from optsim.optics.crosstalk import REACH, crosstalk_kernels, seen_by_ccd_pixels, true_dots
 from optsim.optics.fringing import border_shares, whole_cells
 from optsim.optics.panel import PanelResponse
 from optsim.optics.readings import mean_reading
@@ -37,7 +37,7 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
         Leave out what each panel pixel reads of others, as if it were nothing: it takes most of the time.
     """
     geometry, sensor, modulator = camera.relay_geometry(), camera.sensor, camera.modulator
-    row, col, on_ccd = geometry.picks(SAMPLES_PER_PITCH, reading_px)
+    row, col, on_ccd = geometry.ccd_pixels(SAMPLES_PER_PITCH, reading_px)
     square = row, col, reading_px
     view = camera.view
     shading = camera.objective.shading(view.rows, view.cols, modulator.pitch_m / SAMPLES_PER_PITCH)
@@ -50,7 +50,7 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
         "true",
         camera,
         response=camera.panel_response,
-        picks=(row, col, on_ccd & ~camera.stuck_pixels[0]),
+        ccd_pixels=(row, col, on_ccd & ~camera.stuck_pixels[0]),
         reading_px=reading_px,
         responsivity_e=np.maximum(mean_reading(camera.photon_electrons(image), *square), 1e-30),
         offset_e=mean_reading(
@@ -75,12 +75,12 @@ def _of_others(
     borders = border_shares(camera.modulator.fringing_px, SAMPLES_PER_PITCH)
     kernels = crosstalk_kernels(
         true_dots(operator, borders, row, col, reach, side),
-        camera.relay_geometry().pick_offsets_px(SAMPLES_PER_PITCH),
+        camera.relay_geometry().offsets_px(SAMPLES_PER_PITCH),
         on_ccd,
         reach,
     )
     panel, middle = np.ones((rows, cols)), (rows // 2, cols // 2)
-    whole = np.maximum(seen_at_picks(panel, operator, borders, *square), 1e-30)
+    whole = np.maximum(seen_by_ccd_pixels(panel, operator, borders, *square), 1e-30)
     lit = 0 * panel
     lit[middle] = 1
     glare = Glare(
@@ -88,7 +88,7 @@ def _of_others(
         veil=camera.relay.glare_share * float(flat.mean() / mean_reading(flat, *square).mean()),
         ghost=camera.relay.ghost_share,
         ghost_blur_px=camera.relay.ghost_blur_px,
-        wings=ring_strengths(seen_at_picks(lit, operator, borders, *square) / whole, *middle),
+        wings=ring_strengths(seen_by_ccd_pixels(lit, operator, borders, *square) / whole, *middle),
     )
     return kernels, glare
 
@@ -113,7 +113,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
         "ideal",
         camera,
         response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
-        picks=nominal.relay_geometry().picks(SAMPLES_PER_PITCH, reading_px),
+        ccd_pixels=nominal.relay_geometry().ccd_pixels(SAMPLES_PER_PITCH, reading_px),
         reading_px=reading_px,
         responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
         offset_e=np.zeros(shape),
@@ -128,7 +128,7 @@ def _known(
     camera: CodedCamera,
     *,
     response: PanelResponse,
-    picks: tuple[Ints, Ints, Bools],
+    ccd_pixels: tuple[Ints, Ints, Bools],
     reading_px: int,
     responsivity_e: Doubles,
     offset_e: Doubles,
@@ -143,7 +143,7 @@ def _known(
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
     # Four sigma below the clip: of saturated pixels one in 30 000 is missed.
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
-    row, col, valid = picks
+    row, col, valid = ccd_pixels
     return Calibration(
         source=source,
         slot_s=camera.slot_s,
@@ -168,20 +168,20 @@ def _known(
     )
 
 
-def check_kept(all_known: Iterable[Known], camera: CodedCamera) -> None:
+def check_kept(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
     """Refuse, before long work, what is kept of another camera or is no calibration: :func:`read_kept`."""
-    for known in all_known:
+    for known in calibration_choices:
         if known.file is not None:
             read_kept(known, camera)
 
 
-def kept_calibration(known: Known, camera: CodedCamera) -> Calibration:
+def kept_calibration(known: CalibrationChoice, camera: CodedCamera) -> Calibration:
     """Calibration that a file holds, or that a bench folder's images give; errors of :func:`read_kept`."""
     found = read_kept(known, camera)
     return calibrate_from(found, known.reading_px) if isinstance(found, Bench) else found
 
 
-def read_kept(known: Known, camera: CodedCamera) -> Calibration | Bench:
+def read_kept(known: CalibrationChoice, camera: CodedCamera) -> Calibration | Bench:
     """Read what is kept of a camera, whole, and refuse that of another one.
 
     Raises

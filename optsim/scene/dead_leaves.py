@@ -40,7 +40,7 @@ _LEAF = np.dtype(
 )
 
 
-def moving_leaves(
+def dead_leaves(
     textures: Sequence[Floats], rng: np.random.Generator, *, slots: int = 36, size: int = 48
 ) -> Floats:
     """Draw one clip.

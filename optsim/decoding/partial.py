@@ -19,7 +19,7 @@ _FAR = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class Partial:
     """One branch's picture of one coded frame.
 
     Parameters
@@ -40,7 +40,7 @@ class Layer:
 
     index: int
     irradiance_w_m2: Floats
-    opacity: Floats
+    blend_weight: Floats
     valid: Bools
     interpolated: Bools
     moving: Bools
@@ -84,11 +84,11 @@ def positive_mean(mean: Floats, variance: Floats) -> Floats:
     return result
 
 
-class Branch(Part, ABC):
+class PartialDecoder(Part, ABC):
     """A decoder that works by itself and that others join with theirs."""
 
     @abstractmethod
-    def layers(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Layer]:
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
         """As :meth:`decode`, with the opacity of a seam."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
@@ -99,5 +99,5 @@ class Branch(Part, ABC):
         ConfigError
             When what is learned does not fit the frames.
         """
-        for layer in self.layers(frames, calibration):
+        for layer in self.partials(frames, calibration):
             yield layer.finished()

@@ -26,7 +26,7 @@ _ENOUGH, _LARGER, _SLOWEST = 0.5, 0.6, 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class DemixedFrame:
     """One coded frame on the panel grid: ``signal = sum over slots of weight x irradiance``, with its error.
 
     Parameters
@@ -98,7 +98,7 @@ class Brightness:
         """Before there is a frame."""
         return cls(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
 
-    def after(self, sample: Sample) -> Brightness:
+    def after(self, sample: DemixedFrame) -> Brightness:
         """With what one more frame says: the newest measurement counts, or the highest bound since."""
         measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
         mean = sample.signal / np.maximum(sample.exposure, np.float32(1e-6))
@@ -110,7 +110,7 @@ class Brightness:
 
 def take(
     calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
-) -> tuple[Sample, PanelState]:
+) -> tuple[DemixedFrame, PanelState]:
     """Observe a frame and separate its pixels.
 
     Parameters
@@ -141,7 +141,7 @@ def take(
     weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
     weights, panel = weigh(frame.code, panel)
     exposure = weights.sum(axis=0, dtype=np.float64).astype(np.float32)
-    sample = Sample(
+    sample = DemixedFrame(
         weights,
         exposure,
         calibration.mix(exposure) if crosstalk == "undone" else exposure,
@@ -171,7 +171,7 @@ def take_next(
     panel: PanelState | None,
     seen: Brightness,
     crosstalk: Crosstalk,
-) -> tuple[Sample, PanelState, Brightness]:
+) -> tuple[DemixedFrame, PanelState, Brightness]:
     """Take the next frame of a film: as :func:`take`, and frames before say how bright saturated pixels are.
 
     Parameters
@@ -209,7 +209,7 @@ def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
 
 def sampled(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
-) -> Iterator[tuple[CodedFrame, Sample]]:
+) -> Iterator[tuple[CodedFrame, DemixedFrame]]:
     """Take the frames of a film: earlier ones say how bright saturated pixels are.
 
     Raises
@@ -225,7 +225,7 @@ def sampled(
         yield frame, sample
 
 
-def separate(calibration: Calibration, sample: Sample, elsewhere: Brightness) -> Sample:
+def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightness) -> DemixedFrame:
     """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
 
     Saturated pixels give what other frames say they did, but no less than if all around were as bright: by
@@ -342,7 +342,7 @@ def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: F
     return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
 
 
-def sample_bounds(calibration: Calibration, sample: Sample) -> Bounds:
+def sample_bounds(calibration: Calibration, sample: DemixedFrame) -> Bounds:
     """Bounds of a frame's irradiance, with the calibration's own uncertainties as model error."""
     leaked = calibration.response.leak * calibration.coded_slots
     # Pixels that are alike are rounded alike: that is no noise that averages out.

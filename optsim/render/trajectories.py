@@ -30,7 +30,7 @@ class Density:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Trajectory:
     """A mover in a segment.
 
     Parameters
@@ -86,7 +86,9 @@ def slots_per_segment(plan: Plan) -> int:
     return max(n for n in range(1, per_frame + 1) if per_frame % n == 0 and n <= max(1.0, min(allowed, 18)))
 
 
-def tracks(plan: Plan, first_slot: int, last_slot: int, density: Callable[[str], Density]) -> list[Track]:
+def trajectories(
+    plan: Plan, first_slot: int, last_slot: int, density: Callable[[str], Density]
+) -> list[Trajectory]:
     """Find the movers seen in a segment, the one with the most poses first.
 
     Parameters
@@ -102,14 +104,14 @@ def tracks(plan: Plan, first_slot: int, last_slot: int, density: Callable[[str],
         name: next(n for n in _STEPS if finest % n == 0 and n >= least) for name, least in needed.items()
     }
     taken = np.zeros(plan.shape, np.bool_)
-    found: list[Track] = []
+    found: list[Trajectory] = []
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
         # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
-        n_looks = int(min(max(n_steps, np.ceil(ways[name])), _STEPS[-1]))
-        mask = plan.own(*plan.times_s(first_slot, last_slot, n_looks), movers=[name])
+        n_hits = int(min(max(n_steps, np.ceil(ways[name])), _STEPS[-1]))
+        mask = plan.own(*plan.times_s(first_slot, last_slot, n_hits), movers=[name])
         if mask.any():
-            carried = min(ways[name] * density(name).keys, n_steps)
-            n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= carried)
-            found.append(Track(name, ways[name], n_steps, n_keys, mask & ~taken))
+            reprojected = min(ways[name] * density(name).keys, n_steps)
+            n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= reprojected)
+            found.append(Trajectory(name, ways[name], n_steps, n_keys, mask & ~taken))
         taken |= mask
     return found

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optsim.scene import moving_leaves as module
-from optsim.scene.moving_leaves import moving_leaves
+from optsim.scene import dead_leaves as module
+from optsim.scene.dead_leaves import dead_leaves
 
 STILL = np.zeros(7)
 
@@ -92,9 +92,7 @@ def textures():
 
 
 def test_a_seed_is_a_clip():
-    one, again, other = (
-        moving_leaves(textures(), np.random.default_rng(seed), size=24) for seed in (1, 1, 2)
-    )
+    one, again, other = (dead_leaves(textures(), np.random.default_rng(seed), size=24) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert np.abs(one - other).mean() > 0.01
     assert one.shape == (36, 24, 24)
@@ -102,7 +100,7 @@ def test_a_seed_is_a_clip():
 
 
 def test_clips_are_light_from_the_still_to_the_fast():
-    clips = [moving_leaves(textures(), np.random.default_rng(seed), size=24) for seed in range(40)]
+    clips = [dead_leaves(textures(), np.random.default_rng(seed), size=24) for seed in range(40)]
     assert min(float(clip.min()) for clip in clips) >= 0
     assert max(float(clip.max()) for clip in clips) <= 1.0001
     # Change over the clip in relation to the contrast of its pictures.

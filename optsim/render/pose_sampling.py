@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from optsim.core.quantities import Bools, Doubles
-from optsim.render.tracks import Density, Track
+from optsim.render.trajectories import Density, Trajectory
 
 # Relative error on a mover's own pixels where it goes one fine sample from pose to pose, or from key to key:
 # the worst found over all scenes with movers (glossy_floor's dark rod before a bright wall; chart's bars,
@@ -50,17 +50,17 @@ class Trial:
         What errors are relative to on top of the light.
     """
 
-    def __init__(self, track: Track, n_instants: int, floor_w_m2_sr: float) -> None:
-        self._track, self._floor = track, floor_w_m2_sr
+    def __init__(self, trajectory: Trajectory, n_instants: int, floor_w_m2_sr: float) -> None:
+        self._trajectory, self._floor = trajectory, floor_w_m2_sr
         self._covered = 0.0
-        self._shares = [hat_means(track.n_steps // every, n_instants) for every in (1, 2)]
-        self._light = [np.zeros((2, n_instants, len(track.pixels))) for _ in (1, 2)]
+        self._shares = [hat_means(trajectory.n_steps // every, n_instants) for every in (1, 2)]
+        self._light = [np.zeros((2, n_instants, len(trajectory.pixels))) for _ in (1, 2)]
         # Squared changes between keys, and of how many samples: by tile, since the light on a surface varies
         # slowly, and a sample's noise would not only be in what changes but in what it is relative to.
         self._between: list[Doubles] = []
         self._n_between = 0
-        rows, cols = np.divmod(track.pixels, track.mask.shape[1])
-        places = rows // _TILE * track.mask.shape[1] + cols // _TILE
+        rows, cols = np.divmod(trajectory.pixels, trajectory.mask.shape[1])
+        places = rows // _TILE * trajectory.mask.shape[1] + cols // _TILE
         self._tile = np.unique(places, return_inverse=True)[1].ravel()
 
     @property
@@ -70,7 +70,7 @@ class Trial:
 
     def add(self, step: int, seen: Doubles, covered: Bools) -> None:
         """Add a pose: the light on both halves of the samples, and which of them movers cover."""
-        self._covered += float(covered.sum()) / (self._track.n_steps + 1)
+        self._covered += float(covered.sum()) / (self._trajectory.n_steps + 1)
         for every, (shares, light) in enumerate(zip(self._shares, self._light, strict=True), start=1):
             if step % every == 0:
                 weights = shares[:, step // every]
@@ -95,19 +95,19 @@ class Trial:
             squared = _certain_sum(first * second) / (fine.shape[1] * self._covered)
             # What changed is the difference of two errors, of which one is 2^power-fold the other.
             twice_as_far = np.sqrt(squared) / (1 - 2**-_POWER)
-            poses = _per_px(bound, self._at_one_px(twice_as_far, self._track.n_steps), poses)
+            poses = _per_px(bound, self._at_one_px(twice_as_far, self._trajectory.n_steps), poses)
         if self._n_between:
             products = np.concatenate(self._between)
             # Just between two keys a parabola's error is greatest: its mean square is 8/15 of that.
             twice_as_far = np.sqrt(8 / 15 * _certain_sum(products) / self._n_between)
-            keys = _per_px(bound, self._at_one_px(twice_as_far, self._track.n_keys), keys)
+            keys = _per_px(bound, self._at_one_px(twice_as_far, self._trajectory.n_keys), keys)
         return Density(poses, keys)
 
     def _about(self, light: Doubles) -> Doubles:
         return np.maximum(light, 0) + self._floor
 
     def _at_one_px(self, twice_as_far: float, n: int) -> float:
-        return float(twice_as_far) * (n / 2 / max(self._track.way_px, 1e-9)) ** _POWER
+        return float(twice_as_far) * (n / 2 / max(self._trajectory.way_px, 1e-9)) ** _POWER
 
 
 def _certain_sum(products: Doubles) -> float:

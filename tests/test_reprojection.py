@@ -7,8 +7,8 @@ from optsim.core.cache import Cache
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
-from optsim.render.carried import Key, between, filled, seen_at
-from optsim.render.stage import Looks, Stage
+from optsim.render.reprojection import Key, between, filled, seen_at
+from optsim.render.stage import PrimaryHits, Stage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal
 
@@ -27,10 +27,10 @@ def activate_vectorised():
     activate()
 
 
-def looks(second: float, third: float, shape: int = 7) -> Looks:
+def looks(second: float, third: float, shape: int = 7) -> PrimaryHits:
     """One look at a point of the triangle."""
     weights = np.array([[second, third]], np.float32)
-    return Looks(np.array([shape]), ONE, weights, np.ones(1, np.float32), np.zeros(0, np.float32))
+    return PrimaryHits(np.array([shape]), ONE, weights, np.ones(1, np.float32), np.zeros(0, np.float32))
 
 
 def key(*paths: tuple[int, int, float, float, float]) -> Key:
@@ -41,7 +41,7 @@ def key(*paths: tuple[int, int, float, float, float]) -> Key:
     return Key((0, 0), (VIEW.rows, VIEW.cols), first, shape.astype(np.int64), depth, albedo, light)
 
 
-def irradiance(of: Key, at: Looks, here=HERE, then=THEN, half=0) -> float:
+def irradiance(of: Key, at: PrimaryHits, here=HERE, then=THEN, half=0) -> float:
     return float(of.irradiance(at, ONE, ONE + half, FACES, here, then, VIEW)[0])
 
 
@@ -138,11 +138,11 @@ def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
     stage = Stage(scene, View(24, 32, 1, 0.32))
     stage.pose(0.03)
     pixels, samples, seeds = np.arange(0, 768, 3), np.full(256, 4), np.full(256, 5)
-    whole = stage.looks(pixels, samples, seeds, light=True)
+    whole = stage.hits(pixels, samples, seeds, light=True)
     np.testing.assert_allclose(
         whole.light.reshape(-1, 4).mean(axis=1), stage.paths(pixels, samples, seeds), rtol=1e-5, atol=1e-7
     )
-    alone = stage.looks(pixels, samples, seeds, light=False)
+    alone = stage.hits(pixels, samples, seeds, light=False)
     # A ray along an edge may take either side, so a few in a thousand are spared.
     same = (whole.shape == alone.shape) & (whole.face == alone.face)
     assert same.mean() > 0.995
@@ -158,8 +158,8 @@ def test_looks_go_on_where_earlier_ones_stopped():
     activate_vectorised()
     stage = Stage(load_scene("window_room"), View(24, 32, 1, 0.32))
     pixels, seeds = np.arange(0, 768, 3), np.full(256, 5)
-    all_of_them = stage.looks(pixels, np.full(256, 8), seeds, light=False)
-    later = stage.looks(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
+    all_of_them = stage.hits(pixels, np.full(256, 8), seeds, light=False)
+    later = stage.hits(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
     # A ray along an edge may take either side.
     assert (all_of_them.face.reshape(-1, 8)[:, 4:] == later.face.reshape(-1, 4)).mean() > 0.995
     assert (all_of_them.weights.reshape(-1, 8, 2)[:, :4] != later.weights.reshape(-1, 4, 2)).mean() > 0.9

@@ -159,7 +159,7 @@ def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> T
         What it gets of each panel pixel on the direct path, all open under even light.
     """
     geometry = camera.relay_geometry(pitch)
-    row, col, on_ccd = geometry.picks(pitch)
+    row, col, on_ccd = geometry.ccd_pixels(pitch)
     picking = on_ccd & (row == y) & (col == x)
     if picking.any():
         relation, at = "picked", int(picking.argmax())

@@ -24,7 +24,7 @@ _CROP_SHARE = 0.3
 
 
 @dataclass(eq=False)
-class Gallery:
+class Figures:
     """Collects while frames are decoded, and writes all pictures at the end.
 
     The last coded frame is shown: it is of the steady phase if any is.

@@ -25,7 +25,7 @@ from numba import njit
 from scipy import ndimage
 
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, View
-from optsim.render.stage import Looks
+from optsim.render.stage import PrimaryHits
 from optsim.scene.geometry import Faces
 
 # A key's sample is of the same surface if its depth differs by no more than this many samples' width there:
@@ -93,7 +93,14 @@ class Key:
         return Key(corner, size, first, self.shape[at], self.depth_m[at], self.albedo[at], self.light[at])
 
     def irradiance(
-        self, looks: Looks, chosen: Ints, half: Ints, faces: Faces, here: Doubles, then: Doubles, view: View
+        self,
+        hits: PrimaryHits,
+        chosen: Ints,
+        half: Ints,
+        faces: Faces,
+        here: Doubles,
+        then: Doubles,
+        view: View,
     ) -> Floats:
         """Look up the irradiance over pi, at this pose, of points seen at another one.
 
@@ -119,12 +126,12 @@ class Key:
         if not len(chosen):
             return np.zeros(0, np.float32)
         tolerance = _DEPTH_PX * 2 * view.tan_half_width / view.cols
-        met = int(looks.shape[chosen[0]]), tolerance, *self.corner, *self.size
+        met = int(hits.shape[chosen[0]]), tolerance, *self.corner, *self.size
         key = self.first, self.shape, self.depth_m, self.albedo, self.light
-        return _looked_up(looks.face, looks.weights, chosen, half, faces, here, then, *met, *key)
+        return _looked_up(hits.face, hits.weights, chosen, half, faces, here, then, *met, *key)
 
 
-def seen_at(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Doubles:
+def seen_at(hits: PrimaryHits, chosen: Ints, faces: Faces, places: Doubles) -> Doubles:
     """Find where in the ideal image it is what was seen, and its depth in m: (n, 3).
 
     Parameters
@@ -134,8 +141,8 @@ def seen_at(looks: Looks, chosen: Ints, faces: Faces, places: Doubles) -> Double
     places : ndarray of shape (k, 3)
         Where the vertices are.
     """
-    second, third = looks.weights[chosen].T
-    corners = places[faces[looks.face[chosen]]]
+    second, third = hits.weights[chosen].T
+    corners = places[faces[hits.face[chosen]]]
     a, b, c = corners[:, :, 2].T
     # Straight in space, hence straight in place times depth.
     weighted = np.stack([(1 - second - third) * a, second * b, third * c], axis=-1)

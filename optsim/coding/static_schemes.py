@@ -15,7 +15,7 @@ from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.random_lengths import RandomLengths
 from optsim.coding.shutter_grid import ShutterGrid
 
-LEAVES = (
+STATIC_SCHEMES = (
     NormalPhotography,
     HdrMosaic,
     RandomExposure,
@@ -26,7 +26,7 @@ LEAVES = (
     ShutterGrid,
 )
 # The same once more: a type checker reads no tuple.
-AnyLeaf = (
+AnyStaticScheme = (
     NormalPhotography
     | HdrMosaic
     | RandomExposure
@@ -36,4 +36,4 @@ AnyLeaf = (
     | CodedRollingShutter
     | ShutterGrid
 )
-Leaf = Annotated[AnyLeaf, Field(discriminator="kind")]
+StaticScheme = Annotated[AnyStaticScheme, Field(discriminator="kind")]
