@@ -91,7 +91,7 @@ def validation() -> str:
     records = json.loads(path.read_text(encoding="utf-8"))
     lines = ["# Validation records", "", _MADE]
     lines += [
-        "A record passes when the measured deviation is within the tolerance and that of a broken stage isn't. "
+        "A record passes when its deviation is within the tolerance and that of a broken stage is not. "
         "A run prints an effect as unvalidated when its code changed since.",
         "",
     ]
