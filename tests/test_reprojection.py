@@ -167,7 +167,7 @@ def test_looks_go_on_where_earlier_ones_stopped():
 
 def test_a_slots_looks_are_shared_out_over_its_poses():
     poses_a_slot = np.array([1e-3, 0.25, 0.5, 1, 2, 4, 1e3])
-    looks = moving._looks_a_pose(poses_a_slot)
+    looks = moving._hits_a_pose(poses_a_slot)
     assert np.array_equal(looks, [64, 32, 16, 8, 4, 2, 2])
 
 
@@ -181,7 +181,7 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
     seen: list[np.ndarray] = []
     rendered: list[np.ndarray] = []
     asked: list[str] = []
-    honest = Stage.looks, moving._whole, moving._carried
+    honest = Stage.hits, moving._whole, moving._reprojected
 
     def spied(stage, pixels, samples, seeds, *first, light):
         found = honest[0](stage, pixels, samples, seeds, *first, light=light)
@@ -189,9 +189,9 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
         seen.append(np.repeat(pixels, samples)[hit & (not light)])
         return found
 
-    monkeypatch.setattr(Stage, "looks", spied)
+    monkeypatch.setattr(Stage, "hits", spied)
     monkeypatch.setattr(moving, "_whole", lambda *a: rendered.append(a[2]) or honest[1](*a))
-    monkeypatch.setattr(moving, "_carried", lambda *a: asked.append(a[3].name) or honest[2](*a))
+    monkeypatch.setattr(moving, "_reprojected", lambda *a: asked.append(a[3].name) or honest[2](*a))
     settings = RenderSettings(static_error=0.5, change_error=0.5, moving_error=1, slots_per_segment=2)
     video = render_truth(scene, View(30, 40, 1, 0.32), Timing(1 / 180, 2, 1), settings, cache=Cache(tmp_path))
     assert np.isfinite(video.load(0).instant(1)).all()
