@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test setup bench claims figure4 imperfections validate lint types architecture requirements clean help
+.PHONY: force demo test docs setup bench claims figure4 imperfections validate lint types architecture requirements clean help
 
 force:
 
@@ -23,6 +23,9 @@ demo: setup ## run the demo experiment; opens nothing, prints where the report i
 
 test: setup ## is the code right? (minutes)
 	$(BIN)/python -m pytest tests -n auto --dist loadscope
+
+docs: setup ## build the manual into site/, strictly; it opens from disk
+	$(BIN)/mkdocs build --strict
 
 bench: setup ## run time against peers, measured now
 	$(BIN)/optsim bench
@@ -55,4 +58,4 @@ requirements: ## remake requirements.txt from pyproject.toml (needs uv)
 	  --no-emit-index-url --no-annotate --custom-compile-command "make requirements" -o requirements.txt
 
 clean:
-	rm -rf $(VENV) validation/*/.venv .pytest_cache .ruff_cache
+	rm -rf $(VENV) validation/*/.venv site .pytest_cache .ruff_cache

@@ -8,10 +8,10 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
-from optsim.camera.plan import SHORT_CUTS
 from rich.console import Console
 
 from optsim.app.cli import main
+from optsim.camera import skip
 from optsim.experiment.experiment import load_experiment
 from optsim.experiment.explain import explanation, show
 
@@ -121,7 +121,7 @@ def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch:
     def planning(*_: object) -> None:
         pytest.fail("took pictures with a camera of 23 GB")
 
-    monkeypatch.setattr("optsim.camera.plan.plan_camera", planning)
+    monkeypatch.setattr("optsim.camera.probe.make_probe", planning)
     found = explanation("demo", ["camera.relay.magnification=100"])
     assert not found["geometry"]["fits"]
     assert found["plan"] is None
@@ -130,10 +130,10 @@ def test_a_geometry_that_fits_nothing_is_told_at_once_with_the_cure(monkeypatch:
 
 
 @pytest.mark.parametrize("side", [1, 2, 4])
-def test_a_panel_of_a_few_pixels_has_a_plan_too(side: int) -> None:
+def test_a_panel_of_a_few_pixels_is_explained_too(side: int) -> None:
     found = explanation("demo", [f"camera.panel_rows={side}", f"camera.panel_cols={side}"])
     assert found["geometry"]["fits"]
-    assert {choice["short_cut"] for choice in found["plan"]["choices"]} == set(SHORT_CUTS)
+    assert [choice["skip"] for choice in found["plan"]["choices"]] == [row.name for row in skip.ALL]
 
 
 def test_a_variation_may_be_a_number() -> None:
@@ -250,7 +250,8 @@ def test_a_tolerance_is_an_override_like_any_other(cli) -> None:
     assert code == 0
     plan = json.loads(out)["plan"]
     assert plan["tolerance"] == 0
-    assert all(choice["full"] for choice in plan["choices"])
+    assert plan["bound"] == 0
+    assert not next(c["skipped"] for c in plan["choices"] if c["skip"] == "moving_wings")
     code, _, err = cli("explain", "demo", "--tolerance", "-1")
     assert code == 2
     assert "tolerance" in err

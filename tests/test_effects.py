@@ -13,7 +13,7 @@ from scipy.ndimage import shift
 from optsim.camera.effect_sizes import effect_sizes, size_of, size_of_defocus
 from optsim.camera.effects import ALL, STATES, changed, switched, with_effects
 from optsim.camera.hardware import demo, imx174, prototype
-from optsim.camera.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probes, near_probe, shrunk
+from optsim.camera.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probe, shrunk
 from optsim.camera.probe.made_scene import made_scene
 from optsim.coding import HdrMosaic
 from optsim.coding.tiles import TiledCode
@@ -163,7 +163,7 @@ def test_rows_written_at_once_are_the_nominal_state_and_every_effect_is_measured
     drifting = {name for name, effect in ALL.items() if effect.drifts}
     other = {"row_scan", "sync", "alignment", "lost_fields"} | drifting
     assert set(MEASURES) | other | in_scene == set(ALL)
-    assert not {each.effect for each in effect_sizes(make_probes(IDEAL, ROOM, SCHEMES))} & in_scene
+    assert not {each.effect for each in effect_sizes(make_probe(IDEAL, ROOM, SCHEMES))} & in_scene
     scanned = with_effects(IDEAL, {"row_scan": "pessimistic"})
     assert np.ptp(scanned.panel_response.row_delays_s(10)) > 0
     assert scanned.modulator.lateness_s(36, 1) == 0
@@ -239,7 +239,7 @@ def test_states_go_from_better_to_worse(name):
         type(camera).model_validate(camera.model_dump())
         effect = ALL[name]
         drift = effect.pessimistic if effect.drifts and state == "pessimistic" else {}
-        sizes[state] = size_of(name, make_probes(camera, ROOM, SCHEMES), drift).size
+        sizes[state] = size_of(name, make_probe(camera, ROOM, SCHEMES), drift).size
     assert sizes["ideal"] == 0
     # Under light that stands still only the difference of the time constants shows, which is smaller.
     if name != "response":
@@ -289,17 +289,17 @@ def test_a_probe_moves_its_pixels_as_far_as_the_camera():
         {"relay": {"rotation_rad": 1e-3, "shift_y_px": -1.5, "distortion": 1e-3, "lateral_colour": 0.1}},
     )
     for each in (camera, moved):
-        mapped = near_probe(each, ROOM, SCHEMES)
+        mapped = make_probe(each, ROOM, SCHEMES)
         far = place_of_corner(each) - place_of_corner(changed(each, STRAIGHT))
         near = place_of_corner(changed(mapped.camera, mapped.mapping)) - place_of_corner(
             changed(mapped.camera, STRAIGHT)
         )
         np.testing.assert_allclose(near, far, atol=0.06)
-    lost = near_probe(changed(camera, {"relay": {"shift_x_px": 100.0, "rotation_rad": 0.05}}), ROOM, SCHEMES)
+    lost = make_probe(changed(camera, {"relay": {"shift_x_px": 100.0, "rotation_rad": 0.05}}), ROOM, SCHEMES)
     assert lost.mapping["relay"]["shift_x_px"] == 4
     assert lost.mapping["relay"]["rotation_rad"] < 0.06
-    still = {each.effect: each.size for each in effect_sizes(make_probes(camera, ROOM, SCHEMES))}
-    turned = {each.effect: each.size for each in effect_sizes(make_probes(moved, ROOM, SCHEMES))}
+    still = {each.effect: each.size for each in effect_sizes(make_probe(camera, ROOM, SCHEMES))}
+    turned = {each.effect: each.size for each in effect_sizes(make_probe(moved, ROOM, SCHEMES))}
     assert still["alignment"] == 0
     assert turned["alignment"] > 1
     # Everything but the mapping is predicted on the image in the middle.
@@ -310,18 +310,16 @@ STRAIGHT = {"relay": {"rotation_rad": 0.0, "shift_y_px": 0.0, "shift_x_px": 0.0,
 
 
 def test_the_size_of_noise_is_its_share():
-    camera = near_probe(prototype(), ROOM, SCHEMES).camera
-    noises = make_probes(prototype(), ROOM, SCHEMES).noise_e
+    camera = make_probe(prototype(), ROOM, SCHEMES).camera
+    noises = make_probe(prototype(), ROOM, SCHEMES).noise_e
     for noise_e, light_e in noises.values():
         assert noise_e**2 - light_e**2 == pytest.approx(9.39**2 + 0.96**2 / 12)
     noise_e = min(noises.values())[0]
-    sizes = {each.effect: each.size for each in effect_sizes(make_probes(prototype(), ROOM, SCHEMES))}
+    sizes = {each.effect: each.size for each in effect_sizes(make_probe(prototype(), ROOM, SCHEMES))}
     assert sizes["read_noise"] == pytest.approx(camera.sensor.read_noise_e / noise_e, rel=1e-6)
     assert sizes["quantisation"] == pytest.approx(((0.96**2 - 0.24**2) / 12) ** 0.5 / noise_e, rel=1e-6)
     dim = Illumination(0.1, 90.0, 0.08)
-    assert {e.effect: e.size for e in effect_sizes(make_probes(prototype(), dim, SCHEMES))}[
-        "read_noise"
-    ] > 0.3
+    assert {e.effect: e.size for e in effect_sizes(make_probe(prototype(), dim, SCHEMES))}["read_noise"] > 0.3
 
 
 @pytest.mark.parametrize(("bits", "in_all"), [(14, 16), (12, 16), (16, 16)])
@@ -338,8 +336,7 @@ def test_a_finer_converter_has_the_same_range(bits, in_all):
 @pytest.mark.parametrize("blur_px", [0.5, 2.0])
 def test_the_size_of_defocus_is_that_of_a_disc(blur_px):
     """Against the probe's scene, spread over discs by brute force."""
-    probes = make_probes(prototype(), ROOM, SCHEMES)
-    probe = probes.near
+    probe = make_probe(prototype(), ROOM, SCHEMES)
 
     def spread(index):
         segment = probe.radiance.load(index)
@@ -352,12 +349,12 @@ def test_the_size_of_defocus_is_that_of_a_disc(blur_px):
         return Segment(start, stop, blocks, segment.n_instants)
 
     blurred = replace(probe.radiance, load=lru_cache(spread))
-    found = size_of_defocus(probes, blur_px)
+    found = size_of_defocus(probe, blur_px)
     before, usable = probe.frame({}, found.scheme)
     after, _ = replace(probe, radiance=blurred).frame({}, found.scheme)
-    expected = np.sqrt(np.mean((after - before)[usable] ** 2)) / probes.noise_e[found.scheme][0]
+    expected = np.sqrt(np.mean((after - before)[usable] ** 2)) / probe.noise_e[found.scheme][0]
     assert found.size == pytest.approx(expected, rel=0.2)
-    assert size_of_defocus(probes, 0.0).size == 0
+    assert size_of_defocus(probe, 0.0).size == 0
 
 
 def disc_blurred(image, diameter):
@@ -379,7 +376,7 @@ def test_an_explanation_shows_every_effect():
     assert found["polarised_scene"]["size"] == 0
     seen = {
         each.effect: each.size
-        for each in scene_effects(make_probes(IDEAL, ROOM, SCHEMES), None, polarised=True)
+        for each in scene_effects(make_probe(IDEAL, ROOM, SCHEMES), None, polarised=True)
     }
     assert seen == {"depth_of_field": 0, "objective_distortion": 0, "polarised_scene": None}
     wide = ["camera.objective.f_number=1.4", "camera.effects.depth_of_field=pessimistic"]
@@ -464,17 +461,17 @@ def test_every_key_of_a_drift_has_a_size_or_is_not_predicted():
 def test_a_drift_that_moves_the_image_is_as_large_on_the_probe_as_on_the_camera(key, value):
     camera, schemes = demo(), {"hdr_mosaic": HdrMosaic()}
     now = changed(camera, {"relay": {key: value}})
-    probes = make_probes(camera, ROOM, schemes)
+    probe = make_probe(camera, ROOM, schemes)
     (of_probe,) = [
         each.size
-        for each in effect_sizes(probes, drifted_as_far(camera, now, shrunk(camera)))
+        for each in effect_sizes(probe, drifted_as_far(camera, now, shrunk(camera)))
         if each.effect == f"drift.relay.{key}"
     ]
-    nd = probes.near.camera.objective.nd_transmission
+    nd = probe.camera.objective.nd_transmission
     whole = Probe(
         changed(camera.with_nd(nd), PLAIN), made_scene(camera, ROOM.white_w_m2_sr, None), schemes, 0
     )
-    size = whole.change_e({"relay": {key: value}}, {}, "hdr_mosaic") / whole.noise_e("hdr_mosaic")[0]
+    size = whole.change_e({"relay": {key: value}}, {}, "hdr_mosaic") / whole.noise_e["hdr_mosaic"][0]
     # Patches and borders lie otherwise in fewer pixels.
     assert of_probe == pytest.approx(size, rel=0.35)
 

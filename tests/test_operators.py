@@ -137,7 +137,7 @@ def test_a_trace_sees_the_frame_of_the_run(
 ) -> None:
     monkeypatch.setattr(trace, "render_truth", lambda *_, **__: dark)
     last = mixed.frames["adaptive"][-1]
-    found = trace.trace_experiment(small(*OWN), trace.Aim(40, 50, last.index, "adaptive"))
+    found = trace.trace_experiment(small(*OWN), trace.TracedPixel(40, 50, last.index, "adaptive"))
     assert found.reading.drawn_dn == last.dn[40, 50]
     assert found.nd_transmission == mixed.light.nd_transmission
 

@@ -1,4 +1,4 @@
-"""Figures that README and reports quote are those of the files that a measurement wrote."""
+"""Figures that README, manual and reports quote are those of the files that a measurement wrote."""
 
 import importlib.util
 import re
@@ -17,8 +17,13 @@ _SPEC.loader.exec_module(quoted)
 @pytest.mark.parametrize("name", quoted.PROSE)
 def test_quoted_figures_are_those_of_their_files(name: str) -> None:
     prose = (ROOT / name).read_text(encoding="utf-8")
-    assert "<!--= " in prose
     assert quoted.filled(prose) == prose
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/evidence.md", "reports/measured.md"])
+def test_pages_that_quote_are_covered(name: str) -> None:
+    assert name in quoted.PROSE
+    assert "<!--= " in (ROOT / name).read_text(encoding="utf-8")
 
 
 def test_a_figure_that_differs_is_seen_and_put_right() -> None:

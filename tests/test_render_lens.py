@@ -122,7 +122,7 @@ def test_a_footprint_holds_all_that_is_seen_of_a_mover(view, tmp_path):
     stage, n = Stage(scene, view), np.full(len(pixels), 256)
     for time_s in (0.0, 0.4):
         stage.pose(time_s)
-        looks = stage.looks(pixels, n, np.full(len(pixels), 3), light=False)
+        looks = stage.hits(pixels, n, np.full(len(pixels), 3), light=False)
         seen = (looks.shape == stage.shape_of("ball")).reshape(len(pixels), -1).any(axis=1)
         own = plan.own(time_s).ravel()
         assert seen.any()

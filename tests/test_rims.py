@@ -1,16 +1,15 @@
-"""Rims of panel pixels under fringing fields: quadrature, loops, segments and the plan's choice."""
+"""Rims of panel pixels under fringing fields: quadrature, loops, segments."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from optsim.camera.plan import plan_camera
 from scipy.special import ndtr
 
 from optsim.camera.effect_sizes import effect_sizes
 from optsim.camera.effects import changed, with_effects
 from optsim.camera.hardware import demo
-from optsim.camera.probe import Illumination, compared_with
+from optsim.camera.probe import PLAIN, Illumination, compared_with, make_probe
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Block, ExposureCode, Segment, Video
 from optsim.experiment.experiment import load_experiment
@@ -358,21 +357,14 @@ def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
     np.testing.assert_allclose(points.borders, border_shares(sigma, pitch), atol=0.005 + 0.2 * sigma**2)
 
 
-def test_plans_find_rims_as_finely_as_they_need():
-    light, camera = Illumination(0.1, 90.0, 0.8), demo()
-    schemes = load_experiment("demo").schemes
-    models = {t: plan_camera(camera, light, schemes, t).camera.modulator.rim_model for t in (0.0, 0.1, 3.0)}
-    assert models == {0.0: "fine", 0.1: "coarse", 3.0: "mixed"}
-    plan = plan_camera(camera, light, schemes, 0.1)
-    size = next(each.size for each in effect_sizes(plan.probes) if each.effect == "fringing")
+def test_a_camera_without_fringing_has_no_rims():
+    camera = demo()
+    probe = make_probe(changed(camera, PLAIN), Illumination(0.1, 90.0, 0.8), load_experiment("demo").schemes)
+    size = next(each.size for each in effect_sizes(probe) if each.effect == "fringing")
     sharp = {"modulator": {"fringing_px": 0.0}}
-    found = [max(plan.probes.sizes(sharp, of))[0] for of in (compared_with("fringing"), {})]
+    found = [max(probe.sizes(sharp, of))[0] for of in (compared_with("fringing"), {})]
     assert size == found[0] != found[1]
     sharp = with_effects(camera, {"fringing": "ideal"})
     code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
     assert sharp.shutter(code, None, 1)[0].rims is None
     assert camera.shutter(code, None, 1)[0].rims is not None
-    mixed = changed(camera, {"modulator": {"rim_model": "mixed"}})
-    plan = plan_camera(mixed, light, schemes, 0.0)
-    assert plan.camera.modulator.rim_model == "mixed"
-    assert "fringing_rims" not in {choice.short_cut for choice in plan.choices}

@@ -91,15 +91,15 @@ def test_results_name_each_file_with_its_hash(run: Path) -> None:
         assert read_calibration(run / each["file"]).source == each["calibration"]
 
 
-def readme_lines() -> str:
-    """Code blocks of the README that read a calibration's file by numpy alone."""
-    text = (Path(__file__).parents[1] / "README.md").read_text()
-    part = text[text.index("**Frames and codes in numpy.**") :]
+def manual_lines() -> str:
+    """Code blocks of the manual that read a calibration's file by numpy alone."""
+    text = (Path(__file__).parents[1] / "docs" / "how-to" / "bench.md").read_text(encoding="utf-8")
+    part = text[text.index("## Frames and codes in numpy") :]
     return "\n".join(re.findall(r"```python\n(.*?)```", part, re.DOTALL)[:2])
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_the_lines_of_the_readme_predict_frames_of_an_even_scene(
+def test_the_lines_of_the_manual_predict_frames_of_an_even_scene(
     experiment: Experiment, run: Path, index: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Residuals are as large as the noise that the file states: a false alarm in 10 000 for each of four."""
@@ -115,7 +115,7 @@ def test_the_lines_of_the_readme_predict_frames_of_an_even_scene(
         "before": code_of(max(index - 1, 0)),
         "index": index,
     }
-    exec(readme_lines(), there)
+    exec(manual_lines(), there)
     k, signal, expected = there["k"], there["signal"], there["expected"]
     # What a perfect decoder would return.
     light = experiment.camera.with_nd(read_json(run / "results.json")["light_rule"]["nd_transmission"])

@@ -15,7 +15,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parent.parent
-PROSE = ("README.md", "reports/measured.md")
+PROSE = (
+    "README.md",
+    "reports/measured.md",
+    *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")),
+)
 _QUOTED = re.compile(r"(<!--= (?P<key>[\w.-]+)(?::(?P<form>[^ ]+))? -->)(?P<text>.*?)(<!--/-->)")
 
 

@@ -9,7 +9,7 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -31,6 +31,9 @@ from optsim.app.options import (
 from optsim.app.reconstruct import reconstruct_files
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
+
+if TYPE_CHECKING:
+    from optsim.experiment.experiment import Experiment
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -72,6 +75,10 @@ def run(
     as_json: Json = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, render nothing.")] = False,
     export_truth: Annotated[bool, typer.Option(help="Copy the truth into the run folder.")] = False,
+    check_skips: Annotated[
+        bool,
+        typer.Option("--check-skips", help="Only expose a frame a method with and without what is left out."),
+    ] = False,
 ) -> None:
     """Render, expose, decode and score an experiment; write a run folder with report.html."""
     from optsim.core.console import page, people, progress_bars
@@ -82,6 +89,9 @@ def run(
     from optsim.experiment.finished import finished_run
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
+    if check_skips:
+        _check_skips(loaded, backend, as_json)
+        return
     if out is not None:
         job.run_folder(loaded, out)
     if dry_run:
@@ -124,6 +134,20 @@ def run(
     else:
         page.print(job.summary(results))
         page.print(f"Report: {folder / 'report.html'}")
+
+
+def _check_skips(loaded: Experiment, backend: str | None, as_json: bool) -> None:
+    from optsim.core.console import page, progress_bars, table
+    from optsim.experiment.check_skips import check_skips
+
+    with progress_bars(quiet=as_json) as progress:
+        found = check_skips(loaded, backend=backend, progress=progress)
+    if as_json:
+        print_json(found)
+        return
+    title = f"one frame with and without {', '.join(found[0]['left_out']) or 'nothing left out'}"
+    rows = [(each["method"], each["error"], each["loss_db"]) for each in found]
+    page.print(table(title, ("method", "error in noise", "lowers a PSNR by at most, dB"), rows))
 
 
 @app.command()

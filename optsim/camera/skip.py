@@ -20,6 +20,7 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import Changes, changed
 from optsim.camera.parts.objective import MOVING_WING_SHARE
 from optsim.camera.probe import FINEST_FIELD, Illumination, share_beyond_window
+from optsim.core.config import Part
 
 # A mover may hide all of a light that covers less than this share of the picture.
 _MOST_HIDDEN = 0.06
@@ -226,9 +227,9 @@ def _finest(camera: CodedCamera) -> CodedCamera:
 
 def _at_default(camera: CodedCamera, changes: Changes) -> bool:
     """Whether nobody set the fields that some changes are of."""
-    parts = {part: getattr(camera, part) for part in changes}
-    return all(
-        getattr(parts[part], name) == type(parts[part]).model_fields[name].default
-        for part, fields in changes.items()
-        for name in fields
-    )
+    for name, fields in changes.items():
+        part: Part = getattr(camera, name)
+        defaults = type(part).model_fields
+        if any(getattr(part, field) != defaults[field].default for field in fields):
+            return False
+    return True

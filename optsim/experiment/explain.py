@@ -324,9 +324,9 @@ def _what_matters(record: dict[str, Any]) -> list[object]:
     noises = "; ".join(f"{name} {all_e:.3g} ({light_e:.3g})" for name, (all_e, light_e) in noise_e.items())
     return [
         table(
-            "what each imperfection changes in a frame, rms, in units of the frame's noise, for the method of "
-            "which it is largest. Predicted on a small made scene, good to a factor of three. Noise, e-, and "
-            f"what of it is the light's own and has no switch: {noises}",
+            "what each imperfection changes in a frame, rms, in units of the frame's noise, for the method "
+            "of which it is largest. Predicted on a small made scene, good to a factor of three. Noise, e-, "
+            f"and what of it is the light's own: {noises}",
             ("effect", "size in noise", "of", "what it is"),
             [
                 (

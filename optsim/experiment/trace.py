@@ -107,8 +107,8 @@ def trace_experiment(
     ----------
     experiment : Experiment
         What would be run.
-    aim : Aim
-        From :func:`choose_aim`.
+    traced : TracedPixel
+        From :func:`choose_pixel`.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -151,7 +151,7 @@ def trace_pixel(
         The scene, and its light on the modulator.
     shot : Shot
         The frame, and the panel before it.
-    aim : Aim
+    traced : TracedPixel
         The CCD pixel and the frame's index and method.
     """
     code, pitch = shot.frame.code, truth.samples_per_pitch

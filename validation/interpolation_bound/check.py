@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.core.cache import Cache
 from optsim.core.quantities import Bools, Doubles, Ints, RadianceVideo, Timing, View
-from optsim.render import RenderSettings, moving, render_truth, spacing
+from optsim.render import RenderSettings, moving, pose_sampling, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover
 from optsim.render.plan import seed_of
@@ -57,7 +57,7 @@ def measure() -> float:
 
 def perturbed() -> float:
     """Set poses 16 times too far apart; confuse a segment's keys, then its ends: error where it matters."""
-    with mock.patch.object(spacing, "_SHARE", spacing._SHARE * 64):
+    with mock.patch.object(pose_sampling, "_SHARE", pose_sampling._SHARE * 64):
         own = _found("wheel", 0.05)[0]
     keys_round = moving._keys_round
 

@@ -1,4 +1,4 @@
-"""What the skip table leaves out, measured against the full model over a grid of cameras, scenes and tolerances.
+"""What the skip table leaves out, against the full model over cameras, scenes and tolerances.
 
 Run as a program it prints the grid.
 """
@@ -37,7 +37,8 @@ from optsim.core.quantities import Block, ExposureCode, RadianceVideo, Segment, 
 from optsim.scene import BrightLight
 
 CLAIM = (
-    "a frame of the camera that leaves something out differs from one of the full model by less than the tolerance, rms over "
+    "a frame of the camera that leaves something out differs from one of the full model by less than the "
+    "tolerance, rms over "
     "pixels that don't saturate and relative to the frame's noise, over cameras, lights, codes, tolerances"
 )
 ORACLE = (

@@ -29,7 +29,7 @@ def made_code(scheme: Scheme, camera: CodedCamera, radiance: RadianceVideo, lamp
     That is the longest, which is there in some frame of a sequence, if the light really is of few pixels
     (``lamp_px``), or else the one nearest to the mean.
     """
-    levels = _levels(scheme, camera)
+    levels = levels_of(scheme, camera)
     bright = radiance.load(0).start > radiance.white_w_m2_sr
     cells = camera.panel_rows, SAMPLES_PER_PITCH, camera.panel_cols, SAMPLES_PER_PITCH
     lit = bright.reshape(cells).any(axis=(1, 3))
@@ -41,10 +41,10 @@ def made_code(scheme: Scheme, camera: CodedCamera, radiance: RadianceVideo, lamp
     return ExposureCode(levels, np.ones(lit.shape, np.bool_))
 
 
-def _levels(scheme: Scheme, camera: CodedCamera) -> Bytes:
+def levels_of(scheme: Scheme, camera: CodedCamera) -> Bytes:
     """Drive levels of a scheme's first frame, (slot, v, u)."""
     if isinstance(scheme, MotionAdaptive):
-        static, moving = (_levels(each, camera) for each in (scheme.static, scheme.moving))
+        static, moving = (levels_of(each, camera) for each in (scheme.static, scheme.moving))
         stripe = np.arange(camera.panel_cols) * _STRIPES // camera.panel_cols
         return np.where(stripe % 2 == 0, static, moving)
     tiles = scheme.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(_SEED))

@@ -19,9 +19,10 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ITSELF, Changes, changed
 from optsim.camera.parts.lens import LARGEST_WING_SHARE
 from optsim.camera.probe.frames import MARGIN_PX, Probe, cone_and_sample
-from optsim.camera.probe.made_code import Schemes
+from optsim.camera.probe.made_code import Schemes, levels_of
 from optsim.camera.probe.made_scene import made_scene
 from optsim.core.config import Part
+from optsim.core.errors import ConfigError
 from optsim.optics.psf import share_beyond
 from optsim.scene import BrightLight
 
@@ -63,12 +64,22 @@ class Illumination:
 
 
 def make_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
-    """Make the probe of a camera, for each of some schemes that differ; far wings would leave its panel."""
+    """Make the probe of a camera, for each of some schemes that differ; far wings would leave its panel.
+
+    Raises
+    ------
+    ConfigError
+        For a scheme that the slots don't allow, with its name.
+    """
     different: dict[str, str] = {}
     for name, scheme in schemes.items():
         different.setdefault(scheme.model_dump_json(), name)
-    schemes = {name: schemes[name] for name in different.values()}
-    small = shrunk(camera)
+    schemes, small = {name: schemes[name] for name in different.values()}, shrunk(camera)
+    for name, scheme in schemes.items():
+        try:
+            levels_of(scheme, small)
+        except ConfigError as error:
+            raise ConfigError(f"methods, {name!r}: {error}") from None
     lamp_px, light = _lamp_px(camera, light), _as_much(camera, small, light)
     lit = _lit(changed(small, _window_within(small)), light, schemes, lamp_px)
     return replace(lit, mapping=_as_far(camera, small))
@@ -205,7 +216,15 @@ def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
                     "cols": max(cols, round(panel.cols * share)),
                 }
             ),
-            "relay": relay.model_copy(update={"shift_y_px": 0.0, "shift_x_px": 0.0, "rotation_rad": 0.0}),
+            # A ghost covers as large a part of the picture.
+            "relay": relay.model_copy(
+                update={
+                    "shift_y_px": 0.0,
+                    "shift_x_px": 0.0,
+                    "rotation_rad": 0.0,
+                    "ghost_blur_px": relay.ghost_blur_px * share,
+                }
+            ),
             # Smear and slots lost to the readout are those of the camera: its whole readout stays.
             "sensor": camera.sensor.model_copy(
                 update={

@@ -8,7 +8,7 @@ from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
 from optsim.render.reprojection import Key, between, filled, seen_at
-from optsim.render.stage import Looks, Stage
+from optsim.render.stage import PrimaryHits, Stage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal
 
@@ -27,10 +27,10 @@ def activate_vectorised():
     activate()
 
 
-def looks(second: float, third: float, shape: int = 7) -> Looks:
+def looks(second: float, third: float, shape: int = 7) -> PrimaryHits:
     """One look at a point of the triangle."""
     weights = np.array([[second, third]], np.float32)
-    return Looks(np.array([shape]), ONE, weights, np.ones(1, np.float32), np.zeros(0, np.float32))
+    return PrimaryHits(np.array([shape]), ONE, weights, np.ones(1, np.float32), np.zeros(0, np.float32))
 
 
 def key(*paths: tuple[int, int, float, float, float]) -> Key:
@@ -41,7 +41,7 @@ def key(*paths: tuple[int, int, float, float, float]) -> Key:
     return Key((0, 0), (VIEW.rows, VIEW.cols), first, shape.astype(np.int64), depth, albedo, light)
 
 
-def irradiance(of: Key, at: Looks, here=HERE, then=THEN, half=0) -> float:
+def irradiance(of: Key, at: PrimaryHits, here=HERE, then=THEN, half=0) -> float:
     return float(of.irradiance(at, ONE, ONE + half, FACES, here, then, VIEW)[0])
 
 
@@ -138,11 +138,11 @@ def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
     stage = Stage(scene, View(24, 32, 1, 0.32))
     stage.pose(0.03)
     pixels, samples, seeds = np.arange(0, 768, 3), np.full(256, 4), np.full(256, 5)
-    whole = stage.looks(pixels, samples, seeds, light=True)
+    whole = stage.hits(pixels, samples, seeds, light=True)
     np.testing.assert_allclose(
         whole.light.reshape(-1, 4).mean(axis=1), stage.paths(pixels, samples, seeds), rtol=1e-5, atol=1e-7
     )
-    alone = stage.looks(pixels, samples, seeds, light=False)
+    alone = stage.hits(pixels, samples, seeds, light=False)
     # A ray along an edge may take either side, so a few in a thousand are spared.
     same = (whole.shape == alone.shape) & (whole.face == alone.face)
     assert same.mean() > 0.995
@@ -158,8 +158,8 @@ def test_looks_go_on_where_earlier_ones_stopped():
     activate_vectorised()
     stage = Stage(load_scene("window_room"), View(24, 32, 1, 0.32))
     pixels, seeds = np.arange(0, 768, 3), np.full(256, 5)
-    all_of_them = stage.looks(pixels, np.full(256, 8), seeds, light=False)
-    later = stage.looks(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
+    all_of_them = stage.hits(pixels, np.full(256, 8), seeds, light=False)
+    later = stage.hits(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
     # A ray along an edge may take either side.
     assert (all_of_them.face.reshape(-1, 8)[:, 4:] == later.face.reshape(-1, 4)).mean() > 0.995
     assert (all_of_them.weights.reshape(-1, 8, 2)[:, :4] != later.weights.reshape(-1, 4, 2)).mean() > 0.9
@@ -167,7 +167,7 @@ def test_looks_go_on_where_earlier_ones_stopped():
 
 def test_a_slots_looks_are_shared_out_over_its_poses():
     poses_a_slot = np.array([1e-3, 0.25, 0.5, 1, 2, 4, 1e3])
-    looks = moving._looks_a_pose(poses_a_slot)
+    looks = moving._hits_a_pose(poses_a_slot)
     assert np.array_equal(looks, [64, 32, 16, 8, 4, 2, 2])
 
 
@@ -181,7 +181,7 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
     seen: list[np.ndarray] = []
     rendered: list[np.ndarray] = []
     asked: list[str] = []
-    honest = Stage.looks, moving._whole, moving._carried
+    honest = Stage.hits, moving._whole, moving._reprojected
 
     def spied(stage, pixels, samples, seeds, *first, light):
         found = honest[0](stage, pixels, samples, seeds, *first, light=light)
@@ -189,9 +189,9 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
         seen.append(np.repeat(pixels, samples)[hit & (not light)])
         return found
 
-    monkeypatch.setattr(Stage, "looks", spied)
+    monkeypatch.setattr(Stage, "hits", spied)
     monkeypatch.setattr(moving, "_whole", lambda *a: rendered.append(a[2]) or honest[1](*a))
-    monkeypatch.setattr(moving, "_carried", lambda *a: asked.append(a[3].name) or honest[2](*a))
+    monkeypatch.setattr(moving, "_reprojected", lambda *a: asked.append(a[3].name) or honest[2](*a))
     settings = RenderSettings(static_error=0.5, change_error=0.5, moving_error=1, slots_per_segment=2)
     video = render_truth(scene, View(30, 40, 1, 0.32), Timing(1 / 180, 2, 1), settings, cache=Cache(tmp_path))
     assert np.isfinite(video.load(0).instant(1)).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optsim.render.pose_sampling import Trial, assumed
-from optsim.render.trajectories import Density, Track
+from optsim.render.trajectories import Density, Trajectory
 
 N_INSTANTS, N_STEPS, N_KEYS, WAY_PX = 6, 48, 12, 24.0
 MASK = np.ones((8, 32), np.bool_)
@@ -13,8 +13,8 @@ ALL = np.ones(MASK.sum(), np.bool_)
 BEFORE = Density(poses=0.01, keys=0.01)
 
 
-def track() -> Track:
-    return Track("mover", WAY_PX, N_STEPS, N_KEYS, MASK)
+def track() -> Trajectory:
+    return Trajectory("mover", WAY_PX, N_STEPS, N_KEYS, MASK)
 
 
 def trial_of(light, noise: float = 0.0, covered=ALL, seed: int = 7) -> Trial:
