@@ -27,7 +27,7 @@ class Average(PartialDecoder):
     mixture: GaussianMixture = GaussianMixture(stride_px=1)
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the opacity of the seam."""
+        """As :meth:`decode`, with the blend weights of the seam."""
         one, other = tee(frames)
         pairs = zip(
             self.sparse.partials(one, calibration), self.mixture.partials(other, calibration), strict=True

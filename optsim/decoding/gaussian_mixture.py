@@ -76,7 +76,7 @@ class GaussianMixture(PartialDecoder):
     uncertainty: bool = False
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the opacity of the seam."""
+        """As :meth:`decode`, with the blend weights of the seam."""
         prior = self._prior(calibration)
         spread = Spread.of(prior) if self.uncertainty else None
         for frame, image in coded_images(frames, calibration, self.crosstalk):

@@ -40,7 +40,7 @@ class Interpolation(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as layers."""
+        """As :meth:`decode`, as partial reconstructions."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Squared: what a dark panel leaks in every slot says little about any of them.
             certainty = image.weights**2
@@ -52,8 +52,7 @@ class Interpolation(PartialDecoder):
             # Slots with the shutter closed are nobody's: what is far from all samples there is no flaw.
             found = (known[:, :, : calibration.coded_slots] > 0).all(axis=2)
             moving = (frame.code.moving & found).astype(np.float32)
-            layer = covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))
-            yield layer
+            yield covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))
 
     def _smoothed(self, stack: Floats) -> Floats:
         from scipy import ndimage

@@ -74,7 +74,7 @@ class MotionDeblurring(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as layers.
+        """As :meth:`decode`, as partial reconstructions.
 
         Raises
         ------

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false
-"""What a branch of a decoder hands over before branches are joined, and what a branch is."""
+"""Partial reconstructions, which a union joins, and the decoders that make them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FAR = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Partial:
-    """One branch's picture of one coded frame.
+    """Picture of one coded frame by one decoder, before it is joined with another's.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Partial:
         Coded-frame index.
     irradiance_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32
         Mean irradiance in each slot, or the same for all slots; never negative.
-    opacity : ndarray of shape (v, u), float32
-        How much of the joined picture this layer makes, 0..1.
+    blend_weight : ndarray of shape (v, u), float32
+        Share of the joined picture that it makes, 0..1.
     valid, interpolated, moving : ndarray of shape (v, u), bool
         As in :class:`~optsim.core.quantities.Reconstruction`.
     slots : int
@@ -89,7 +89,7 @@ class PartialDecoder(Part, ABC):
 
     @abstractmethod
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the opacity of a seam."""
+        """As :meth:`decode`, with the blend weights of a seam."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
         """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
@@ -99,5 +99,5 @@ class PartialDecoder(Part, ABC):
         ConfigError
             When what is learned does not fit the frames.
         """
-        for layer in self.partials(frames, calibration):
-            yield layer.finished()
+        for partial in self.partials(frames, calibration):
+            yield partial.finished()

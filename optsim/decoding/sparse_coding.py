@@ -53,7 +53,7 @@ class SparseCoding(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the opacity of the seam."""
+        """As :meth:`decode`, with the blend weights of the seam."""
         # Brings numba along, which reading an experiment must not.
         from optsim.decoding.sparse.patch_codes import PatchCoder
 

@@ -53,7 +53,7 @@ class TotalVariation(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as layers."""
+        """As :meth:`decode`, as partial reconstructions."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Pixels that no slot opens are smoothed with the others.
             moving = (frame.code.moving & image.usable.any()).astype(np.float32)

@@ -37,7 +37,7 @@ _SMOOTH_PX = 3
 
 
 class Union(Part):
-    """Join the two branches: the video where the code was chosen for it and the light did change.
+    """Join two partial reconstructions: the video where the code was chosen for it and the light did change.
 
     The code's mask is as late as the frames that it was made from, and dilated. When a frame is decoded its
     own sample is there: where it agrees with those before, the merge of all knows more than the video does,
@@ -52,7 +52,7 @@ class Union(Part):
     Parameters
     ----------
     static, moving : decoder
-        Decoders of the two branches: of what stands still, and of what moves.
+        The two decoders: of what stands still, and of what moves.
     video : {"changed", "coded"}
         Where the video is taken: near what changed, or wherever the code was chosen for it, as in equation
         (1). A merge of one frame, or as the paper has it, knows of no change; then both are the same.
@@ -90,7 +90,7 @@ class Union(Part):
 
         for video in self.moving.partials(changing(), calibration):
             still, near = merged.popleft()
-            # Inside the mask all patches are there, so the opacity is 1.
+            # Inside the mask all patches are there, so the blend weight is 1.
             share = np.where(still.valid, near * video.blend_weight, np.sign(video.blend_weight))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
             spread = _mixed(still.uncertainty_w_m2, video.uncertainty_w_m2, share)

@@ -198,7 +198,7 @@ def _look(
 
 
 def _hits_a_pose(poses_a_slot: Doubles) -> Ints:
-    """Share out the looks of a slot over its poses: powers of two, which stratify best."""
+    """Share out the primary hits of a slot over its poses: powers of two, which stratify best."""
     return 1 << np.clip(np.rint(np.log2(_HITS / poses_a_slot)), 1, 6).astype(np.int64)
 
 

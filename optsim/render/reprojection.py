@@ -106,10 +106,10 @@ class Key:
 
         Parameters
         ----------
-        looks : Looks
+        hits : PrimaryHits
             What was seen at the other pose.
         chosen : ndarray of shape (n,)
-            Which of these looks: all on one shape.
+            Which of these hits: all on one shape.
         half : ndarray of shape (n,)
             Which half each of them is of, 0 or 1.
         faces : ndarray of shape (m, 3)
@@ -136,7 +136,7 @@ def seen_at(hits: PrimaryHits, chosen: Ints, faces: Faces, places: Doubles) -> D
 
     Parameters
     ----------
-    looks, chosen, faces
+    hits, chosen, faces
         As for :meth:`Key.irradiance`.
     places : ndarray of shape (k, 3)
         Where the vertices are.

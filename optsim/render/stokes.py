@@ -3,7 +3,7 @@
 """Polarised radiance: the Stokes vector that reaches each fine sample, in a Mitsuba variant of its own.
 
 Conventions (R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized Light and Optical Systems*, CRC Press 2018,
-chapter 3, as in ``forward.mueller``), all as one looks at the upright picture, hence against the light:
+chapter 3, as in ``optics.mueller``), all as one looks at the upright picture, hence against the light:
 
 - S1 > 0: the field swings along the picture's rows, horizontally; a level floor's gloss has S1 > 0.
 - S2 > 0: along the diagonal from the lower left to the upper right.
