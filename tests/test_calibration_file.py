@@ -64,6 +64,19 @@ def test_every_field_comes_back_to_the_bit(known: Calibration, path: Path, tmp_p
     assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
 
 
+def test_the_share_that_is_no_glare_comes_back(known: Calibration, path: Path) -> None:
+    """In the file, and in what is read of it: even light stays as it is, near and far light together."""
+    back, even = read_calibration(path), np.ones(known.shape, np.float32)
+    with np.load(path) as stored:
+        np.testing.assert_array_equal(stored["direct_share"], known.direct_share, strict=True)
+    np.testing.assert_array_equal(back.direct_share, known.direct_share, strict=True)
+    assert 0.9 < back.direct_share.min() < back.direct_share.max() < 0.99
+    np.testing.assert_allclose(
+        back.mix_near(even), known.direct_share * known.spread(even[None])[0], rtol=1e-6
+    )
+    np.testing.assert_allclose(known.direct_share + back.mix_far(even), 1, rtol=1e-6)
+
+
 def test_the_file_says_axes_and_unit_of_each_array(path: Path) -> None:
     with np.load(path) as stored:
         about = json.loads(str(stored["about"]))

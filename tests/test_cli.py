@@ -211,6 +211,9 @@ def test_lists_and_schema(cli) -> None:
     code, out, _ = cli("config", "schema")
     assert code == 0
     assert "methods" in json.loads(out)["properties"]
+    assert cli("config", "schema", "seed")[1].startswith("seed: Of all random numbers")
+    code, _, err = cli("config", "schema", "sed")
+    assert (code, "did you mean 'seed'" in err) == (2, True)
     code, out, _ = cli("config", "show", "demo", "--set", "seed=7")
     assert json.loads(out)["seed"] == 7
     assert cli("cache", "show", "--json")[0] == 0

@@ -13,7 +13,7 @@ from optsim.core.config import Part, build, override, read_toml
 from optsim.core.errors import ConfigError
 from optsim.core.units import parse_quantity, units_of
 from optsim.experiment.experiment import load_experiment
-from optsim.experiment.schema import experiment_schema
+from optsim.experiment.schema import experiment_schema, explain_key
 
 
 class Lens(Part):
@@ -292,6 +292,41 @@ def test_the_schema_says_what_every_key_means():
         # What may be negative says what that means.
         least = about.get("minimum", about.get("exclusiveMinimum", -1.0))
         assert least >= 0 or not number or "negative" in text or "positive" in text, (name, key)
+
+
+def test_one_key_or_table_is_explained():
+    (line,) = explain_key("camera.relay.shift_x_px")
+    assert line.startswith("camera.relay.shift_x_px: Shift of the panel's image")
+    assert line.endswith(
+        "Unit: pixels. Typical: 0 (prototype). No source: a default of this project. Default: 0.0."
+    )
+    (line,) = explain_key("camera.sensor.read_noise_e")
+    assert "Typical: 9.39 (prototype). Source: Point Grey camera table (AudeLA)." in line
+    assert line.endswith("No default.")
+    told = explain_key("camera.relay")
+    assert told[0].startswith("camera.relay: ")
+    assert sum(each.startswith("    shift_x_px: Shift") for each in told) == 1
+    told = explain_key("methods.0.decoder")
+    at = next(i for i, each in enumerate(told) if each.startswith("  kind = hdr_merge: Merge"))
+    assert told[at + 1].startswith("    n_frames: Frames looked back")
+    assert explain_key("drift.modulator.delay_s")[0].startswith("drift.modulator.delay_s: ")
+    # Every key of every table that can be reached has its line.
+    assert all(explain_key(key) for key in experiment_schema()["properties"])
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("camera.relay.shift_xpx", "did you mean 'camera.relay.shift_x_px'"),
+        ("cammera.relay", "unknown key 'cammera'.*did you mean 'camera'"),
+        ("", "unknown key ''"),
+        ("camera.", "unknown key 'camera.'"),
+        ("seed.x", "got 'x', but seed is no table of known keys; cure: optsim config schema seed"),
+    ],
+)
+def test_an_unknown_key_is_named_with_the_nearest(key, said):
+    with pytest.raises(ConfigError, match=said):
+        explain_key(key)
 
 
 def test_a_number_of_the_schema_is_the_data_sheets_with_the_comment_beside_it():

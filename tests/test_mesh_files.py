@@ -1,5 +1,8 @@
 """Mesh files that a scene names: faces and vertices are there, or one message names file and place."""
 
+import struct
+import zlib
+
 import numpy as np
 import pytest
 
@@ -34,6 +37,26 @@ def binary_ply(faces, vertices=SQUARE, order="<", index=("int", "i4"), length=("
 
 def big_endian(faces, vertices=SQUARE):
     return binary_ply(faces, vertices, ">", ("uint", "u4"), ("int", "i4"))
+
+
+def serialized(faces, vertices=SQUARE, *, version=4, flags=0x1000, counts=None, listed=None, cut=0, meshes=1):
+    """Build a file as Mitsuba's documentation lays it out: meshes alike, then where each begins."""
+    n_vertices, n_faces = counts or (len(vertices), len(faces))
+    further = sum(n for flag, n in ((1, 3), (2, 2), (8, 3)) if flags & flag)
+    numbers = [*np.ravel(vertices), *[0.5] * (further * len(vertices))]
+    body = struct.pack("<I", flags) + (b"name\0" if version == 4 else b"")
+    body += (
+        struct.pack("<QQ", n_vertices, n_faces)
+        + np.array(numbers, "<f8" if flags & 0x2000 else "<f4").tobytes()
+    )
+    packed = zlib.compress(body + np.array(faces, "<u4").tobytes())
+    one = struct.pack("<HH", 0x041C, version) + packed[: len(packed) - cut]
+    starts = [len(one) * k for k in range(meshes)] if listed is None else listed
+    return (
+        one * meshes
+        + np.array(starts, "<u8" if version == 4 else "<u4").tobytes()
+        + struct.pack("<I", len(starts))
+    )
 
 
 @pytest.fixture
@@ -92,5 +115,56 @@ def test_an_obj_counts_from_one_or_back(checked):
     for face, named in (("1 2 4", 3), ("0 1 2", -1), ("-4 1 2", -1)):
         with pytest.raises(StorageError, match=rf"m\.obj names vertex {named} of 3"):
             checked(f"{start}f {face}\n".encode(), "m.obj")
+    for text, said in (
+        (start, "got no faces"),
+        ("", "got no faces"),
+        (f"{start}f 1 2\n", "a face has 2 corners"),
+    ):
+        with pytest.raises(StorageError, match=rf"m\.obj.*{said}"):
+            checked(text.encode(), "m.obj")
     with pytest.raises(StorageError, match=r"vertex 1 of 2 is not finite"):
         checked(b"v 0 0 0\nv nan 0 0\n", "m.obj")
+
+
+@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("flags", [0, 0x1000, 0x2000, 0x1001, 0x200B])
+def test_a_serialized_mesh_is_read_whatever_its_numbers(version, flags, checked):
+    """The last index decides: were the layout taken otherwise, it would be found elsewhere."""
+    for faces, wrong in (([(0, 1, 2), (0, 2, 3)], None), ([(0, 1, 2), (0, 2, 4)], 4)):
+        content = serialized(faces, version=version, flags=flags, meshes=2)
+        if wrong is None:
+            checked(content, "m.serialized")
+        else:
+            with pytest.raises(StorageError, match=r"m\.serialized names vertex 4 of 4"):
+                checked(content, "m.serialized")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "no serialized mesh"),
+        (b"hello world, no mesh", "no serialized mesh"),
+        (serialized([]), "got no faces"),
+        (serialized([(0, 1, 2)], counts=(4, 50)), "cannot be read"),
+        (serialized([(0, 1, 2)], counts=(4, 2**40)), "1099511627776 faces, more than"),
+        (serialized([(0, 1, 2)], counts=(2**62, 1)), "4611686018427387904 vertices"),
+        (serialized([(0, 1, 2)], counts=(0, 1)), "names vertex"),
+        (serialized([(0, 1, 2)], listed=[2**40]), "no serialized mesh"),
+        (serialized([(0, 1, 2)], listed=[]), "holds 0 meshes"),
+        (serialized([(0, 1, 2)])[:-4] + b"\xff\xff\xff\xff", "holds 4294967295 meshes"),
+        (serialized([(0, 1, 2)], cut=20), "cannot be read"),
+        (serialized([(0, 1, 2)])[:-20], "cannot be read"),
+        (serialized([(0, 1, 2)], [(float("nan"), 0, 0), *SQUARE[1:]]), "vertex 0 of 4 is not finite"),
+    ],
+)
+def test_a_damaged_serialized_mesh_is_named(content, said, checked):
+    with pytest.raises(StorageError, match=rf"m\.serialized.*({said})"):
+        checked(content, "m.serialized")
+
+
+def test_stl_is_refused(checked):
+    for content in (b"solid a\nendsolid a\n", bytes(84), b""):
+        with pytest.raises(
+            StorageError, match=r"m\.STL: got an STL mesh, expected PLY or OBJ; cure: convert"
+        ):
+            checked(content, "m.STL")

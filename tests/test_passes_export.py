@@ -115,6 +115,50 @@ def test_the_round_trip_is_exact_and_half_keeps_its_promise(experiment, tmp_path
                 np.testing.assert_array_equal(back[name], written)
 
 
+def _shared_noise(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean product of signs: 1 for the same noise, 0 +- 1 / sqrt(n) for independent noise."""
+    return float(np.mean(np.sign(first) * np.sign(second)))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_still_pixels_share_their_noise_unless_it_is_to_be_independent(experiment, folder, tmp_path) -> None:
+    """Half differences are symmetric, so signs of independent ones agree by half: false alarm 7e-6."""
+    share = 0.2
+    export_passes(experiment, tmp_path, range(8, 10), noise_share=share)
+    channels, said = read_exr(tmp_path / "slot000008.exr")
+    still = (channels["moving"] == 0) & (read_exr(tmp_path / "slot000009.exr")[0]["moving"] == 0)
+    own, common = render_truth(experiment, slot_error=share), render_truth(experiment)
+    np.testing.assert_allclose(channels["Y"], slot_mean(own, 8), rtol=1e-6)
+    noise = {
+        video: [slot_mean(video.half_difference, slot)[still] for slot in (8, 9)] for video in (own, common)
+    }
+    assert _shared_noise(*noise[common]) > 0.8
+    assert abs(_shared_noise(*noise[own])) < 4.5 / np.sqrt(still.sum())
+    # Both find the same light: their difference is a draw from the noise of both.
+    sigma = np.hypot(channels["Y.sigma"], read_exr(folder / "slot000008.exr")[0]["Y.sigma"])
+    apart = (channels["Y"] - slot_mean(common, 8))[still] / sigma[still]
+    assert abs(np.mean(np.clip(apart, -3, 3))) < 0.1
+    # The manifest's share is that of the definition, and within 10 % of the target.
+    measured = [item["noise_share"] for item in read_json(tmp_path / "manifest.json")["files"]]
+    floor = 0.01 * own.white_w_m2_sr
+    half = slot_mean(own.half_difference, 8) / (np.maximum(channels["Y"], 0) + floor)
+    assert measured[0] == pytest.approx(_rms(half), rel=1e-4)
+    assert all(0.9 * share <= each <= share for each in measured)
+    # Two slots differ by as much as their halves say.
+    light = [slot_mean(own, slot)[still] for slot in (8, 9)]
+    scale = np.mean(light, axis=0) + floor
+    assert _rms((light[0] - light[1]) / scale) == pytest.approx(_rms(np.hypot(*noise[own]) / scale), rel=0.15)
+    assert said["noise_share"] == measured[0]
+    assert said["noise"]["independent"]
+    assert "frozen" not in said["conventions"]["noise"]
+    assert not read_exr(folder / "slot000008.exr")[1]["noise"]["independent"]
+    with pytest.raises(StorageError, match="another truth"):
+        export_passes(experiment, tmp_path, range(8, 10))
+
+
 def test_the_manifest_lists_the_files(folder) -> None:
     import hashlib
 
@@ -277,6 +321,9 @@ def test_the_command_line(experiment, tmp_path: Path, monkeypatch, capsys) -> No
         (("--passes",), "--passes: got no --out"),
         (("--slots", "0:1", "--out", str(tmp_path / "b")), "optsim: --slots: got without --passes"),
         (("--half",), "optsim: --half: got without --passes"),
+        (("--noise-share", "0.01"), "optsim: --noise-share: got without --passes"),
+        (("--independent-noise",), "optsim: --independent-noise: got without --passes"),
+        (("--passes", "--noise-share", "nan", "--out", str(tmp_path / "b")), "expected 0.001 to 1"),
         (("--half", "--slots", "0:1"), "optsim: --slots, --half: got without --passes"),
         (("--passes", "--slots", "0-3", "--out", str(tmp_path / "b")), "FIRST:LAST"),
         (("--passes", "--slots", "35:37", "--out", str(tmp_path / "b")), "0:36"),

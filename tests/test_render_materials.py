@@ -5,9 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image
+from test_mesh_files import serialized
 
 from optsim.core.config import build
-from optsim.core.errors import ConfigError
+from optsim.core.errors import ConfigError, StorageError
 from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
@@ -242,6 +244,41 @@ def test_a_shapes_file_is_seen_and_degenerate_triangles_do_no_harm(tmp_path):
     behind = '<shape type="sphere"><point name="center" x="0" y="-9" z="0"/></shape>'
     (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{behind}</scene>')
     assert Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)).max() == 0
+
+
+def test_the_layout_of_serialized_meshes_is_mitsubas(tmp_path):
+    (tmp_path / "scene.toml").write_text(TOML)
+    corners = [(-1, 0, -1), (1, 0, -1), (1, 0, 1), (-1, 0, 1)]
+    lines = ["v {} {} {}".format(*corner) for corner in corners]
+    (tmp_path / "wall.obj").write_text("\n".join([*lines, "f 1 2 3", "f 1 3 4\n"]))
+    (tmp_path / "wall.serialized").write_bytes(serialized([(0, 1, 2), (0, 2, 3)], corners))
+    images = []
+    for kind in ("obj", "serialized"):
+        named = f'<string name="filename" value="wall.{kind}"/><boolean name="face_normals" value="true"/>'
+        surface = '<bsdf type="twosided"><bsdf type="diffuse"/></bsdf>'
+        shape = f'<shape type="{kind}">{named}{surface}</shape>'
+        (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+        images.append(Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)))
+    assert images[0].max() > 0
+    np.testing.assert_allclose(images[1], images[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["t.png", "t.jpg", "t.bmp"])
+def test_a_damaged_image_is_named(name, tmp_path):
+    (tmp_path / "scene.toml").write_text(TOML)
+    Image.fromarray(np.random.default_rng(1).integers(0, 255, (64, 64, 3), np.uint8)).save(tmp_path / name)
+    whole = (tmp_path / name).read_bytes()
+    texture = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{name}"/></texture>'
+    shape = f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>'
+    (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    Stage(load_scene(tmp_path), VIEW)
+    for damaged in (whole[: len(whole) // 2], b"", b"no image at all"):
+        (tmp_path / name).write_bytes(damaged)
+        with pytest.raises(
+            StorageError, match=rf"{tmp_path / name} cannot be read as an image: .*; cure:"
+        ) as raised:
+            Stage(load_scene(tmp_path), VIEW)
+        assert "\n" not in str(raised.value)
 
 
 IMAGES = """

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optsim.core.errors import ConfigError
+from optsim.core.errors import ConfigError, StorageError
 from optsim.scene import load_scene
 from optsim.scene.scene import Scene
 from optsim.scene.textures import PHOTOGRAPHS
@@ -51,12 +51,25 @@ def test_shapes_are_read_and_decide_the_dump(folder):
 
 def test_files_that_shapes_refer_to_decide_the_dump_and_the_folder_does_not(folder, tmp_path):
     mesh = '<shape type="obj"><string name="filename" value="a.obj"/></shape>'
-    (tmp_path / "a.obj").write_text("v 0 0 0\n")
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text(triangle)
     first = load_scene(folder(xml(mesh)))
     assert str(tmp_path) in first.static.ready()
     assert str(tmp_path) not in first.model_dump_json()
-    (tmp_path / "a.obj").write_text("v 0 0 1\n")
+    (tmp_path / "a.obj").write_text(triangle + "v 0 0 1\n")
     assert load_scene(tmp_path).model_dump(mode="json") != first.model_dump(mode="json")
+
+
+def test_a_file_is_the_mesh_that_its_shape_says(folder, tmp_path):
+    (tmp_path / "a.mesh").write_text("v 0 0 0\nf 1 2 3\n")
+    shape = '<shape type="{}"><string name="filename" value="a.mesh"/></shape>'
+    for kind, said in (
+        ("obj", "names vertex 1 of 1"),
+        ("serialized", "no serialized mesh"),
+        ("stl", "PLY or OBJ"),
+    ):
+        with pytest.raises(StorageError, match=rf"a\.mesh.*{said}"):
+            load_scene(folder(xml(shape.format(kind))))
 
 
 def test_a_smaller_unit_scales_what_stands_in_the_scene():

@@ -177,6 +177,22 @@ def render(
     ] = False,
     stokes: Annotated[bool, typer.Option("--stokes", help="With --passes: Stokes radiance too.")] = False,
     denoise: Annotated[bool, typer.Option("--denoise", help="With --passes: denoised radiance too.")] = False,
+    independent_noise: Annotated[
+        bool,
+        typer.Option(
+            "--independent-noise",
+            help="With --passes: fresh noise in every slot, where nothing moves too, of render.static_error. "
+            "Without it all slots share the noise of what stands still.",
+        ),
+    ] = False,
+    noise_share: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="With --passes: --independent-noise, until it is X of (radiance + 1 % of white) in each "
+            "slot, rms over the picture; the manifest says what was reached.",
+        ),
+    ] = None,
     samples: Annotated[
         int | None, typer.Option(help="Of a fine sample and slot, for light groups, Stokes and bands [64].")
     ] = None,
@@ -198,6 +214,8 @@ def render(
             "--light-groups": light_groups,
             "--stokes": stokes,
             "--denoise": denoise,
+            "--independent-noise": independent_noise,
+            "--noise-share": noise_share,
             "--samples": samples,
         }
         refuse_without("--passes", "--passes", of_passes)
@@ -211,7 +229,17 @@ def render(
         wanted = {"light_groups": light_groups, "stokes": stokes, "denoise": denoise}
         extras = choose_extras(loaded, samples, **wanted)
         with progress_bars() as progress:
-            export_passes(loaded, out, chosen, half=half, extras=extras, backend=backend, progress=progress)
+            export_passes(
+                loaded,
+                out,
+                chosen,
+                half=half,
+                extras=extras,
+                independent_noise=independent_noise,
+                noise_share=noise_share,
+                backend=backend,
+                progress=progress,
+            )
         people.print(f"The passes are in {out}; {out / 'passes.png'} shows them.")
         return
     with nullcontext() if out is None else claimed_empty(out), progress_bars() as progress:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -25,11 +25,19 @@ def config_show(experiment: ExperimentName, assignments: Set = None) -> None:
 
 
 @config_app.command("schema")
-def config_schema() -> None:
-    """Print the JSON schema of an experiment: meaning, unit, sign, typical value and source of each key."""
-    from optsim.experiment.schema import experiment_schema
+def config_schema(
+    key: Annotated[
+        str | None,
+        typer.Argument(metavar="KEY", help="For example camera.relay.shift_x_px, or a table: camera.relay."),
+    ] = None,
+) -> None:
+    """Print meaning, unit, sign, typical value, source and default of KEY; without it, all as JSON schema."""
+    from optsim.experiment.schema import experiment_schema, explain_key
 
-    print_json(experiment_schema())
+    if key is None:
+        print_json(experiment_schema())
+    else:
+        typer.echo("\n".join(explain_key(key)))
 
 
 @cache_app.command("show")

@@ -34,6 +34,8 @@ CONVENTIONS = {
     "Y.sigma": f"standard deviation of the Monte-Carlo noise of Y, from the two halves of the render, over "
     f"{_NOISE_SIDE} x {_NOISE_SIDE} samples of the same object",
 }
+# Stands in place of the noise's convention where each slot has its own.
+OWN_NOISE = "every slot was rendered by itself: no two share the noise of Y, not even where nothing moves"
 UNITS = {
     "Y": "W m^-2 sr^-1",
     "Y.sigma": "W m^-2 sr^-1",

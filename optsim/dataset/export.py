@@ -15,12 +15,20 @@ from typing import Any
 
 from optsim.camera.effects import with_effects
 from optsim.core.cache import hash_of
-from optsim.core.errors import ConfigError, StorageError
+from optsim.core.errors import BackendError, ConfigError, StorageError
 from optsim.core.files import CLAIM, read_exr, read_json, write_exr, write_json, write_png8
 from optsim.core.folder_claims import claimed
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Passes, RadianceVideo
-from optsim.dataset.channels import CONVENTIONS, HALF_CHANNELS, UNITS, channels_of, noise_sigma, slot_mean
+from optsim.dataset.channels import (
+    CONVENTIONS,
+    HALF_CHANNELS,
+    OWN_NOISE,
+    UNITS,
+    channels_of,
+    noise_sigma,
+    slot_mean,
+)
 from optsim.dataset.extras import ExtraChannels, Extras, channel_names
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.job import versions
@@ -32,6 +40,8 @@ _MANIFEST = "manifest.json"
 _PICTURE = "passes.png"
 # Bytes of a sample in a file, before compression: 18 channels of 32 bits.
 _SAMPLE_BYTES = 72
+# Defines the share of noise that is asked for and measured.
+_SHARE = "rms over the picture of the standard deviation of Y over (Y + 1 % of the scene's white)"
 
 Record = dict[str, Any]
 
@@ -47,6 +57,7 @@ class _Export:
     extras: Extras
     band_nm: float
     made_by: dict[str, str]
+    noise_share: float | None
 
     def path(self, slot: int) -> Path:
         return self.folder / f"slot{slot:06d}.exr"
@@ -57,7 +68,12 @@ class _Export:
             "kind": _KIND,
             "identity": self.identity,
             "units": UNITS,
-            "conventions": CONVENTIONS,
+            "conventions": CONVENTIONS | ({"noise": OWN_NOISE} if self.noise_share else {}),
+            "noise": {
+                "independent": self.noise_share is not None,
+                "target_share": self.noise_share,
+                "share": _SHARE,
+            },
             "half": list(self.half),
             "extras": self.extras.model_dump(mode="json"),
             "slot_s": self.experiment.timing.slot_s,
@@ -75,6 +91,8 @@ def export_passes(
     *,
     half: bool = False,
     extras: Extras | None = None,
+    independent_noise: bool = False,
+    noise_share: float | None = None,
     backend: str | None = None,
     progress: Progress = silent,
 ) -> None:
@@ -94,6 +112,11 @@ def export_passes(
         Store radiance, normals and albedo as 16 bit; ids, depth, flow and noise never.
     extras : Extras, optional
         Further channels; none by default.
+    independent_noise : bool
+        Render every slot by itself, what stands still too, so that no two share their noise.
+    noise_share : float, optional
+        The same, until the noise of each slot is this share of (radiance + 1 % of white), rms over the
+        picture, instead of ``render.static_error``; 0.001 to 1.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -102,16 +125,18 @@ def export_passes(
     Raises
     ------
     ConfigError
-        For footage, slots outside of the experiment, or denoising that is not installed.
+        For footage, slots outside of the experiment, a share of noise out of range, or denoising that is not
+        installed.
     StorageError
         When the folder holds anything else, another process writes into it, or the disk is too full.
     BackendError
-        When polarised light is wanted and only the scalar fallback works.
+        When polarised light or independent noise is wanted and only the scalar fallback works.
     """
     from optsim.render import PassRenderer
 
     slots, extras = check_slots(experiment, slots), extras or Extras()
     extras.check(backend)
+    share = _chosen_share(experiment, independent_noise, noise_share, backend)
     scene, view, slot_s = chosen_scene(experiment), truth_view(experiment), experiment.timing.slot_s
     made_by = {**versions(), "variant": renderer(experiment, backend)[0]}
     if extras.denoise:
@@ -122,9 +147,11 @@ def export_passes(
     identity = hash_of(
         *(_KIND, scene.model_dump(mode="json"), whole.model_dump(mode="json"), asdict(view), slot_s),
         *(settings, half, extras.model_dump(mode="json"), made_by),
+        *(() if share is None else ("independent noise", share)),
     )
     short = (*HALF_CHANNELS, *more) if half else ()
-    export = _Export(folder, experiment, identity, short, extras, experiment.camera.wavelength_nm, made_by)
+    band_nm = experiment.camera.wavelength_nm
+    export = _Export(folder, experiment, identity, short, extras, band_nm, made_by, share)
     with claimed(folder):
         files = _found(export)
         missing = [slot for slot in slots if slot not in files]
@@ -134,13 +161,13 @@ def export_passes(
             # For others, without this camera's splitter: polarisation is a channel of its own.
             plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
             light = experiment.model_copy(update={"camera": plain})
-            radiance = render_truth(light, backend=backend, progress=progress)
+            radiance = render_truth(light, backend=backend, slot_error=share, progress=progress)
             look = PassRenderer(scene, view, backend=backend)
             further = ExtraChannels(extras, experiment, backend=backend)
             for done, slot in enumerate(missing, start=1):
                 passes = look.at((slot + 0.5) * slot_s, slot_s)
-                _write_slot(export, slot, passes, radiance, further)
-                files[slot] = _record(export.path(slot), slot)
+                measured = _write_slot(export, slot, passes, radiance, further)
+                files[slot] = _record(export.path(slot), slot, measured)
                 progress("passes", done, len(missing))
             _write_manifest(export, files, complete=True)
         _write_picture(export, slots[len(slots) // 2])
@@ -148,17 +175,22 @@ def export_passes(
 
 def _write_slot(
     export: _Export, slot: int, passes: Passes, radiance: RadianceVideo, further: ExtraChannels
-) -> None:
-    noise = radiance.half_difference
-    sigma = None if noise is None else noise_sigma(slot_mean(noise, slot), passes.ids)
-    mean = slot_mean(radiance, slot)
+) -> float | None:
+    """Write a slot's file; return the measured share of its noise."""
+    from optsim.render.plan import measured_error
+
+    mean, sigma, measured = slot_mean(radiance, slot), None, None
+    if radiance.half_difference is not None:
+        half = slot_mean(radiance.half_difference, slot)
+        sigma, measured = noise_sigma(half, passes.ids), measured_error(mean, half, radiance.white_w_m2_sr)
     more, said = further.of(slot, passes, mean)
     write_exr(
         export.path(slot),
         {**channels_of(passes, mean, sigma), **more},
-        attributes={**_attributes(export, passes, slot), "further": said},
+        attributes={**_attributes(export, passes, slot), "noise_share": measured, "further": said},
         half=export.half,
     )
+    return measured
 
 
 def parse_slots(text: str) -> range:
@@ -190,6 +222,27 @@ def check_slots(experiment: Experiment, slots: range | None) -> range:
     return slots
 
 
+def _chosen_share(
+    experiment: Experiment, independent: bool, share: float | None, backend: str | None
+) -> float | None:
+    """Share of noise that each slot is rendered to by itself; None where slots may have noise in common."""
+    if share is not None and not 0.001 <= share <= 1:
+        raise ConfigError(
+            f"--noise-share: got {share:g}, expected 0.001 to 1; cure: --noise-share 0.01, for 1 %"
+        )
+    if share is None and not independent:
+        return None
+    from optsim import render
+
+    report = render.choose_backend(backend)
+    if report.preview:
+        raise BackendError(
+            f"--independent-noise, --noise-share: got {report.variant} ({report.reason}), expected "
+            "llvm_ad_mono or cuda_ad_mono; cure: 'optsim doctor', or leave them out"
+        )
+    return experiment.render.static_error if share is None else share
+
+
 def _found(export: _Export) -> dict[int, Record]:
     """Find the slots that are already there and whole, by number; refuse a folder of anything else."""
     folder = export.folder
@@ -205,35 +258,43 @@ def _found(export: _Export) -> dict[int, Record]:
     if manifest.get("identity") != export.identity:
         raise StorageError(
             f"--out {folder} holds an export of another truth: another scene, render settings, versions, "
-            "further channels or --half; choose another folder"
+            "further channels, noise or --half; choose another folder"
         )
     for half in halves:
         half.unlink(missing_ok=True)
-    listed: dict[int, str] = {int(item["slot"]): item["sha256"] for item in manifest["files"]}
+    listed: dict[int, Record] = {int(item["slot"]): item for item in manifest["files"]}
     files: dict[int, Record] = {}
     for path in sorted(folder.glob("slot*.exr")):
         slot = int(path.stem.removeprefix("slot"))
-        record = _record(path, slot)
         # A listed file that was damaged since has another hash; one finished after the list was written is
         # asked itself.
-        known = listed.get(slot)
-        if known == record["sha256"] or (known is None and _is_ours(export, path, slot)):
+        record = listed.get(slot) or _own_record(export, path, slot)
+        if record is not None and record == _record(path, slot, record["noise_share"]):
             files[slot] = record
     return files
 
 
-def _is_ours(export: _Export, path: Path, slot: int) -> bool:
+def _own_record(export: _Export, path: Path, slot: int) -> Record | None:
+    """Record of a file that says it is this export's slot."""
     try:
         attributes = read_exr(path)[1]
     except StorageError:
-        return False
-    return attributes.get("identity") == export.identity and attributes.get("slot") == slot
+        return None
+    if attributes.get("identity") != export.identity or attributes.get("slot") != slot:
+        return None
+    return _record(path, slot, attributes["noise_share"])
 
 
-def _record(path: Path, slot: int) -> Record:
+def _record(path: Path, slot: int, measured: float | None) -> Record:
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return {"file": path.name, "slot": slot, "bytes": path.stat().st_size, "sha256": digest}
+    return {
+        "file": path.name,
+        "slot": slot,
+        "bytes": path.stat().st_size,
+        "sha256": digest,
+        "noise_share": measured,
+    }
 
 
 def _write_manifest(export: _Export, files: dict[int, Record], *, complete: bool) -> None:

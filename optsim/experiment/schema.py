@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any, cast
 
 from optsim.camera import hardware
-from optsim.core.config import Part
+from optsim.core.config import Part, Table
+from optsim.core.errors import ConfigError, unknown_name
 from optsim.experiment.experiment import Experiment
 
 _DATA_SHEETS = (hardware.prototype, hardware.lcr720, hardware.icx674)
@@ -33,6 +35,73 @@ def experiment_schema() -> dict[str, Any]:
                 told = source if source.startswith("No source") else f"Source: {source}"
                 about["description"] += f" {told.rstrip('.')}."
     return schema
+
+
+def explain_key(path: str) -> list[str]:
+    """Say of a key what it means, its unit, typical value, source and default; of a table, of each key.
+
+    Parameters
+    ----------
+    path : str
+        As ``--set`` takes it, for example ``camera.relay.shift_x_px``; places in lists may be left out.
+
+    Returns
+    -------
+    list of str
+        One line a key, those of a table indented.
+
+    Raises
+    ------
+    ConfigError
+        For a key that there isn't, with the nearest.
+    """
+    schema = experiment_schema()
+    tables, abouts, done = [schema], list[Table](), list[str]()
+    for step in path.split("."):
+        if done and step.isdecimal():
+            continue
+        names = {name for table in tables for name in table.get("properties", {})}
+        if not names:
+            raise ConfigError(
+                f"{path}: got {step!r}, but {'.'.join(done)} is no table of known keys; "
+                f"cure: optsim config schema {'.'.join(done)}"
+            )
+        if step not in names:
+            raise unknown_name("key", ".".join([*done, step]), [".".join([*done, name]) for name in names])
+        done.append(step)
+        abouts = [keys[step] for table in tables if step in (keys := table.get("properties", {}))]
+        if done == ["drift"]:
+            # Its tables are the camera's, each key a change of it.
+            tables = _tables(schema["properties"]["camera"], schema["$defs"])
+            continue
+        tables = [table for about in abouts for table in _tables(about, schema["$defs"])]
+    told = dict.fromkeys(_line(".".join(done), about) for about in abouts)
+    for table in {table["title"]: table for table in tables}.values():
+        keys: Table = table["properties"]
+        if "kind" in keys:
+            told |= dict.fromkeys([f"  kind = {keys['kind'].get('const')}: {keys['kind']['description']}"])
+        told |= dict.fromkeys(f"    {_line(key, about)}" for key, about in keys.items() if key != "kind")
+    return list(told)
+
+
+def _line(key: str, about: Table) -> str:
+    default: object = about.get("default")
+    text = "Default: a table" if isinstance(default, dict) else f"Default: {json.dumps(default)}"
+    return f"{key}: {about['description']} {text if 'default' in about else 'No default'}."
+
+
+def _tables(about: Table, known: Table) -> list[Table]:
+    """Tables that a key may be, or hold a list or names of."""
+    found: list[Table] = [known[about["$ref"].rpartition("/")[2]]] if "$ref" in about else []
+    inner = [
+        *about.get("anyOf", []),
+        *about.get("oneOf", []),
+        about.get("items"),
+        about.get("additionalProperties"),
+    ]
+    for each in inner:
+        found += _tables(cast("Table", each), known) if isinstance(each, dict) else []
+    return [table for table in found if "properties" in table]
 
 
 def _parts(part: Part) -> Iterator[Part]:

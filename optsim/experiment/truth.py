@@ -104,7 +104,11 @@ def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
 
 
 def render_truth(
-    experiment: Experiment, *, backend: str | None = None, progress: Progress = silent
+    experiment: Experiment,
+    *,
+    backend: str | None = None,
+    slot_error: float | None = None,
+    progress: Progress = silent,
 ) -> RadianceVideo:
     """Render the HDR high-speed radiance of an experiment's scene, or import its footage, through the cache.
 
@@ -114,6 +118,8 @@ def render_truth(
         Its scene or footage, render settings, field of view and timing decide the truth; codes don't.
     backend : str, optional
         Mitsuba variant to use instead of the one chosen by probing; None for footage.
+    slot_error : float, optional
+        Of a scene: render each slot when it is asked for, with noise of its own and this error.
     progress : Progress
         Told of each finished pose or slot.
 
@@ -145,6 +151,7 @@ def render_truth(
         noise=camera_noise(experiment),
         backend=backend,
         azimuth_rad=light.azimuth_rad,
+        slot_error=slot_error,
         progress=progress,
     )
 

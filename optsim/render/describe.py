@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from optsim.core.errors import ConfigError
+from optsim.core.foreign import reading
 from optsim.core.quantities import Floats, View
 from optsim.render.lens import focus_depth_m, ideal
 from optsim.scene.bands import mono
@@ -58,10 +60,22 @@ def parse_static(mi: Any, scene: Scene) -> Any:
         state = mi.parser.parse_string(config, scene.static.ready(unit_m(scene)))
         for node in state.nodes:
             if node.props.plugin_name() in _IMAGES and "filename" in node.props:
-                node.props["bitmap"] = mi.Bitmap(node.props["filename"])
+                node.props["bitmap"] = _image(mi, Path(node.props["filename"]))
                 del node.props["filename"]
         mi.parser.transform_all(config, state)
     return config, state
+
+
+def _image(mi: Any, path: Path) -> Any:
+    """Read an image file; one that is cut short is refused, though Mitsuba makes JPEG's missing part grey."""
+    with reading(path, "an image"):
+        image = mi.Bitmap(str(path))
+        with path.open("rb") as stream:
+            jpeg = stream.read(2) == b"\xff\xd8"
+        if jpeg:
+            with Image.open(path) as picture:
+                picture.load()
+    return image
 
 
 def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = None) -> dict[str, Any]:
@@ -107,7 +121,8 @@ def _named(static: StaticShapes) -> Generator[None, None, None]:
     try:
         yield
     except RuntimeError as error:
-        raise ConfigError(f"{Path(static.folder) / static.name}: Mitsuba cannot load it: {error}") from None
+        said = " ".join(str(error).split())
+        raise ConfigError(f"{Path(static.folder) / static.name}: Mitsuba cannot load it: {said}") from None
 
 
 def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> Any:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Block, Doubles, Floats, Segment, Timing, View
-from optsim.render.allocation import Statistics
+from optsim.render.allocation import MOST, Statistics
 from optsim.render.backend import activate
 from optsim.render.footprint import path_px
-from optsim.render.plan import Plan, seed_of
+from optsim.render.plan import Plan, measured_error, seed_of
 from optsim.render.stage import Stage
 from optsim.render.still import halves_tally
 from optsim.render.trajectories import way_px
@@ -21,6 +22,15 @@ _PILOT_SAMPLES = 4
 # Relative error of a slot's mean per fine sample of way between poses. Measured on the movers of window_room,
 # wheel and half_moving with poses at the ends of the pieces; in their middles the error is about half.
 _ERROR_PER_PX = 0.12
+# A slot with an error to reach begins at so many times that error.
+_COARSE = 4.0
+# Pooled pictures grow at most by this factor at a time, as coarse pictures measure their error badly.
+_GROWTH = 4.0
+# A little more than needed is rendered, so that the next picture is mostly the last (no source).
+_SPARE = 1.05
+_MOST_PICTURES = 16
+# Samples a half of a pixel in one of them: single paths may differ by 14 times the radiance at 1 %.
+_MOST_PURSUED = 2.0**20
 
 
 def poses_per_instant(plan: Plan, slot: int) -> int:
@@ -36,8 +46,10 @@ def poses_per_instant(plan: Plan, slot: int) -> int:
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))
 
 
-def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Statistics) -> dict[str, Floats]:
-    """Render both halves of every instant of a slot, samples allocated by the slot before.
+def render_slot(
+    plan: Plan, stage: Stage, slot: int, n_poses: int, before: Statistics, most: float = MOST
+) -> dict[str, Floats]:
+    """Render both halves of every instant of a slot, samples allocated by an earlier picture.
 
     Poses are at the middles of equal parts of an instant, so that their mean is its motion blur. A pixel
     that is worth fewer samples than there are poses sees one, at random, of each equal group of them. Its
@@ -49,8 +61,10 @@ def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Stati
         What to render.
     n_poses : int
         Poses of each instant.
-    before : Tiles
-        Statistics of the slot before.
+    before : Statistics
+        Of the slot before, or of another picture of this one.
+    most : float
+        Most samples a half of a pixel.
 
     Returns
     -------
@@ -59,7 +73,8 @@ def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Stati
     """
     n_instants, pixels = plan.settings.instants_per_slot, plan.pixels
     target = plan.settings.moving_error * np.sqrt(n_instants)
-    counts = plan.counts(before, pixels, np.zeros(len(pixels), np.float32), target, least=1).astype(np.int64)
+    dark = np.zeros(len(pixels), np.float32)
+    counts = plan.counts(before, pixels, dark, target, least=1, most=most).astype(np.int64)
     size, samples = np.maximum(n_poses // counts, 1), np.maximum(counts // n_poses, 1)
     light = np.zeros((2, n_instants, len(pixels)))
     for instant in range(n_instants):
@@ -84,23 +99,71 @@ def render_slot(plan: Plan, stage: Stage, slot: int, n_poses: int, before: Stati
 def load_slots(plan: Plan) -> list[str]:
     """Render whatever slots the cache lacks; return their places in it."""
     stage = Stage(plan.scene, plan.view, azimuth_rad=plan.azimuth_rad)
-
-    def pilot() -> dict[str, Floats]:
-        stage.pose(0.0)
-        light = stage.radiance(plan.pixels, _PILOT_SAMPLES, plan.seeds("pilot", "slots"))
-        return {"tiles": halves_tally(plan, plan.pixels, light, float(_PILOT_SAMPLES)).arrays()}
-
     keys: list[str] = [plan.key("pilot", "slots")]
     chosen = plan.settings
     for slot in range(plan.timing.n_slots):
         what = chosen.moving_error, chosen.interpolation_error, chosen.instants_per_slot, plan.stop()
         keys.append(plan.key("slot", slot, *what))
         if keys[-1] not in plan.cache:
-            before = Statistics.of(plan.cache.get(keys[-2], pilot)["tiles"])
+            before = Statistics.of(plan.cache.get(keys[-2], lambda: _pilot(plan, stage))["tiles"])
             n_poses = poses_per_instant(plan, slot)
             plan.cache.get(keys[-1], lambda s=slot, n=n_poses, b=before: render_slot(plan, stage, s, n, b))
         plan.progress("slots", slot + 1, plan.timing.n_slots)
     return keys[1:]
+
+
+def _pilot(plan: Plan, stage: Stage) -> dict[str, Floats]:
+    """Render what the first slot's samples are allocated by."""
+    stage.pose(0.0)
+    light = stage.radiance(plan.pixels, _PILOT_SAMPLES, plan.seeds("pilot", "slots"))
+    return {"tiles": halves_tally(plan, plan.pixels, light, float(_PILOT_SAMPLES)).arrays()}
+
+
+def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error: float) -> dict[str, Floats]:
+    """Render a slot by itself, with random numbers that no other slot has, until its error is reached.
+
+    Pictures are pooled by the samples they were to have. Only the whole picture's error decides when it is
+    enough: a pixel's own would let the lucky ones stop, which is a bias.
+
+    Parameters
+    ----------
+    groups : sequence of (Plan, Stage, ndarray of shape (t,))
+        Lamps that flicker alike, and their brightness in each instant.
+    slot : int
+        Which.
+    error : float
+        Of the slot's mean, as ``RenderSettings`` defines it, measured by the halves.
+
+    Returns
+    -------
+    dict
+        ``light`` (half, t, y, x), W m^-2 sr^-1.
+    """
+    pooled, worth, more = np.zeros(1), 0.0, (_COARSE * error) ** -2
+    statistics = [
+        Statistics.of(
+            plan.cache.get(plan.key("pilot", "slots"), lambda p=plan, s=stage: _pilot(p, s))["tiles"]
+        )
+        for plan, stage, _ in groups
+    ]
+    for turn in range(_MOST_PICTURES):
+        light = np.zeros(1)
+        for group, (plan, stage, gains) in enumerate(groups):
+            # The camera's noise is no reason to stop: the picture is for others.
+            seed = seed_of(plan.settings.seed, "alone", turn)
+            asked = {"moving_error": more**-0.5, "noise_share": None, "seed": seed}
+            aimed = replace(plan, settings=plan.settings.model_copy(update=asked))
+            n_poses = poses_per_instant(plan, slot)
+            picture = render_slot(aimed, stage, slot, n_poses, statistics[group], _MOST_PURSUED)
+            light = light + gains[:, None, None] * picture["light"].astype(np.float64)
+            statistics[group] = Statistics.of(picture["tiles"])
+        pooled, worth = (worth * pooled + more * light) / (worth + more), worth + more
+        a, b = pooled.mean(axis=1).astype(np.float32)
+        reached = measured_error((a + b) / 2, (a - b) / 2, groups[0][0].scene.white_w_m2_sr)
+        if reached <= error:
+            break
+        more = worth * (min(_SPARE * (reached / error) ** 2, _GROWTH) - 1)
+    return {"light": pooled.astype(np.float32)}
 
 
 def slot_segment(images: Floats) -> Segment:

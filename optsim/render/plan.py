@@ -27,6 +27,12 @@ def seed_of(*purpose: object) -> int:
     return int(hash_of(*purpose)[:8], 16)
 
 
+def measured_error(mean: Floats, half_difference: Floats, white_w_m2_sr: float) -> float:
+    """Measure the error of a picture by its halves, as ``RenderSettings`` defines it; (y, x) each."""
+    share = half_difference / (np.maximum(mean, 0) + np.float32(_FLOOR * white_w_m2_sr))
+    return float(np.sqrt(np.mean(share**2, dtype=np.float64)))
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """One truth, or that of one group of lamps.

@@ -8,7 +8,7 @@ What changes decides how it is rendered (``Scene.kind_of_change``):
   F_n - B_n, with the same n random paths; linear in time between. In the movers' own pixels first surfaces
   are found at poses chosen by their measured path, the light on matt ones is carried between few key poses
   and everything else rendered at each; they become Blocks. With flicker, for each group of lamps;
-- the camera: every slot by itself.
+- the camera: every slot by itself; so on demand, where slots must not share their noise.
 
 Samples go where the relative error is largest. Everything is made twice from independent random numbers:
 the truth is the mean of these halves, and half their difference shows its noise. Estimates may be slightly
@@ -35,7 +35,7 @@ from optsim.render import moving
 from optsim.render.allocation import Statistics
 from optsim.render.backend import activate, versions
 from optsim.render.difference import Difference
-from optsim.render.full import load_slots, slot_image, slot_segment
+from optsim.render.full import load_slots, slot_image, slot_segment, slot_to_error
 from optsim.render.moving import Half
 from optsim.render.plan import Plan
 from optsim.render.settings import CameraNoise, RenderSettings
@@ -63,6 +63,7 @@ def render_truth(
     noise: CameraNoise | None = None,
     backend: str | None = None,
     azimuth_rad: float | None = None,
+    slot_error: float | None = None,
     progress: Progress = silent,
 ) -> RadianceVideo:
     """Render the truth of a scene, or find it in the cache.
@@ -86,6 +87,9 @@ def render_truth(
     azimuth_rad : float, optional
         Follow polarised light, and return twice what a polariser before the camera at this azimuth passes
         (``render.analyser``): unpolarised light keeps its radiance. None: gloss doesn't polarise.
+    slot_error : float, optional
+        Render each slot by itself, when it is asked for, until its measured error is this: what stands still
+        shares no noise with other slots then. Only for unpolarised light, and not by the scalar fallback.
     progress : Progress
         Stages "pilot", "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar
         fallback: "preview").
@@ -124,6 +128,8 @@ def render_truth(
     with polarised(backend) if azimuth_rad is not None else nullcontext():
         if report.preview:
             load, n_instants = _load_preview(plan), 1
+        elif slot_error is not None:
+            load = _load_alone(plan, slot_error)
         elif scene.kind_of_change() == "camera":
             load = _load_camera(plan)
         elif any(lamp.flicker for lamp in scene.lamps.values()):
@@ -271,6 +277,26 @@ def _load_camera(plan: Plan) -> _Load:
             for name, slots in keys
         ]
         return slot_segment(np.asarray(np.sum(lit, axis=0), np.float32))
+
+    return load
+
+
+def _load_alone(plan: Plan, error: float) -> _Load:
+    """Render a slot when it is asked for, with noise of its own in every pixel."""
+    chosen, names = plan.settings, list(plan.scene.light_groups().values())
+    lit = [plan.lit_by(each) if len(names) > 1 else plan for each in names]
+
+    @functools.cache
+    def stage(group: int) -> Stage:
+        return Stage(lit[group].scene, plan.view)
+
+    def load(slot: int, half: Half) -> Segment:
+        def make() -> dict[str, Floats]:
+            groups = [(lit[i], stage(i), _gains(plan, each[0], slot)) for i, each in enumerate(names)]
+            return slot_to_error(groups, slot, error)
+
+        what = error, chosen.interpolation_error, chosen.instants_per_slot
+        return slot_segment(half(plan.cache.get(plan.key("alone", slot, *what), make)["light"]))
 
     return load
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.errors import StorageError
-from optsim.core.foreign import reading
+from optsim.core.foreign import DEFLATE_LIMIT, check_memory, reading
 
 _CURE = "cure: export the mesh again, whole, as triangles"
 # Names of PLY's number types, old and new -> numpy's.
@@ -29,7 +31,13 @@ _TYPES = {
 }
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _Numbers = NDArray[np.generic]
+# Vertices (n, 3), and the indices of all faces in a row.
+_Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 _LENGTH = "length of "
+# Mitsuba's serialized format: mark, versions with the width of an offset, flags with their numbers a vertex.
+_MARK, _OFFSET_BYTES, _DOUBLE = 0x041C, {3: 4, 4: 8}, 0x2000
+_FURTHER = {0x1: 3, 0x2: 2, 0x8: 3}
+_NAME_BYTES = 4096  # most that the name of a serialized mesh may take
 _STEP = 64  # rows looked at at once, more and more while all lists are as long
 
 
@@ -42,27 +50,41 @@ class _Element:
     properties: list[tuple[str, str, str]]
 
 
-def check_mesh(path: Path) -> None:
-    """Refuse a PLY or OBJ file whose faces or vertices can't be; other files are not looked at.
+def check_mesh(path: Path, kind: str = "") -> None:
+    """Refuse a PLY, OBJ or serialized file whose faces or vertices can't be, and any STL file.
+
+    Parameters
+    ----------
+    path : Path
+        Files of other kinds are not looked at.
+    kind : str
+        Type of the shape that names the file; by content and name where it is none of a mesh.
 
     Raises
     ------
     StorageError
-        For a face that names a vertex that isn't there, a vertex that is not finite, a PLY file without
-        faces, and one that is damaged; it names the file and the place.
+        For a face that names a vertex that isn't there, a vertex that is not finite, a file without faces,
+        and one that is damaged; it names the file and the place.
     """
-    kind = path.suffix.lower()
-    with path.open("rb") as stream:
-        kind = ".ply" if stream.read(4).strip() == b"ply" else kind
-    reader = {".ply": _read_ply, ".obj": _read_obj}.get(kind)
-    if reader is None:
+    readers = {"ply": _read_ply, "obj": _read_obj, "serialized": _read_serialized}
+    if kind not in (*readers, "stl"):
+        with path.open("rb") as stream:
+            kind = "ply" if stream.read(4).strip() == b"ply" else path.suffix.lower().removeprefix(".")
+    if kind == "stl":
+        raise StorageError(f"{path}: got an STL mesh, expected PLY or OBJ; cure: convert it")
+    if kind not in readers:
         return
-    with reading(path, f"a mesh ({kind[1:].upper()})", _CURE.removeprefix("cure: ")):
-        vertices, faces = reader(path)
+    with reading(path, f"a mesh ({kind.upper()})", _CURE.removeprefix("cure: ")):
+        meshes = readers[kind](path)
+    for vertices, faces in meshes:
+        _check(path, vertices, faces)
+
+
+def _check(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
     bad = np.argwhere(~np.isfinite(vertices).all(axis=1)).ravel()
     if len(bad):
         raise StorageError(f"{path}: vertex {bad[0]} of {len(vertices)} is not finite; {_CURE}")
-    if kind == ".ply" and not len(faces):
+    if not len(faces):
         raise StorageError(f"{path}: got no faces, expected some; {_CURE}")
     wrong = faces[(faces < 0) | (faces >= len(vertices))]
     if len(wrong):
@@ -71,8 +93,8 @@ def check_mesh(path: Path) -> None:
         )
 
 
-def _read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices, and the indices of all faces, from 0."""
+def _read_obj(path: Path) -> list[_Mesh]:
+    """Count from 0; one mesh."""
     vertices: list[list[float]] = []
     faces: list[int] = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -81,13 +103,53 @@ def _read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             vertices.append([float(word) for word in words[:3]])
         elif kind == "f":
             named = [int(word.split("/")[0]) for word in words]
+            if len(named) < 3:
+                raise ValueError(f"a face has {len(named)} corners")
             # Negative ones count back from the vertex before; 0 is none.
             faces += [each - 1 if each > 0 else each + len(vertices) if each else -1 for each in named]
-    return np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int64)
+    return [(np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int64))]
 
 
-def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices, and the indices of all faces."""
+def _read_serialized(path: Path) -> list[_Mesh]:
+    """Read all meshes of a file: where each begins is listed at its end."""
+    content = path.read_bytes()
+    width = _OFFSET_BYTES[_version(content, 0)]
+    (count,) = struct.unpack_from("<I", content, len(content) - 4)
+    listed = len(content) - 4 - count * width
+    if not 0 < listed < len(content) - 4:
+        raise ValueError(f"it says that it holds {count} meshes")
+    starts = np.frombuffer(content, f"<u{width}", count, listed)
+    return [_serialized_mesh(path, content[:listed], int(start)) for start in starts]
+
+
+def _version(content: bytes, at: int) -> int:
+    mark, version = struct.unpack_from("<HH", content, at) if at + 4 <= len(content) else (0, 0)
+    if mark != _MARK or version not in _OFFSET_BYTES:
+        raise ValueError(f"at byte {at} no serialized mesh of version 3 or 4 begins")
+    return version
+
+
+def _serialized_mesh(path: Path, content: bytes, at: int) -> _Mesh:
+    stream, version = zlib.decompressobj(), _version(content, at)
+    body = stream.decompress(content[at + 4 :], 4 + _NAME_BYTES + 16)
+    (flags,) = struct.unpack_from("<I", body)
+    first = body.index(b"\0", 4) + 1 if version == 4 else 4
+    n_vertices, n_faces = struct.unpack_from("<QQ", body, first)
+    number = 8 if flags & _DOUBLE else 4
+    each = number * (3 + sum(more for flag, more in _FURTHER.items() if flags & flag))
+    n_bytes = first + 16 + n_vertices * each + 12 * n_faces
+    if n_bytes > DEFLATE_LIMIT * len(content):
+        raise ValueError(f"it declares {n_vertices} vertices and {n_faces} faces, more than its bytes can be")
+    check_memory(path, n_bytes, "a mesh (SERIALIZED)")
+    if n_bytes > len(body):
+        body += stream.decompress(stream.unconsumed_tail, n_bytes - len(body))
+    vertices = np.frombuffer(body, f"<f{number}", 3 * n_vertices, first + 16).reshape(-1, 3)
+    faces = np.frombuffer(body, "<u4", 3 * n_faces, n_bytes - 12 * n_faces)
+    return vertices.astype(np.float64), faces.astype(np.int64)
+
+
+def _read_ply(path: Path) -> list[_Mesh]:
+    """Read its one mesh."""
     content = path.read_bytes()
     head, mark, _ = content.partition(b"end_header")
     if not mark:
@@ -105,7 +167,7 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         elif element.name == "face":
             name = "vertex_index" if "vertex_index" in columns else "vertex_indices"
             faces = columns[name].astype(np.int64)
-    return vertices, faces
+    return [(vertices, faces)]
 
 
 def _header(text: str) -> tuple[str, list[_Element]]:

@@ -101,8 +101,10 @@ def read_static(folder: Path, name: str) -> StaticShapes:
         text = path.read_text(encoding="utf-8-sig")
         root = _parsed(text)
         _check(root)
+        kinds = _mesh_kinds(root)
         files = {
-            key: _hash_of_file(folder, key) for key in sorted({e.get(k, "") for e, k in _file_places(root)})
+            key: _hash_of_file(folder, key, kinds.get(key, set()))
+            for key in sorted({e.get(k, "") for e, k in _file_places(root)})
         }
     except (ValueError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: {error}") from None
@@ -153,7 +155,16 @@ def _file_places(root: ElementTree.Element) -> list[tuple[ElementTree.Element, s
     return places + [(e, "value") for e in root.iter("string") if e.get("name") == "filename"]
 
 
-def _hash_of_file(folder: Path, name: str) -> str:
+def _mesh_kinds(root: ElementTree.Element) -> dict[str, set[str]]:
+    """Types of the shapes that name each file."""
+    kinds: dict[str, set[str]] = {}
+    for shape in root.iter("shape"):
+        for element in shape.findall("string[@name='filename']"):
+            kinds.setdefault(element.get("value", ""), set()).add(shape.get("type", ""))
+    return kinds
+
+
+def _hash_of_file(folder: Path, name: str, kinds: set[str]) -> str:
     path = (folder / name).resolve()
     if "$" in name or not path.is_relative_to(folder.resolve()):
         raise ValueError(
@@ -161,5 +172,6 @@ def _hash_of_file(folder: Path, name: str) -> str:
         )
     if not path.is_file():
         raise ValueError(f"file {name!r} is not in the scene's folder {folder}; cure: put it there")
-    check_mesh(path)
+    for kind in sorted(kinds) or [""]:
+        check_mesh(path, kind)
     return hashlib.sha256(path.read_bytes()).hexdigest()
