@@ -9,7 +9,7 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -29,11 +29,9 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
+from optsim.app.skips import show_skip_check
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
-
-if TYPE_CHECKING:
-    from optsim.experiment.experiment import Experiment
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -90,7 +88,7 @@ def run(
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     if check_skips:
-        _check_skips(loaded, backend, as_json)
+        show_skip_check(loaded, backend, as_json)
         return
     if out is not None:
         job.run_folder(loaded, out)
@@ -134,20 +132,6 @@ def run(
     else:
         page.print(job.summary(results))
         page.print(f"Report: {folder / 'report.html'}")
-
-
-def _check_skips(loaded: Experiment, backend: str | None, as_json: bool) -> None:
-    from optsim.core.console import page, progress_bars, table
-    from optsim.experiment.check_skips import check_skips
-
-    with progress_bars(quiet=as_json) as progress:
-        found = check_skips(loaded, backend=backend, progress=progress)
-    if as_json:
-        print_json(found)
-        return
-    title = f"one frame with and without {', '.join(found[0]['left_out']) or 'nothing left out'}"
-    rows = [(each["method"], each["error"], each["loss_db"]) for each in found]
-    page.print(table(title, ("method", "error in noise", "lowers a PSNR by at most, dB"), rows))
 
 
 @app.command()
