@@ -4,12 +4,12 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test docs setup bench claims figure4 imperfections validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup bench claims figure4 imperfections validate lint types architecture requirements clean help
 
 force:
 
 help: ## list the targets
-	@grep -E '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
+	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t16
 
 setup: $(STAMP) ## create .venv with the pinned dependencies and optsim itself
 
@@ -23,6 +23,11 @@ demo: setup ## run the demo experiment; opens nothing, prints where the report i
 
 test: setup ## is the code right? (minutes)
 	$(BIN)/python -m pytest tests -n auto --dist loadscope
+
+test-slow: setup ## the tests that make test leaves out
+	$(BIN)/python -m pytest tests -n auto --dist loadscope -m slow
+
+test-all: test test-slow ## both tiers
 
 docs: setup ## build the manual into site/, strictly; it opens from disk
 	$(BIN)/mkdocs build --strict

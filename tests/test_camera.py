@@ -224,6 +224,7 @@ def test_rows_written_late_show_the_slot_before():
     np.testing.assert_allclose(share, 1 - late * 0.99, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_jitter_makes_each_frame_late_by_a_time_of_its_own():
     levels = np.zeros((12, V, U), np.uint8)
     levels[1:] = 255

@@ -226,6 +226,7 @@ def impossible(table):
     return keys
 
 
+@pytest.mark.slow
 @settings(max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(tables(), st.booleans(), st.integers(0, 2**32))
 def test_any_camera_gives_light_and_whole_numbers_or_names_the_key(table, moving, seed):

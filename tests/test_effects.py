@@ -43,6 +43,7 @@ def frame(camera, level=255, dark_half=False):
     return camera.sensor.signal_e(electrons, camera.exposure_s, camera.serial_number)
 
 
+@pytest.mark.slow
 def test_with_everything_ideal_a_flat_is_the_ledger_and_dark_is_dark():
     seen = frame(IDEAL)[20:-20, 20:-20]
     expected = {row.stage: row.value for row in IDEAL.ledger(0.08)}["electrons a frame"]
@@ -146,6 +147,7 @@ def blinking(camera):
     return levels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MEASURES)
 def test_each_effect_is_absent_when_off_and_of_its_size_when_on(name):
     measure, low, high = MEASURES[name]
@@ -203,6 +205,7 @@ def test_what_drifts_is_no_part_of_the_camera_that_is_calibrated(monkeypatch):
     assert found["drift"] == {"relay": {"shift_x_px": 0.4}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setting",
     [
@@ -229,6 +232,7 @@ def shown(found):
     return console.file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(name for name, effect in ALL.items() if not effect.in_scene))
 def test_states_go_from_better_to_worse(name):
     """The predicted size of each effect grows with its state, and its fields exist."""
@@ -281,6 +285,7 @@ def test_a_misaligned_camera_still_fits(preset, others):
     assert load_experiment(preset, switches).camera.geometry().fits
 
 
+@pytest.mark.slow
 def test_a_probe_moves_its_pixels_as_far_as_the_camera():
     """What an error of scale or angle does to the few pixels of a probe, and what moves none of them."""
     camera = prototype()
@@ -309,6 +314,7 @@ def test_a_probe_moves_its_pixels_as_far_as_the_camera():
 STRAIGHT = {"relay": {"rotation_rad": 0.0, "shift_y_px": 0.0, "shift_x_px": 0.0, "distortion": 0.0}}
 
 
+@pytest.mark.slow
 def test_the_size_of_noise_is_its_share():
     camera = make_probe(prototype(), ROOM, SCHEMES).camera
     noises = make_probe(prototype(), ROOM, SCHEMES).noise_e
@@ -454,6 +460,7 @@ def test_every_key_of_a_drift_has_a_size_or_is_not_predicted():
     assert shown(found).count("not predicted") == len(unknown)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value"),
     [("rotation_rad", 1e-3), ("magnification_error", 1e-3), ("shift_x_px", 0.4), ("keystone_y", 2e-3)],
@@ -493,6 +500,7 @@ def bar_that_crosses(camera, light, dark, px_per_slot, instants):
     )
 
 
+@pytest.mark.slow
 def test_one_truth_instant_a_slot_errs_by_what_explain_says():
     camera = changed(shrunk(demo()), PLAIN)
     rng = np.random.default_rng(36)

@@ -46,6 +46,7 @@ def test_every_point_spreads_with_its_own_psf_and_the_adjoint_is_exact():
     np.testing.assert_array_equal(blur.apply(image), blur.apply(image))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("loops", "even_rim"), [(False, 0), (False, 7), (True, 0)])
 @pytest.mark.parametrize("field_error", [0.005, 0.03, 1.0])
 @pytest.mark.parametrize("place", [(0, 0), (35, 61), (70, 110)])

@@ -71,6 +71,7 @@ def test_a_finished_run_stops_and_what_changed_makes_it_anew(
     assert "nothing to do" in run(lab, out)
 
 
+@pytest.mark.slow
 def test_a_calibration_is_kept_to_the_bit_and_made_anew_where_it_is_damaged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

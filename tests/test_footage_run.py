@@ -73,6 +73,7 @@ def results(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) ->
     return folder, dict(check_results(json.loads((folder / "results.json").read_text())))
 
 
+@pytest.mark.slow
 def test_files_and_arrays_give_the_same_frames(experiment: Experiment) -> None:
     means = recording().reshape(FRAMES * 36, 2, PITCH * ROWS, PITCH * COLS).mean(axis=1) / 65535 * 0.5
     arrays = footage(
@@ -91,6 +92,7 @@ def test_files_and_arrays_give_the_same_frames(experiment: Experiment) -> None:
     assert np.ptp(one.frames["normal"][3].dn) > 100
 
 
+@pytest.mark.slow
 def test_a_run_says_what_its_truth_is_and_certifies_no_ceiling(results: tuple[Path, dict]) -> None:
     folder, found = results
     assert found["scene"]["name"] == "footage"

@@ -75,6 +75,7 @@ def test_a_run_whose_truth_is_refused_leaves_its_folder_free(
         job.run_folder(other, tmp_path)
 
 
+@pytest.mark.slow
 def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: Experiment) -> None:
     text = (folder / "results.json").read_text()
     results = check_results(json.loads(text))
@@ -163,6 +164,7 @@ def test_the_same_folder_takes_the_same_experiment_only(folder: Path, experiment
         job.run_folder(load_experiment("demo", [*SMALL, "seed=2"]), folder)
 
 
+@pytest.mark.slow
 def test_a_second_run_finds_the_truth_and_gives_the_same_scores(
     folder: Path, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def same_numbers(one: object, other: object) -> None:
         assert one == other
 
 
+@pytest.mark.slow
 def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
     experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

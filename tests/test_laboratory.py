@@ -92,6 +92,7 @@ def test_a_panel_that_is_early_is_found() -> None:
     np.testing.assert_allclose(found.row_delays_s(48), -0.5e-3, atol=0.005 * camera.slot_s)
 
 
+@pytest.mark.slow
 def test_rows_that_turn_late_are_found() -> None:
     panel = prototype().modulator.model_copy(
         update={"stuck_share": 0.0, "delay_s": 0.3e-3, "scan_s": 2e-3, "rows": 48}
@@ -152,6 +153,7 @@ def test_crosstalk_is_that_of_the_true_operator(camera: CodedCamera, found: Cali
     np.testing.assert_allclose(found.crosstalk.sum(axis=(2, 3)), 1, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["true", "bench"])
 def test_kernels_are_right_in_the_middle_and_in_the_corners_of_a_lens_that_varies(source: str) -> None:
     camera = demo()
@@ -198,6 +200,7 @@ def test_a_coded_frame_of_uniform_light_is_predicted(
     assert np.std(seen.signal / plain - 1) > 1.3 * np.std(relative)
 
 
+@pytest.mark.slow
 def test_uncoded_readout_slots_are_known_to_be_closed() -> None:
     slow = small().sensor.model_copy(update={"readout_rows": None})
     camera = small(overlap=False, sensor=slow)
@@ -226,6 +229,7 @@ def test_the_same_seed_gives_the_same_bench(camera: CodedCamera, bench: Bench) -
     np.testing.assert_array_equal(again.flats[1].dn, bench.flats[1].dn)
 
 
+@pytest.mark.slow
 def test_glare_is_told_apart() -> None:
     """Wings, ghost and veil, from benches with shot and read noise.
 
@@ -259,6 +263,7 @@ def test_glare_is_told_apart() -> None:
     assert blind.mix(light)[-20:-5, -20:-5].mean() < 0.5 * true.mix(light)[-20:-5, -20:-5].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", ["ideal", "pessimistic"])
 def test_a_bench_finds_another_converter_and_a_misaligned_panel(state: str) -> None:
     switches = {"read_noise": state, "quantisation": state, "alignment": "pessimistic"}

@@ -50,6 +50,7 @@ def result(small, radiance) -> Result:
     return run(small, radiance)
 
 
+@pytest.mark.slow
 def test_every_method_gives_every_frame(result: Result) -> None:
     for name in ("adaptive", "normal", "hdr_mosaic", "random"):
         assert [f.index for f in result.frames[name]] == list(range(FRAMES))
@@ -90,6 +91,7 @@ def test_drift_that_cannot_be_is_refused(drift: str, message: str) -> None:
         load_experiment("demo", [f"drift.{drift}"])
 
 
+@pytest.mark.slow
 def test_the_same_experiment_gives_the_same_frames(small, radiance, result: Result) -> None:
     again = run(small, radiance)
     for name, frames in result.frames.items():
@@ -103,6 +105,7 @@ def test_methods_have_their_own_photons() -> None:
     np.testing.assert_array_equal(draws[0], stream(1, "shot", "adaptive", 0).random(4))
 
 
+@pytest.mark.slow
 def test_latency_hides_frames(small, radiance) -> None:
     """With latency L, the code of frame f is chosen from frames up to f - L: none for f < L."""
     for latency in (1, 3):

@@ -333,6 +333,7 @@ def test_damaged_files_are_named(tmp_path: Path, arrays: Any, name: str) -> None
             read_measurement(measurement_files(whole, []))
 
 
+@pytest.mark.slow
 def test_frames_of_a_camera_that_a_bench_knows(tmp_path: Path) -> None:
     camera = shrunk(demo(), 40)
     bench = measure_bench(camera, np.random.default_rng(5))

@@ -100,6 +100,7 @@ def test_noise_nobody_stated_is_no_more_than_eight_bits_have() -> None:
     assert by_scale[0] == pytest.approx(by_scale[1], abs=0.7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_light_is_linear_in_the_unit_for_every_decoder(kind: Any) -> None:
     opened, decoder = bumps(), kind()

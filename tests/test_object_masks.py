@@ -35,6 +35,7 @@ def masks(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) -> B
     return found
 
 
+@pytest.mark.slow
 def test_a_pixel_counts_if_an_export_shows_a_mover_in_its_middle_then_or_a_frame_before(
     experiment: Experiment, masks: Bools
 ) -> None:
@@ -56,6 +57,7 @@ def test_a_pixel_counts_if_an_export_shows_a_mover_in_its_middle_then_or_a_frame
     np.testing.assert_array_equal(masks[1], exported[1] | exported[0])
 
 
+@pytest.mark.slow
 def test_masks_are_kept_and_belong_to_scene_picture_and_timing(
     experiment: Experiment, masks: Bools, tmp_path: Path
 ) -> None:

@@ -53,6 +53,7 @@ def mixed(dark: RadianceVideo) -> Result:
     return run(small(*OWN), dark)
 
 
+@pytest.mark.slow
 def test_a_method_gets_what_an_experiment_of_its_calibration_gives(
     mixed: Result, dark: RadianceVideo
 ) -> None:

@@ -125,6 +125,7 @@ def test_the_relay_opens_with_the_lens_and_never_closes(experiment: Experiment) 
     assert fast.camera.relay.f_number < experiment.camera.relay.f_number == slow.camera.relay.f_number
 
 
+@pytest.mark.slow
 def test_every_scheme_asks_for_as_much_as_it_is_open_less(compared: OwnLight) -> None:
     for name in ("adaptive", "normal", "hdr_mosaic"):
         assert compared.f_numbers[name] == 4

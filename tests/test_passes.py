@@ -376,6 +376,7 @@ np.savez("{path}", depth=passes.depth_m, ids=passes.ids, flow=passes.flow_forwar
 """
 
 
+@pytest.mark.slow
 def test_the_scalar_fallback_agrees(tmp_path) -> None:
     if choose_backend().preview:
         pytest.skip("only the scalar fallback works here")

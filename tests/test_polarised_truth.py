@@ -111,6 +111,7 @@ def test_a_stage_sees_what_a_polariser_passes_of_the_stokes_vector():
     assert analysed(runs[0], np.pi / 2).mean() < 0.9 * dull
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ball", "pan", "flicker", "view"),
     [
@@ -209,6 +210,7 @@ def test_auto_follows_the_materials_and_says_so():
 GLOSSY = ["scene.name=glossy_floor", *SMALL]
 
 
+@pytest.mark.slow
 def test_an_experiment_renders_what_its_splitter_passes():
     """The floor of glossy_floor by the splitter's azimuth, nothing else set."""
     means = {}

@@ -41,6 +41,7 @@ def test_the_predicted_size_is_what_the_probe_shows_in_units_of_its_noise():
 WIDE = ("objective_glare", "relay_glare", "ghost", "smear")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "bright", [None, BrightLight(25.0, 0.07), BrightLight(1000.0, 5e-4), BrightLight(1000.0, 6e-5)]
 )
@@ -116,6 +117,7 @@ def test_a_darker_code_has_larger_leaks_and_a_brighter_one_more_stray_light():
     assert binary["response"] > bumps["response"] > 10 * normal["response"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placement", ["collimated", "converging"])
 def test_a_probe_that_keeps_what_it_made_tells_what_a_fresh_one_does(placement):
     """Each effect off, one after another on one probe, against a probe that has made nothing."""
@@ -153,6 +155,7 @@ def test_lamps_of_a_probe_do_as_much_to_a_frame(share, expected):
     assert brighter == pytest.approx(expected, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("state", "bound"), [("nominal", 0.2), ("pessimistic", 0.35)])
 @pytest.mark.parametrize("light", [ROOM, WINDOW])
 def test_a_plain_probe_changes_sizes_by_less_than_a_third(light, state, bound):

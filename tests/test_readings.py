@@ -85,6 +85,7 @@ def test_nine_pixels_are_the_mean_over_a_panel_pixel_where_it_covers_nine() -> N
     assert calibration.valid.all()
 
 
+@pytest.mark.slow
 def test_a_bench_finds_the_true_reading(
     camera: CodedCamera, bench: Bench, one: Calibration, nine: Calibration
 ) -> None:
@@ -160,6 +161,7 @@ def experiment(*assignments: str) -> Experiment:
     return load_experiment("demo", [*size, *assignments])
 
 
+@pytest.mark.slow
 def test_each_method_reads_as_it_says_and_claims_leave_it_out() -> None:
     chosen = experiment("methods.random.reading_px=3")
     light = moving_bar(chosen, 0.8)

@@ -58,6 +58,7 @@ def last(decoder, frames, calibration):
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("irradiance", [0.05, 0.6])
 def test_uniform_still_light_comes_back(kind, irradiance):
@@ -90,6 +91,7 @@ def test_branches_agree_on_a_constant_still_scene():
     assert still.shape == video.shape == (SLOTS, ROWS, COLS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_output_never_depends_on_later_frames(kind):
     calibration = ideal_calibration(ROWS, COLS, leak=0.01)
@@ -102,6 +104,7 @@ def test_output_never_depends_on_later_frames(kind):
         assert np.array_equal(a.irradiance_w_m2, b.irradiance_w_m2) == (index < 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_a_frame_s_light_does_not_depend_on_whether_earlier_video_was_asked_for(kind):
     calibration = ideal_calibration(ROWS, COLS, crosstalk=KERNEL)
@@ -414,6 +417,7 @@ def test_nothing_moving_costs_no_patches(decoder):
     assert not result.irradiance_w_m2.any()
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(ALL))
 def test_any_code_and_any_counts_give_a_valid_reconstruction(seed, kind):
@@ -432,6 +436,7 @@ def test_any_code_and_any_counts_give_a_valid_reconstruction(seed, kind):
         assert (result.irradiance_w_m2 >= 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "moving"),
     [*((kind, True) for kind in ALL if kind is not MotionDeblurring), (HdrMerge, False), (Union, False)],

@@ -123,6 +123,7 @@ def test_a_camera_inside_a_box_skips_nothing():
     assert boxes_around(scene.model_copy(update={"movers": {"walker": walker}}), np.array([0.0, 0.1])) is None
 
 
+@pytest.mark.slow
 def test_differences_average_to_the_difference_of_renders(difference):
     """z-test of 16 regions against independent plain renders; false alarm below 1e-4 in all (Sidak)."""
     plan, ours = difference
@@ -165,6 +166,7 @@ def within_noise(video, slot, direct, instants=1):
     assert abs(z.mean()) < 1.3
 
 
+@pytest.mark.slow
 def test_a_flickering_lamp_is_a_sum_of_pictures(tmp_path):
     scene = load_scene("flicker_lamp")
     video = loaded(scene, tmp_path, instants_per_slot=2)

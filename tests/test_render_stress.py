@@ -131,6 +131,7 @@ def test_a_mover_that_leaves_the_room_leaves_nothing_behind(tmp_path):
         np.testing.assert_array_equal(image, still)
 
 
+@pytest.mark.slow
 def test_a_mover_may_pass_through_the_camera_and_behind_it(tmp_path):
     """At slot 4 the ball's centre is in the pinhole, where it is dark; then it goes out through the wall."""
     scene = ball_along((0, 8 / 180), ((0, 0.6, 0), (0, -2.5, 0)))
@@ -207,6 +208,7 @@ def scaled(value, scale):
     return value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3 / 2, 1e3 / 2])
 def test_a_room_of_1_mm_and_of_1_km_looks_like_one_of_2_m(scale, tmp_path):
     movers = {"card": CARD, "path": PATH}
@@ -221,6 +223,7 @@ def test_a_room_of_1_mm_and_of_1_km_looks_like_one_of_2_m(scale, tmp_path):
     np.testing.assert_allclose(other.mean(axis=(1, 2)), images.mean(axis=(1, 2)), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_window_of_1e5_to_1_behind_glass_stays_finite(tmp_path):
     """A small window in a nearly black room, seen through a pane, with a card that comes before both."""
     radiance = 1e5
@@ -289,6 +292,7 @@ def program(text, **environment):
     )
 
 
+@pytest.mark.slow
 def test_a_truth_is_the_same_again_and_on_1_or_2_threads(tmp_path):
     scene = load_scene("window_room")
     text = (

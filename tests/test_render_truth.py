@@ -124,6 +124,7 @@ def test_the_mean_of_many_differences_is_the_mean_of_renders(scene):
     assert change.std() < 0.7 * (direct - base).std()  # and it is worth it
 
 
+@pytest.mark.slow
 def test_an_instant_agrees_with_a_direct_render_within_its_noise(scene, truth):
     """The video's slots against the plain loop with its own noise; the statistic is a mean of squares."""
     video = truth[1]

@@ -98,6 +98,7 @@ def test_cells_are_those_of_blurred_retardance(kind, change, n_sub):
     assert np.std(mixed - true) > 0.1 * effect
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -170,6 +171,7 @@ def test_no_rim_is_darker_than_a_dark_pixel(monkeypatch, few):
     assert found.min() == pytest.approx(5 * 0.0024, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", [True, False])
 def test_a_camera_knows_its_rims(overlap):
     """Leak by column, light of which white is no half wave, jitter, stuck pixels, slots of the readout."""

@@ -11,7 +11,7 @@ from optsim import render_truth
 from optsim.core.files import read_exr, read_png16
 from optsim.experiment import job, loop
 from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
-from optsim.experiment.figures import Gallery
+from optsim.experiment.figures import Figures
 
 FRAMES = 3
 STILL, SCALE = 0.4, 0.5
@@ -51,15 +51,15 @@ def drawn() -> list[tuple[str, int, int]]:
 def folder(
     experiment: Experiment, drawn: list[tuple[str, int, int]], tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    add = Gallery.add
+    add = Figures.add
 
-    def noted(gallery: Gallery, name: str, video: Any, frame: Any) -> None:
+    def noted(gallery: Figures, name: str, video: Any, frame: Any) -> None:
         drawn.append((name, video.index, frame.index))
         add(gallery, name, video, frame)
 
     where = tmp_path_factory.mktemp("run") / "lab"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Gallery, "add", noted)
+        patch.setattr(Figures, "add", noted)
         job.execute(experiment, where, export_truth=True)
     return where
 

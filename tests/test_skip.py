@@ -126,6 +126,7 @@ def test_a_run_models_what_the_table_says():
     assert modelled.camera.view == experiment.camera.view
 
 
+@pytest.mark.slow
 def test_a_frame_is_taken_both_ways():
     """In an even room lines in time cost next to nothing; a tolerance of 0 leaves nothing out."""
     experiment = load_experiment("demo", [*SMALL, "calibration=ideal"])

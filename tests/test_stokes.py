@@ -235,6 +235,7 @@ def test_a_moving_camera_is_where_it_is_at_the_instant() -> None:
     assert not np.array_equal(seen[0], seen[2])
 
 
+@pytest.mark.slow
 def test_a_pass_repeats_bitwise_and_more_samples_are_finer() -> None:
     scene, view = hall({"kind": "plastic", "reflectance": 0.3}), View(6, 8, 1, 0.3)
     one = render_stokes(scene, view, 0.0, 32, 5)

@@ -111,6 +111,7 @@ def shown(experiment: Experiment, camera: CodedCamera, image: np.ndarray, levels
 # -- the sum -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 # Picked where it flickers; a corner between four; the panel's corner; beside the window; off the image.
 @pytest.mark.parametrize("pixel", [(41, 50), (42, 51), (5, 5), (16, 62), (1, 2)])
 @pytest.mark.parametrize("state", ["nominal", "pessimistic"])
@@ -365,6 +366,7 @@ def no_render(monkeypatch: pytest.MonkeyPatch, experiment: Experiment) -> None:
     monkeypatch.setattr(job, "renderer", lambda *_: ("none", "made truth"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_render")
 def test_the_drawn_number_is_exactly_that_of_the_run(experiment, tmp_path: Path) -> None:
     """Of every method: also where the code follows from the method's own earlier frames."""

@@ -61,6 +61,7 @@ def test_k_svd_is_the_papers_step_atom_by_atom():
     np.testing.assert_allclose(dense(support, coefficients, 8), codes, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["mod", "ksvd"])
 def test_planted_atoms_are_found_again(method):
     """Of 29 random atoms, signals with 5 % of noise: on average over eight seeds 23 within 8 degrees.

@@ -218,6 +218,7 @@ def test_a_panel_that_relaxes_past_a_half_wave_by_small_steps(wavelength_m):
         assert weights.max() > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wavelength_m", [BLUE, RED])
 def test_the_bench_works_in_the_same_light(wavelength_m):
     """Calibrated from images in this light: exponent, times and weights of random codes as the truth's."""
@@ -248,6 +249,7 @@ def test_the_bench_works_in_the_same_light(wavelength_m):
     assert ideal.response.white_rad == truth.response.white_rad
 
 
+@pytest.mark.slow
 def test_the_bench_is_told_the_data_sheets_retardance_which_may_be_wrong():
     camera = small(GREEN)
     panel = camera.modulator.model_copy(update={"stated_half_wave_m": 0.95 * camera.modulator.half_wave_m})
