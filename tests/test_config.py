@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -218,6 +219,14 @@ def test_a_camera_that_is_none_is_told_of_hardware(
 def test_two_methods_of_a_name_have_problems_of_their_own() -> None:
     with pytest.raises(ConfigError, match="4 problems"):
         load_experiment("demo", ["methods=[{name='a'}, {name='a'}]"])
+
+
+def test_a_speed_is_no_time():
+    assert parse_quantity("speed_m_s", "36 km/h") == pytest.approx(10)
+    assert parse_quantity("pan_rad_s", "180 deg/s") == pytest.approx(np.pi)
+    for key in ("speed_m_s", "pan_rad_s"):
+        with pytest.raises(ValueError, match="the unit 'ms' is of another dimension than this key"):
+            parse_quantity(key, "5 ms")
 
 
 def test_both_letters_for_micro_are_read() -> None:

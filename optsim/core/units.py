@@ -9,6 +9,8 @@ _UNITS: dict[str, dict[str, float]] = {
     # Rates and inverse lengths first: they end like a time and a length.
     "_per_m": {"1/m": 1.0, "dpt": 1.0, "dioptres": 1.0},
     "_e_s": {"e-/s": 1.0, "e/s": 1.0},
+    "_m_s": {"m/s": 1.0, "km/h": 1 / 3.6, "mm/s": 1e-3},
+    "_rad_s": {"rad/s": 1.0, "deg/s": 0.017453292519943295},
     "_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9},
     "_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
     "_hz": {"Hz": 1.0, "kHz": 1e3, "fps": 1.0},
