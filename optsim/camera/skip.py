@@ -67,8 +67,8 @@ class Skip:
         What is left out, and what that saves as measured.
     bound : callable
         Error without it in units of a frame's noise: 0 where it is exact, infinite where it can't be.
-    changes : Changes
-        What of the camera models it in full.
+    full : Changes or None
+        What of the camera models it in full; None where the renderer decides by the same rule.
     """
 
     name: str

@@ -28,13 +28,13 @@ FINE_INSTANTS, BAR_SIZES = 12, (0.06, 0.3)
 
 
 def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]:
-    """Band, geometry, focus, photons, latency, effects and plan of an experiment.
+    """Band, geometry, focus, photons, latency, effects and skips of an experiment.
 
     Returns
     -------
     dict
         JSON-able; ``geometry.fits`` says whether it can be run. If not, ``misfit`` says why and what helps,
-        and effects and plan, which are found by taking pictures, are left out.
+        and effects and skips are left out.
     """
     from optsim.camera.effect_sizes import effect_sizes
     from optsim.camera.effects import changed

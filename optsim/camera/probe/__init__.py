@@ -1,6 +1,6 @@
 """A small camera and a made scene, by which the sizes of effects are known before anything is rendered."""
 
-from optsim.camera.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, compared_with, cone_and_sample
+from optsim.camera.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, compared_with
 from optsim.camera.probe.made_code import Schemes
 from optsim.camera.probe.made_scene import WHITE_OVER_INTERIOR
 from optsim.camera.probe.small_camera import (
@@ -20,7 +20,6 @@ __all__ = [
     "Probe",
     "Schemes",
     "compared_with",
-    "cone_and_sample",
     "drifted_as_far",
     "make_probe",
     "share_beyond_window",
