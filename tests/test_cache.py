@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from optsim.core import compiled
 from optsim.core.cache import Cache, hash_of
 from optsim.core.errors import ConfigError, StorageError
 
@@ -170,3 +171,14 @@ def test_a_senseless_cap_is_named(monkeypatch):
 def test_equal_parts_hash_alike_and_others_do_not():
     assert hash_of({"a": 1, "b": [2]}) == hash_of({"b": [2], "a": 1})
     assert hash_of("ab", "c") != hash_of("a", "bc")
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_compiled_code_is_kept_in_the_cache_where_the_package_cannot_be_written(
+    tmp_path, monkeypatch, writable
+):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled.os, "access", lambda *_: writable)
+    package = Path(compiled.__file__).parents[1]
+    assert compiled.cache_folder() == (package if writable else tmp_path / "numba")

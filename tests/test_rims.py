@@ -10,10 +10,10 @@ from optsim.camera.effect_sizes import effect_sizes
 from optsim.camera.effects import changed, with_effects
 from optsim.camera.hardware import demo
 from optsim.camera.probe import PLAIN, Illumination, compared_with, make_probe
+from optsim.core import threads
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Block, ExposureCode, Segment, Video
 from optsim.experiment.experiment import load_experiment
-from optsim.optics import bands
 from optsim.optics import rims as rims_module
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.optics.integrate import Shutter, integrate_exposure
@@ -123,7 +123,7 @@ def test_rows_of_a_tall_panel_find_the_same_in_bands(monkeypatch, cores):
     response = PanelResponse(leak=0.004, white_rad=3.6, delay_s=SLOT_S / 5)
     rims, weights, _ = rims_of(levels, response)
     together = cell_weights(rims, weights)
-    monkeypatch.setattr(bands, "CORES", cores)
+    monkeypatch.setattr(threads, "CORES", cores)
     monkeypatch.setattr(rims_module, "FEW", 0)
     found = cell_weights(rims, weights)
     np.testing.assert_allclose(found, together, atol=2e-6)
@@ -258,7 +258,7 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
 
 @pytest.mark.parametrize(("most_leak", "scale"), [(0.002, 1.0), (0.3, 0.0)])
 def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch, most_leak, scale):
-    """A block that begins and ends within pixels, a corner of the panel, and 20 rows: three bands.
+    """A block that begins and ends within pixels, a corner of the panel, and 20 rows: three threads.
 
     Where it is still the floor acts on the sum of instants: 5e-5 of the light of a pixel that is on. Where
     leaks differ much from column to column it is more, so nothing stands still there.

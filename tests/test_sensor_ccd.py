@@ -5,7 +5,8 @@ import pytest
 
 from optsim.camera.effects import changed
 from optsim.camera.hardware import demo, icx674, imx174, prototype
-from optsim.camera.parts import Ccd, ccd
+from optsim.camera.parts import Ccd
+from optsim.core import threads
 
 
 def plain(**changes) -> Ccd:
@@ -210,7 +211,7 @@ def test_frames_do_not_depend_on_threads_nor_on_the_order_in_which_they_are_take
 
     frames = [take(index) for index in range(12)]
     for cores in (1, 2, 7):
-        monkeypatch.setattr(ccd, "CORES", cores)
+        monkeypatch.setattr(threads, "CORES", cores)
         assert np.array_equal(take(4), frames[4])
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(take, reversed(range(12))))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from optsim.optics import bands
-from optsim.optics.bands import in_bands, n_threads, one_thread, side_by_side
+from optsim.core import threads
+from optsim.core.threads import in_bands, n_threads, one_thread, side_by_side, usable_cores
 
 
 @pytest.fixture(autouse=True)
 def three_cores(monkeypatch):
-    monkeypatch.setattr(bands, "CORES", 3)
+    monkeypatch.setattr(threads, "CORES", 3)
 
 
 def blas_threads() -> set[int]:
@@ -69,3 +69,26 @@ def test_bands_cover_each_row_once_on_any_number_of_threads(rows):
     with one_thread():
         count(1)
     assert (seen == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("files", "quota"),
+    [
+        ({"cpu.max": "150000 100000\n"}, 2),
+        ({"cpu.max": "50000 100000\n"}, 1),
+        ({"cpu.max": "max 100000\n"}, 64),
+        ({"cpu/cpu.cfs_quota_us": "300000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 64),
+        ({}, 64),
+    ],
+)
+def test_cores_follow_the_affinity_and_the_quota_of_a_container(tmp_path, monkeypatch, files, quota):
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    for cores in (64, 2):
+        monkeypatch.setattr(
+            threads.os, "sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False
+        )
+        assert usable_cores(tmp_path) == min(cores, quota)

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from optsim.core.cache import Cache
+from optsim.core.compiled import cache_folder
 from optsim.core.errors import OptsimError
 from optsim.core.files import read_exr, write_exr
+from optsim.core.threads import CORES
 from optsim.render.backend import choose_backend, versions
 from optsim.scene import list_scenes
 
@@ -44,7 +46,7 @@ class Finding:
 
 def diagnose() -> tuple[Finding, ...]:
     """Look at backend, versions, threads, disk, cache, scenes and an OpenEXR round trip; never raises."""
-    return (*_backend(), _versions(), _threads(), _cache(), _disk(), _scenes(), _exr())
+    return (*_backend(), _versions(), _threads(), _cache(), _compiled(), _disk(), _scenes(), _exr())
 
 
 def _backend() -> tuple[Finding, ...]:
@@ -76,8 +78,7 @@ def _versions() -> Finding:
 
 
 def _threads() -> Finding:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Finding("threads", True, f"{usable} usable")
+    return Finding("threads", True, f"{CORES} usable of {os.cpu_count()}")
 
 
 def _cache() -> Finding:
@@ -95,6 +96,21 @@ def _cache() -> Finding:
         cure = "set OPTSIM_CACHE to a folder that you can write"
         return Finding("cache", False, f"{cache.folder}: {error.strerror or error}", cure)
     return Finding("cache", True, f"{cache.folder}: {text}")
+
+
+def _compiled() -> Finding:
+    """Whether what numba compiles is kept; else each run compiles anew, half a minute."""
+    cure = "set OPTSIM_CACHE to a folder that you can write"
+    try:
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OptsimError as error:
+        return _problem("compiled code", error)
+    except OSError as error:
+        return Finding("compiled code", False, f"{error.filename or ''}: {error.strerror or error}", cure)
+    return Finding("compiled code", True, f"kept in {folder}")
 
 
 def _disk() -> Finding:

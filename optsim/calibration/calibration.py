@@ -14,7 +14,7 @@ from optsim.calibration.glare import NO_GLARE, Glare
 from optsim.core.compiled import compiled
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode, Floats, Ints, PanelState, checked
-from optsim.optics.bands import in_bands
+from optsim.core.threads import in_bands
 from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
 from optsim.optics.readings import brightest, mean_reading
 

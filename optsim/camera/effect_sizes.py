@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.camera.effects import ALL, Changes, Effect, switched
 from optsim.camera.probe import NOTHING, PLAIN, Probe, compared_with
-from optsim.optics.bands import one_thread
+from optsim.core.threads import one_thread
 
 # A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0

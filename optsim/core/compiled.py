@@ -7,16 +7,42 @@ what runs none of them, such as ``optsim explain``, never imports it.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import update_wrapper
+from pathlib import Path
 from threading import Lock
 from typing import Any, Generic, ParamSpec, TypeVar
+
+from optsim.core.cache import default_folder
+from optsim.core.errors import ConfigError
 
 P = ParamSpec("P")
 R = TypeVar("R")
 _one_at_a_time = Lock()
 # Fewer numbers than these are worked through with whole arrays: that is done before a loop could be loaded.
 FEW = 100_000
+
+
+def cache_folder() -> Path:
+    """Folder that numba keeps compiled loops in: the package's own, else one in ``$OPTSIM_CACHE``.
+
+    Raises
+    ------
+    ConfigError
+        When the package can't be written and this user has no cache.
+    """
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen)
+    package = Path(__file__).parents[1]
+    return package if os.access(package, os.W_OK) else default_folder() / "numba"
+
+
+# Numba reads this when it is imported; without a cache it says so itself.
+with suppress(ConfigError):
+    if cache_folder() != Path(__file__).parents[1]:
+        os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
 
 
 class Compiled(Generic[P, R]):

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
@@ -18,6 +17,7 @@ from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import Crosstalk, nearest
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
+from optsim.core.threads import n_threads
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
 from optsim.decoding.mixture.posterior import Seen, posterior, seen_through
 from optsim.decoding.mixture.posterior_spread import Spread
@@ -139,7 +139,7 @@ class GaussianMixture(PartialDecoder):
         rows, cols = image.usable.shape
         total = None if spread is None else np.zeros((rows, cols, prior.slots), np.float32)
         times = np.zeros(image.usable.shape, np.float32)
-        with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with threadpool_limits(1), ThreadPoolExecutor(n_threads()) as pool:
             answers = chain(pool.map(shared, together), pool.map(alone, single))
             # In the order of the jobs, not as they finish: the same sums for any number of workers.
             for members, own in zip(chain(together, single), answers, strict=True):

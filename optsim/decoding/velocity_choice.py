@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from optsim.core.quantities import Floats, Ints
+from optsim.core.threads import side_by_side
 from optsim.decoding.coded_blur import CodedBlur, Velocity, Way
 from optsim.decoding.coded_images import box_mean
 
@@ -69,8 +68,7 @@ def explained(
         picture = blur.restored(way, rounds)
         return picture, unnatural(blur.equalised(picture, way), way, inside, around)
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        pictures, costs = zip(*pool.map(sharp, velocities), strict=True)
+    pictures, costs = zip(*side_by_side(lambda way=way: sharp(way) for way in velocities), strict=True)
     labels = shared_out(np.stack(costs))
     pixels = np.bincount(labels.ravel(), minlength=len(velocities))
     most = int(pixels.argmax())
@@ -127,32 +125,34 @@ def likely_velocities(
         way = blur.along(velocity)
         return unnatural(blur.equalised(blur.wiener(way), way), way, inside, around)[::every, ::every]
 
+    def costs_of(velocities: list[Velocity]) -> list[Floats]:
+        return side_by_side(lambda velocity=velocity: cost(velocity) for velocity in velocities)
+
     grid = velocity_grid(fastest, step)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        costs = np.stack(list(pool.map(cost, grid)))
-        chosen, least = [0], costs[0]
-        while len(chosen) < _MOST:
-            means = [float(np.minimum(each, least).mean(dtype=np.float64)) for each in costs]
-            best = int(np.argmin(means))
-            if means[best] > least.mean(dtype=np.float64) - _WORTH:
-                break
-            chosen.append(best)
-            least = np.minimum(least, costs[best])
-        labels = costs[chosen].argmin(axis=0)
-        # Beyond the border light is guessed as in a mirror, which moves the wrong way.
-        inner = np.minimum(*np.ix_(*(_to_border(n) for n in labels.shape))) * every >= blur.margin / 2
-        found = [grid[0]]
-        for label, index in enumerate(chosen):
-            here = labels == label
-            here &= inner | (not (here & inner).any())
-            if index == 0 or not here.any():
-                continue
-            best, reach = grid[index], step
-            for _ in range(_HALVINGS):
-                reach /= 2
-                tried = [(best[0] + i * reach, best[1] + k * reach) for i, k in _AROUND]
-                best = tried[int(np.argmin([each[here].mean() for each in pool.map(cost, tried)]))]
-            found += [best, (-best[0], -best[1])]
+    costs = np.stack(costs_of(grid))
+    chosen, least = [0], costs[0]
+    while len(chosen) < _MOST:
+        means = [float(np.minimum(each, least).mean(dtype=np.float64)) for each in costs]
+        best = int(np.argmin(means))
+        if means[best] > least.mean(dtype=np.float64) - _WORTH:
+            break
+        chosen.append(best)
+        least = np.minimum(least, costs[best])
+    labels = costs[chosen].argmin(axis=0)
+    # Beyond the border light is guessed as in a mirror, which moves the wrong way.
+    inner = np.minimum(*np.ix_(*(_to_border(n) for n in labels.shape))) * every >= blur.margin / 2
+    found = [grid[0]]
+    for label, index in enumerate(chosen):
+        here = labels == label
+        here &= inner | (not (here & inner).any())
+        if index == 0 or not here.any():
+            continue
+        best, reach = grid[index], step
+        for _ in range(_HALVINGS):
+            reach /= 2
+            tried = [(best[0] + i * reach, best[1] + k * reach) for i, k in _AROUND]
+            best = tried[int(np.argmin([each[here].mean() for each in costs_of(tried)]))]
+        found += [best, (-best[0], -best[1])]
     return list(dict.fromkeys(found))
 
 

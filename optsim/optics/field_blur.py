@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.quantities import Doubles, Ints
-from optsim.optics.bands import n_threads, side_by_side
+from optsim.core.threads import n_threads, side_by_side
 from optsim.optics.neighbourhoods import Reals
 from optsim.optics.psf import Blur, fft, make_blur
 

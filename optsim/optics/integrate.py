@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optsim.core.compiled import FEW, compiled
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Doubles, Floats, PanelState, Segment, Video
-from optsim.optics.bands import in_bands
+from optsim.core.threads import in_bands
 from optsim.optics.fringing import fine_image
 from optsim.optics.rims import Rims, fine_weights, relaxed
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.core.compiled import FEW
 from optsim.core.quantities import Block, Floats, Ints
-from optsim.optics.bands import side_by_side
+from optsim.core.threads import side_by_side
 from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.moving_psf import MovingPsf, divided
 from optsim.optics.pixel_splines import draw, spread

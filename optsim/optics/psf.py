@@ -28,7 +28,7 @@ from scipy import fft as _scipy_fft
 from scipy.special import j1, ndtr
 
 from optsim.core.quantities import Doubles
-from optsim.optics.bands import n_threads
+from optsim.core.threads import n_threads
 
 fft: Any = _scipy_fft  # comes without types
 _GAUSSIAN_REACH = 5.0  # sigmas: 3e-7 of the energy lies beyond

@@ -15,7 +15,7 @@ from scipy.special import sici
 
 from optsim.core.compiled import FEW, compiled
 from optsim.core.quantities import Bytes, Doubles, Floats, Ints
-from optsim.optics.bands import in_bands
+from optsim.core.threads import in_bands
 
 # Nearer than this to its target a pixel is there: it changes a weight by less than 1e-14.
 SETTLED_RAD = 1e-7

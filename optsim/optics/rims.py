@@ -30,7 +30,7 @@ from scipy.special import ndtr
 
 from optsim.core.compiled import FEW
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Ints, PanelState
-from optsim.optics.bands import in_bands
+from optsim.core.threads import in_bands
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.optics.panel import PanelResponse, drive_targets, early_rows, row_turns
 from optsim.optics.radau import middles, moment_weights, radau

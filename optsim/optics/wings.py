@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from optsim.core.compiled import FEW, compiled
 from optsim.core.quantities import Doubles, Floats, Segment
-from optsim.optics.bands import in_bands, side_by_side
+from optsim.core.threads import in_bands, side_by_side
 from optsim.optics.field_blur import FieldPsf
 from optsim.optics.fringing import add_whole_cells, fine_image_adjoint
 from optsim.optics.integrate import cell_means

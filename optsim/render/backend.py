@@ -24,6 +24,7 @@ from typing import Any
 from optsim.core.cache import default_folder, hash_of
 from optsim.core.errors import BackendError, ConfigError, StorageError, unknown_name
 from optsim.core.files import read_json, write_json
+from optsim.core.threads import CORES
 
 VARIANTS = ("cuda_ad_mono", "llvm_ad_mono", "scalar_rgb")
 OLDEST_LLVM = 17
@@ -141,6 +142,11 @@ def activate(backend: str | None = None) -> BackendReport:
 
     if mi.variant() != report.variant:
         mi.set_variant(report.variant)
+        # Dr.Jit counts the cores of the machine; on one thread Mitsuba's EXR reader would wait for ever.
+        if report.variant.startswith("llvm") and max(CORES, 2) < (os.cpu_count() or 1):
+            import drjit as dr
+
+            dr.set_thread_count(max(CORES, 2))
     return report
 
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numba import njit
 
+from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Doubles, View
 from optsim.render.lens import blur_px
 from optsim.render.lens import margin_px as margin_of
@@ -132,7 +132,7 @@ def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, vi
     _cover(mask, places, faces, _MARGIN_PX + blur_px(places[:, 2], camera, view) / 2)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _cover(mask, places, faces, margins):  # type: ignore[no-untyped-def]
     rows, cols = mask.shape
     edges = np.empty((3, 3))

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.stage import PrimaryHits
 from optsim.scene.geometry import Faces
@@ -150,12 +150,12 @@ def seen_at(hits: PrimaryHits, chosen: Ints, faces: Faces, places: Doubles) -> D
     return np.column_stack([np.einsum("nk,nkx->nx", weighted, corners[:, :, :2]) / depth[:, None], depth])
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _turns(a, b, c):  # type: ignore[no-untyped-def]
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _looked_up(  # type: ignore[no-untyped-def]
     face,
     weights,

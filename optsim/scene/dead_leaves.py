@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from optsim.core.compiled import compiled
 from optsim.core.quantities import Doubles, Floats, Ints
 
 _POSES = 4  # poses a slot
@@ -147,7 +147,7 @@ def _at_scale(texture: Floats, leaf: Any, rng: np.random.Generator) -> Floats:
     return np.ascontiguousarray(texture, np.float32)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _draw(
     clip: Floats, leaves: Any, camera: Doubles, texels: Floats, starts: Ints, sizes: Ints, shifts: Doubles
 ) -> None:
@@ -171,7 +171,7 @@ def _draw(
                         clip[slot, v, u] += share * light
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _pose(leaves: Any, camera: Doubles, time: float, place: Doubles) -> None:
     """Fill each leaf's centre (y, x), cosine and sine of its angle, inverse size and reach squared."""
     turn, grown = camera[2] * time, np.exp(camera[3] * time)
@@ -200,7 +200,7 @@ def _pose(leaves: Any, camera: Doubles, time: float, place: Doubles) -> None:
         place[n, 5] = reach**2
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _light(
     y: float,
     x: float,

@@ -16,7 +16,6 @@ Not modelled: blooming, lag, charge-transfer loss, hot pixels, fixed row and col
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
 
@@ -27,7 +26,7 @@ from pydantic import Field, field_validator, model_validator
 from optsim.core.config import Part
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Doubles, Floats, Words
-from optsim.optics.bands import CORES
+from optsim.core.threads import side_by_side
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
 # Up to this, and this share of the brightest pixel, what is under zero is rounding of the optics' transforms,
@@ -306,8 +305,7 @@ class Ccd(Part):
             dn[rows] = signal
 
         # As many streams of noise as strips, whatever the number of cores: frames don't depend on it.
-        with ThreadPoolExecutor(CORES) as pool:
-            list(pool.map(strip, range(_STREAMS), rng.spawn(_STREAMS)))
+        side_by_side(lambda n=n, draw=draw: strip(n, draw) for n, draw in enumerate(rng.spawn(_STREAMS)))
         return dn, int(negative.sum())
 
 

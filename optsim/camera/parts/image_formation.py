@@ -12,7 +12,7 @@ import numpy as np
 from optsim.camera.parts.objective import Objective
 from optsim.core.compiled import FEW, compiled
 from optsim.core.quantities import Block, Doubles, Floats, IrradianceVideo, RadianceVideo, Segment
-from optsim.optics.bands import in_bands
+from optsim.core.threads import in_bands
 from optsim.optics.field_blur import FieldBlur, FieldPsf, reversed_psf, varying_blur
 from optsim.optics.fringing import fine_image
 from optsim.optics.integrate import cell_means

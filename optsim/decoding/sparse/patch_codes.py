@@ -7,14 +7,13 @@ Panel grid throughout; a patch is named by its first row and column.
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Floats, Ints
+from optsim.core.threads import side_by_side
 from optsim.decoding.coded_images import CodedImage
 from optsim.decoding.shared_weights import SharedWeights
 from optsim.decoding.sparse.matching_pursuit import pursue
@@ -92,9 +91,7 @@ class PatchCoder:
             members = np.flatnonzero(shared.phase == number)
             block = _OWN_BLOCK if number < 0 else _SHARED_BLOCK
             jobs += [(number, members[first : first + block]) for first in range(0, len(members), block)]
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            for done in [pool.submit(run, int(n), members) for n, members in jobs]:
-                done.result()
+        side_by_side(lambda n=int(n), members=members: run(n, members) for n, members in jobs)
         return support, amounts
 
     def paint(
@@ -116,9 +113,7 @@ class PatchCoder:
             _paint(self.atoms, corners, support, amounts, first, min(first + _STRIP, shape[0]), total, count)
 
         # Strips share no pixel and each pixel adds its patches in raster order: same sums for any workers.
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            for done in [pool.submit(run, first) for first in range(0, shape[0], _STRIP)]:
-                done.result()
+        side_by_side(lambda first=first: run(first) for first in range(0, shape[0], _STRIP))
         return total, count
 
 

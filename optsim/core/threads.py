@@ -1,21 +1,48 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""Bands of rows, one a core: compiled loops that leave Python alone run in them side by side."""
+"""Threads: how many this run may use, and work done side by side in them.
+
+Compiled loops and FFTs let go of Python's lock, so threads are enough. Results never depend on their number.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from itertools import pairwise
+from pathlib import Path
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
 T = TypeVar("T")
 
-CORES = os.cpu_count() or 1
+# Time and period of a control group's quota, microseconds: version 2 in one file, version 1 in two.
+_QUOTAS = ("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
+
+
+def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
+    """Count the cores that this process may use, by its affinity and by the quota of its container.
+
+    Parameters
+    ----------
+    groups : Path
+        Where Linux states the quota.
+    """
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for files in _QUOTAS:
+        # No such file or no number ("max", -1): no quota.
+        with suppress(OSError, ValueError):
+            time_us, period_us = map(float, " ".join((groups / name).read_text() for name in files).split())
+            if time_us > 0 and period_us > 0:
+                allowed = min(allowed, math.ceil(time_us / period_us))
+    return max(allowed, 1)
+
+
+CORES = usable_cores()
 _alone: ContextVar[bool] = ContextVar("_alone", default=False)
 # For fewer rows starting threads takes longer than the work.
 _FEW = 64
