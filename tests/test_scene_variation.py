@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optsim.core.errors import ConfigError
-from optsim.scene import load_scene
+from optsim.scene import list_scenes, load_scene
 from optsim.scene.variation import Range
 
 BASE = """
@@ -93,6 +93,24 @@ def test_ranges_are_respected_and_filled(folder):
     assert abs(np.corrcoef(*np.array([numbers(s)[:2] for s in drawn]).T)[0, 1]) < 0.3
     # What has no range is as written.
     assert {scene.movers["fan"].center_m[1:] for scene in drawn} == {(3.0, 1.0)}
+
+
+def test_a_range_more_leaves_all_others_bitwise_as_they_were(folder):
+    text = (BASE + RANGES).replace("[ranges]\n", '[ranges]\n"lamps.a.center_m.0" = [0.0, 0.5]\n')
+    assert numbers(load_scene(folder(text), "7")) == numbers(load_scene(folder(), "7"))
+
+
+def test_an_aspect_may_follow_another_number_and_leaves_the_others_alone(folder):
+    three, seven = (numbers(load_scene(folder(), number)) for number in "37")
+    assert numbers(load_scene(folder(), "3,light=7")) == (seven[0], *three[1:])
+    assert numbers(load_scene(folder(), "3,motion=7")) == (three[0], *seven[1:])
+    with pytest.raises(ConfigError, match="unknown variation"):
+        load_scene(folder(), "3,lights=7")
+
+
+@pytest.mark.parametrize("name", sorted(list_scenes()))
+def test_every_shipped_scene_has_numbered_variations(name):
+    assert load_scene(name, "1") != load_scene(name, "2")
 
 
 def test_whole_ends_draw_whole_numbers_and_others_do_not():

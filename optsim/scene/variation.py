@@ -1,4 +1,8 @@
-"""Variations of a scene: named tables of changes, and numbers that draw every range anew."""
+"""Variations of a scene: named tables of changes, and numbers that draw every range anew.
+
+Each key draws from a stream of its own, so one range more or less leaves all others bitwise as they were.
+``3,light=7`` is variation 3 under the light of variation 7: an aspect may follow a number of its own.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,15 @@ import numpy as np
 
 from optsim.core.config import Table, override
 from optsim.core.errors import ConfigError, unknown_name
+
+# Aspect -> tables of ``scene.toml`` whose ranges follow its number.
+ASPECTS = {
+    "light": ("lamps", "sky"),
+    "camera": ("camera",),
+    "motion": ("movers",),
+    "textures": ("materials",),
+    "objects": ("objects", "populate"),
+}
 
 
 @dataclass(frozen=True)
@@ -48,8 +61,21 @@ class Range:
 
 
 def is_number(variation: str) -> bool:
-    """Whether a variation is a whole number as text, in its shortest form."""
-    return variation.isascii() and variation.isdigit() and str(int(variation)) == variation
+    """Whether a variation is a whole number as text, in its shortest form, maybe with aspects of others."""
+    first, *further = variation.split(",")
+    aspects = [text.partition("=") for text in further]
+    numbers = [first, *(number for _, _, number in aspects)]
+    return {aspect for aspect, _, _ in aspects} <= {*ASPECTS} and all(
+        number.isascii() and number.isdigit() and str(int(number)) == number for number in numbers
+    )
+
+
+def _number_of(variation: str, key: str) -> int:
+    """Return the number that the ranges of a key's table follow."""
+    first, *further = variation.split(",")
+    numbers = dict(text.split("=") for text in further)
+    aspect = next((name for name, tables in ASPECTS.items() if key.partition(".")[0] in tables), "")
+    return int(numbers.get(aspect, first))
 
 
 def varied(table: Table, variation: str, where: str) -> Table:
@@ -60,7 +86,8 @@ def varied(table: Table, variation: str, where: str) -> Table:
     table : dict
         The whole ``scene.toml``.
     variation : str
-        ``main``, a name under ``variations``, or a whole number.
+        ``main``, a name under ``variations``, or a whole number, maybe with numbers of aspects:
+        ``3,light=7``; aspects are light, camera, motion, textures and objects.
     where : str
         Name of the file, for messages.
 
@@ -82,9 +109,14 @@ def varied(table: Table, variation: str, where: str) -> Table:
             f"{where}: variation {variation!r} is a number, which draws the scene's ranges, but it has none; "
             "cure: add a table [ranges], or choose one of: " + ", ".join(["main", *named])
         )
-    # One stream a scene and number, drawn in the order of the keys, so that the order of the file is free.
-    rng = np.random.default_rng([zlib.crc32(str(table.get("name", "")).encode()), int(variation)])
-    return laid(plain, {item.key: item.drawn(rng) for item in ranges})
+    name = str(table.get("name", ""))
+    return laid(plain, {item.key: item.drawn(_stream(name, item.key, variation)) for item in ranges})
+
+
+def _stream(scene: str, key: str, variation: str) -> np.random.Generator:
+    """Random numbers of one key in a variation of a scene."""
+    words = [zlib.crc32(text.encode()) for text in (scene, key)]
+    return np.random.default_rng([*words, _number_of(variation, key)])
 
 
 def extremes(table: Table, where: str) -> Iterator[Table]:
