@@ -24,6 +24,7 @@ LAYERS = (
     "metrics",
     "report",
     "experiment",
+    "tasks",
     "dataset",
     "study",
     "presets",
@@ -41,6 +42,7 @@ WALLS: dict[str, set[str]] = {
     "metrics": {*TRUTH, "camera", "calibration", "coding", "priors", "decoding"},
     "report": {*TRUTH, "camera", "calibration", "coding", "priors", "decoding"},
     "camera": {"render"},
+    "tasks": {*LAYERS[1 : LAYERS.index("tasks")]},
 }
 # Rooms of variants (files that define a class with a ``kind``): these don't import each other. A wrapper is
 # made of others and may.

@@ -18,6 +18,8 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from optsim.core.errors import ConfigError
+
 T = TypeVar("T")
 
 # Time and period of a control group's quota, microseconds: version 2 in one file, version 1 in two.
@@ -25,13 +27,17 @@ _QUOTAS = ("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
 
 
 def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Count the cores that this process may use, by its affinity and by the quota of its container.
+    """Count the cores that this process may use: ``$OPTSIM_THREADS``, else by affinity and container quota.
 
     Parameters
     ----------
     groups : Path
         Where Linux states the quota.
     """
+    if chosen := os.environ.get("OPTSIM_THREADS", "").strip():
+        if not chosen.isdecimal() or int(chosen) == 0:
+            raise ConfigError(f"OPTSIM_THREADS: got {chosen!r}, expected a number of threads, for example 2")
+        return int(chosen)
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for files in _QUOTAS:
         # No such file or no number ("max", -1): no quota.

@@ -1,0 +1,176 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+"""Many tasks, side by side: workers of this machine, or of a scheduler that is already there.
+
+A task whose folder is there is done, so the same call goes on after a stop. A worker that dies is replaced.
+A task that failed three times is put aside, and the rest goes on.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from optsim.core.errors import ConfigError, OptsimError
+from optsim.core.progress import Progress, silent
+from optsim.core.threads import CORES
+from optsim.tasks.folder import Task, make_folder, task_record
+
+ATTEMPTS = 3
+# Waiting for a scheduler that may not be there, s.
+_PATIENCE_S = 10
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a list of tasks ended.
+
+    Parameters
+    ----------
+    made, found : tuple of str
+        Names of the tasks done now, and of those that were done before.
+    failed : dict
+        Name -> what went wrong, of the tasks put aside.
+    """
+
+    made: tuple[str, ...]
+    found: tuple[str, ...]
+    failed: dict[str, str]
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    root: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] = (1, 1),
+    progress: Progress = silent,
+) -> Outcome:
+    """Do all tasks of a list that aren't done yet.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        Names must differ.
+    root : Path
+        Folder below which they make theirs; workers of a cluster must see it under the same name.
+    workers : int, optional
+        Processes on this machine; by default one for two cores, since each also has threads of its own.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:port``, whose workers are used instead.
+    shard : tuple of int
+        (i, n): the i-th of n parts of the list, counted from 1: for job arrays without a scheduler.
+    progress : Progress
+        Told of each finished task, as "tasks".
+
+    Raises
+    ------
+    ConfigError
+        For names that agree, a shard out of range, or a scheduler that doesn't answer.
+    StorageError
+        When a folder was made from something else.
+    """
+    names = [task.name for task in tasks]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ConfigError(f"tasks: got {', '.join(twice)} more than once, expected names that differ")
+    part, parts = shard
+    if not 1 <= part <= parts:
+        raise ConfigError(f"--shard: got {part}/{parts}, expected I/N with I from 1 to N, for example 1/4")
+    own = tasks[part - 1 :: parts]
+    open_tasks = [task for task in own if task_record(root, task) is None]
+    found = [task.name for task in own if task not in open_tasks]
+    made, failed = list[str](), dict[str, str]()
+    progress("tasks", len(found), len(own))
+    if open_tasks:
+        with _client(min(workers or max(1, CORES // 2), len(open_tasks)), scheduler) as client:
+            for name, state, error in _results(client, open_tasks, root):
+                if error:
+                    failed[name] = error
+                else:
+                    (made if state == "made" else found).append(name)
+                progress("tasks", len(found) + len(made) + len(failed), len(own))
+    return Outcome(tuple(made), tuple(found), failed)
+
+
+def _results(client: Any, tasks: Sequence[Task], root: Path) -> Generator[tuple[str, str, str]]:
+    """Yield (name, state, error) of each task as it ends."""
+    from distributed import as_completed
+
+    futures = {
+        client.submit(_attempt, root.absolute(), task, pure=False, retries=ATTEMPTS - 1): task.name
+        for task in tasks
+    }
+    for future in as_completed(futures):
+        name = futures[future]
+        if future.status == "finished":
+            yield name, *future.result()
+        else:
+            yield name, "", _why(future.exception())
+
+
+def _why(error: BaseException) -> str:
+    """Say in a line why a task was put aside."""
+    from distributed.scheduler import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return f"{ATTEMPTS} workers died at it: killed, or out of memory; cure: fewer --workers"
+    return f"{type(error).__name__}: {error}".splitlines()[0]
+
+
+def _attempt(root: Path, task: Task) -> tuple[str, str]:
+    """Do a task in a worker; what the user can mend is not tried again."""
+    try:
+        return make_folder(root, task), ""
+    except OptsimError as error:
+        return "", str(error)
+
+
+@contextmanager
+def _client(workers: int, scheduler: str | None) -> Generator[Any]:
+    """Connect to workers: to a scheduler's, or to new ones, which end with the block."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_PATIENCE_S)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ConfigError(
+                f"--scheduler: got {scheduler!r}, where no dask scheduler answers ({error}); expected "
+                "tcp://host:port; cure: start 'dask scheduler' there, or leave it out to work on this machine"
+            ) from None
+        with client:
+            yield client
+        return
+    settings = {
+        # A task is put aside when its third worker died; no other task waits on a worker that may die.
+        "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
+        "distributed.scheduler.worker-saturation": 1.0,
+        "distributed.logging.distributed": "critical",
+    }
+    environment = {"OPTSIM_THREADS": str(max(1, CORES // workers)), "PYTHONWARNINGS": "ignore"}
+    with (
+        dask.config.set(settings),
+        TemporaryDirectory(prefix="optsim-") as scratch,
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            host="127.0.0.1",
+            local_directory=scratch,
+            env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
