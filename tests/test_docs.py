@@ -27,6 +27,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", *sorted(p.relative_to(ROOT).as_posix() for p in (ROOT / "docs").rglob("*.md")))
 # Reads a run's files, and is run on some by tests/test_run_calibrations.py.
 OF_A_RUN = "docs/how-to/bench.md"
+# Reads a data set, and is run on one by tests/test_dataset.py.
+OF_A_DATASET = "docs/how-to/datasets.md"
 COARSE = [
     *SMALL,
     "scene.name=./my_room",
@@ -152,7 +154,7 @@ def test_python_of_measurements_runs(folder: Path) -> None:
 
 def test_all_python_is_run_by_a_test() -> None:
     pages = [page for page, code in blocks("python") if "render_truth" not in code]
-    assert set(pages) == {"docs/how-to/measurement.md", OF_A_RUN}
+    assert set(pages) == {"docs/how-to/measurement.md", OF_A_RUN, OF_A_DATASET}
 
 
 def test_the_scene_loads_with_its_variations(folder: Path) -> None:
@@ -178,7 +180,7 @@ def test_keys_of_footage_exist(folder: Path) -> None:
 
 def test_all_toml_is_toml() -> None:
     found = [tomllib.loads(code) for _, code in blocks("toml")]
-    assert len(found) == 5
+    assert len(found) == 6
 
 
 @pytest.mark.parametrize("page", PAGES)

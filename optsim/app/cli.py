@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from optsim import __version__
+from optsim.app.dataset import dataset_app
 from optsim.app.error_net import guarded
 from optsim.app.groups import cache_app, config_app
 from optsim.app.measure import bench, validate
@@ -42,6 +43,7 @@ app = typer.Typer(
 )
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
+app.add_typer(dataset_app, name="dataset")
 
 
 def _version(wanted: bool) -> None:

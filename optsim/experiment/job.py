@@ -213,7 +213,7 @@ def _execute(
                 decode_s[name] += decoded.seconds[name]
                 figures.add(name, video, frames[name][decoded.index])
                 if name in experiment.save_reconstructions:
-                    _write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+                    write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
             journal.keep_scores(decoded.index, scores)
             progress("decode", decoded.index + 1, experiment.n_frames)
     with watch.stage("noise ceiling"):
@@ -318,7 +318,7 @@ def export_radiance(
         progress("export truth", index + 1, experiment.n_frames)
 
 
-def _write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
+def write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
     """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
     radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
     write_exr(

@@ -165,7 +165,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address=":0",
             host="127.0.0.1",
             local_directory=scratch,
             env={**environment, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},

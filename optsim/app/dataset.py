@@ -1,0 +1,183 @@
+"""Commands of data sets: ``optsim dataset build`` and what reads, checks and converts the outcome."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from optsim.app.options import Json, print_json
+from optsim.core.errors import ConfigError
+
+dataset_app = typer.Typer(
+    no_args_is_help=True,
+    help="Build, read, check and convert data sets.",
+    epilog="Start with: optsim dataset build demo --out reports/datasets/demo",
+)
+Folder = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a data set.")]
+
+
+@dataset_app.command("build")
+def build(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A shipped spec's name or a TOML file.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder [reports/datasets/NAME]; the same goes on.")
+    ] = None,
+    layout: Annotated[
+        Literal["exr", "npy"], typer.Option(help="npy: a memory-mapped array a pass beside the EXR files.")
+    ] = "exr",
+    recipe: Annotated[
+        bool, typer.Option("--recipe", help="Keep hashes only; 'regenerate' makes any sequence again.")
+    ] = False,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Build two sequences a scene, then say time, disk and memory.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes [half the cores].")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
+    ] = None,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="The I-th of N parts of the list, for job arrays.")
+    ] = None,
+) -> None:
+    """Build a data set: every scene, variation, camera and seed of SPEC. Stopped, it goes on."""
+    from optsim.core.console import people, progress_bars
+    from optsim.core.threads import CORES
+    from optsim.dataset import build_dataset, forecast, load_spec
+
+    loaded = load_spec(spec)
+    folder = out or Path("reports") / "datasets" / loaded.name
+    if plan:
+        with progress_bars() as progress:
+            n = workers or max(1, CORES // 2)
+            said = forecast(loaded, folder, workers=n, layout=layout, progress=progress)
+        people.print(
+            f"{said.sequences} sequences, {said.to_do} to do: {said.wall_s / 60:.1f} min with {n} workers, "
+            f"{said.disk_mb:.0f} MB of disk in all, {said.peak_mb:.0f} MB of memory a worker "
+            f"(measured on {said.measured} sequences, which are kept)"
+        )
+        return
+    with progress_bars() as progress:
+        outcome = build_dataset(
+            loaded,
+            folder,
+            layout=layout,
+            recipe=recipe,
+            workers=workers,
+            scheduler=scheduler,
+            shard=_part(shard),
+            progress=progress,
+        )
+    people.print(f"{len(outcome.made)} sequences made, {len(outcome.found)} were there: {folder}")
+    _fail(outcome.failed)
+
+
+@dataset_app.command("regenerate")
+def regenerate(
+    folder: Folder, names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Sequences.")]
+) -> None:
+    """Make sequences of a data set again, and compare every file with the manifest."""
+    from optsim.core.config import build as built
+    from optsim.core.console import people, progress_bars
+    from optsim.core.errors import unknown_name
+    from optsim.dataset import DatasetSpec, build_dataset, open_dataset
+    from optsim.dataset.verify import verify
+
+    dataset = open_dataset(folder)
+    known = [sequence["name"] for sequence in dataset.card["sequences"]]
+    for name in names:
+        if name not in known:
+            raise unknown_name("sequence", name, known)
+    spec = built(DatasetSpec, dataset.card["spec"], where="dataset.json")
+    with progress_bars() as progress:
+        outcome = build_dataset(spec, folder, layout=dataset.card["layout"], only=names, progress=progress)
+    _fail(outcome.failed)
+    _fail(dict.fromkeys(verify(dataset), ""))
+    people.print(f"{', '.join(names)}: as the manifest says, bit by bit")
+
+
+@dataset_app.command("verify")
+def verify_files(folder: Folder) -> None:
+    """Check every file against the manifest; exit code 1 when one is missing, changed or unknown."""
+    from optsim.core.console import people, progress_bars
+    from optsim.dataset import open_dataset
+    from optsim.dataset.verify import verify
+
+    dataset = open_dataset(folder)
+    with progress_bars() as progress:
+        problems = verify(dataset, progress)
+    _fail(dict.fromkeys(problems, ""))
+    people.print(f"{folder}: every file is as it was written")
+
+
+@dataset_app.command("show")
+def show(folder: Folder, as_json: Json = False) -> None:
+    """List the sequences of a data set, and what was checked."""
+    from optsim.dataset import open_dataset
+
+    card = open_dataset(folder).card
+    if as_json:
+        print_json(card)
+        return
+    typer.echo(f"{card['name']}: {card['description']} ({card['licence']})")
+    for each in card["sequences"]:
+        seeds = f", seeds {', '.join(map(str, each['seeds']))}" if each["seeds"] else ""
+        typer.echo(f"  {each['name']}{seeds}")
+    for check in card["checks"].values():
+        typer.echo(f"{check['what']}: {check['worst']:.3g} ({check['in']})")
+
+
+@dataset_app.command("stats")
+def stats(folder: Folder, as_json: Json = False) -> None:
+    """Count luminance in stops, speeds, and the share that moves."""
+    from optsim.core.console import progress_bars
+    from optsim.dataset import open_dataset
+    from optsim.dataset.verify import statistics
+
+    with progress_bars() as progress:
+        found = statistics(open_dataset(folder), progress)
+    if as_json:
+        print_json(found)
+        return
+    for split, counts in found.items():
+        if not counts["samples"]:
+            continue
+        least, mean, most = counts["moving"]
+        typer.echo(f"{split}: {counts['samples']} samples; {least:.1%} to {most:.1%} moves, mean {mean:.1%}")
+        for title, key in (("stops below the brightest", "stops"), ("samples a slot", "speeds_px")):
+            for label, share in counts[key].items():
+                typer.echo(f"  {label:>7} {title}  {share:6.1%} {'#' * round(50 * share)}")
+
+
+@dataset_app.command("export")
+def export(
+    folder: Folder,
+    kind: Annotated[Literal["webdataset", "hdf5", "nerf"], typer.Option("--to", help="Form.")],
+    out: Annotated[Path, typer.Option(help="New folder; of hdf5 a new file.")],
+) -> None:
+    """Convert a data set for other loaders."""
+    from optsim.core.console import people, progress_bars
+    from optsim.dataset import open_dataset
+    from optsim.dataset.exports import EXPORTS
+
+    with progress_bars() as progress:
+        EXPORTS[kind](open_dataset(folder), out, progress)
+    people.print(f"{out}: written")
+
+
+def _part(shard: str | None) -> tuple[int, int]:
+    if shard is None:
+        return 1, 1
+    part, slash, parts = shard.partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal()):
+        raise ConfigError(f"--shard: got {shard!r}, expected I/N, for example 1/4")
+    return int(part), int(parts)
+
+
+def _fail(problems: dict[str, str]) -> None:
+    """Print what went wrong, a line each, and end with exit code 1; nothing when all is well."""
+    for what, why in problems.items():
+        typer.echo(f"{what}: {why}" if why else what, err=True)
+    if problems:
+        raise typer.Exit(1)

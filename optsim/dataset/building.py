@@ -1,0 +1,218 @@
+"""Building a data set: a task a sequence, then manifest, card, contact sheet and README."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from optsim.core.cache import hash_of
+from optsim.core.errors import StorageError
+from optsim.core.files import CLAIM, read_record, write_json, write_text
+from optsim.core.folder_claims import claimed_file
+from optsim.core.progress import Progress, silent
+from optsim.dataset.card import card, croissant, manifest_lines, readme
+from optsim.dataset.consistency import consistency
+from optsim.dataset.contact_sheet import write_contact_sheet
+from optsim.dataset.reading import CARD, MANIFEST, Sample
+from optsim.dataset.sequence import make_sequence
+from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
+from optsim.experiment.finished import versions
+from optsim.experiment.journal import run_key
+from optsim.experiment.truth import renderer
+from optsim.tasks import Outcome, Task, run_tasks, task_record
+
+Layout = Literal["exr", "npy"]
+CHECKS = "checks.json"
+_SPEC = "spec.json"
+SHEET = "contact_sheet.png"
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """How long a build will take, from sequences that were built for it.
+
+    Parameters
+    ----------
+    sequences, to_do : int
+        All, and those that aren't there yet.
+    wall_s, disk_mb, peak_mb : float
+        Time left, disk of the whole data set, memory of a worker.
+    measured : int
+        Sequences that this follows from.
+    """
+
+    sequences: int
+    to_do: int
+    wall_s: float
+    disk_mb: float
+    peak_mb: float
+    measured: int
+
+
+def tasks_of(spec: DatasetSpec, layout: Layout = "exr") -> list[Task]:
+    """List the tasks of a data set, one a sequence, each with a key of all that decides its files."""
+    table = spec.model_dump(mode="json")
+    tasks: list[Task] = []
+    for sequence in spec.sequences():
+        experiments = [spec.experiment_of(sequence, seed) for seed in spec.seeds]
+        backend, _ = renderer(experiments[0], None)
+        key = hash_of(
+            [run_key(each, backend, versions()) for each in experiments],
+            *(list(spec.schemes), spec.reconstruct, spec.half, layout),
+        )
+        tasks.append(Task(sequence.name, key, _make, (table, asdict(sequence), layout)))
+    return tasks
+
+
+def build_dataset(
+    spec: DatasetSpec,
+    folder: Path,
+    *,
+    layout: Layout = "exr",
+    recipe: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] = (1, 1),
+    only: Sequence[str] = (),
+    progress: Progress = silent,
+) -> Outcome:
+    """Build a data set, or go on with one.
+
+    Parameters
+    ----------
+    spec : DatasetSpec
+        What it is made of.
+    folder : Path
+        New, empty, or with a build of the same spec.
+    layout : {"exr", "npy"}
+        ``npy`` writes a memory-mapped array a pass beside the EXR files.
+    recipe : bool
+        Keep spec, card and the hash of each file, but not the files; with ``only`` any sequence is made
+        again, bit by bit on the same backend.
+    workers, scheduler, shard
+        As of :func:`optsim.tasks.run_tasks`. Of several shards each ends without a card; a build without
+        shards then writes it.
+    only : sequence of str
+        Names of the sequences to make; all by default.
+    progress : Progress
+        Told of each sequence, as "tasks".
+
+    Returns
+    -------
+    Outcome
+        Which sequences were made, found and put aside. The card is written when none is missing.
+
+    Raises
+    ------
+    ConfigError
+        For a spec that can't be built.
+    StorageError
+        When the folder holds anything else.
+    """
+    check_spec(spec)
+    folder.mkdir(parents=True, exist_ok=True)
+    with claimed_file(folder / _SPEC):
+        _own(folder, spec)
+    tasks = tasks_of(spec, layout)
+    wanted = [task for task in tasks if not only or task.name in only]
+    outcome = run_tasks(wanted, folder, workers=workers, scheduler=scheduler, shard=shard, progress=progress)
+    if not only and all(task_record(folder, task) is not None for task in tasks):
+        finish(spec, folder, layout, recipe=recipe)
+    return outcome
+
+
+def forecast(
+    spec: DatasetSpec, folder: Path, *, workers: int, layout: Layout = "exr", progress: Progress = silent
+) -> Forecast:
+    """Build two sequences of each scene, as a pilot, and say how long the rest takes.
+
+    The second tells what a worker that is warm needs. The pilot is part of the build: nothing is made twice.
+    """
+    check_spec(spec)
+    folder.mkdir(parents=True, exist_ok=True)
+    with claimed_file(folder / _SPEC):
+        _own(folder, spec)
+    sequences, tasks = spec.sequences(), tasks_of(spec, layout)
+    scene_of = {sequence.name: sequence.scene for sequence in sequences}
+    pilots: list[Task] = []
+    for scene in spec.scenes:
+        pilots += [task for task in tasks if scene_of[task.name] == scene][:2]
+    run_tasks(pilots, folder, workers=workers, progress=progress)
+    seconds: dict[str, float] = {}
+    sizes: dict[str, float] = {}
+    peak_mb, to_do = 0.0, Counter(scene_of[task.name] for task in tasks if task_record(folder, task) is None)
+    for task in pilots:
+        record = task_record(folder, task)
+        if record is not None:
+            # The last one of a scene: compiled, loaded, calibrated.
+            seconds[scene_of[task.name]] = record["seconds"]
+            sizes[scene_of[task.name]] = sum(p.stat().st_size for p in (folder / task.name).rglob("*")) / 1e6
+            peak_mb = max(peak_mb, record["peak_mb"])
+    counts = Counter(scene_of.values())
+    wall_s = sum(seconds[scene] * n for scene, n in to_do.items()) / max(1, min(workers, sum(to_do.values())))
+    disk_mb = sum(sizes[scene] * n for scene, n in counts.items())
+    return Forecast(len(tasks), sum(to_do.values()), wall_s, disk_mb, peak_mb, len(pilots))
+
+
+def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> None:
+    """Write manifest, contact sheet, card, Croissant metadata and README: all sequences must be there."""
+    sequences = spec.sequences()
+    checks = {each.name: read_record(folder / each.name / CHECKS) for each in sequences}
+    write_contact_sheet(folder / SHEET, [_sample(folder, spec, each) for each in sequences[:24]])
+    lines = manifest_lines(folder, sequences)
+    write_text(folder / MANIFEST, "".join(lines))
+    digest = hashlib.sha256("".join(lines).encode()).hexdigest()
+    about = card(spec, sequences, checks, layout, digest, recipe=recipe)
+    write_json(folder / "croissant.json", croissant(about))
+    write_text(folder / "README.md", readme(about, checks))
+    if recipe:
+        for each in sequences:
+            shutil.rmtree(folder / each.name)
+    # Last: with it the data set is there.
+    write_json(folder / CARD, about)
+
+
+def _sample(folder: Path, spec: DatasetSpec, sequence: SequencePlan) -> Sample:
+    seed = spec.seeds[0] if spec.schemes else None
+    return Sample(folder / sequence.name, seed, {"name": sequence.name})
+
+
+def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], layout: Layout) -> None:
+    """Fill the folder of a sequence, in a worker."""
+    make_sequence(folder, dict(spec), dict(sequence))
+    if not (folder / CHECKS).is_file():
+        write_json(folder / CHECKS, consistency(folder / "truth"))
+    for hidden in folder.rglob(f"{CLAIM}*"):
+        hidden.unlink(missing_ok=True)
+    if layout == "npy":
+        seeds = spec["seeds"] if spec["schemes"] else [None]
+        for seed in seeds:
+            sample = Sample(folder, seed, {"name": sequence["scene"]})
+            for name in sample:
+                path = sample.mapped(name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                np.save(path, sample[name])
+
+
+def _own(folder: Path, spec: DatasetSpec) -> None:
+    """State whose folder it is, or refuse one of another spec."""
+    table = spec.model_dump(mode="json")
+    if (folder / _SPEC).is_file():
+        if read_record(folder / _SPEC) != table:
+            raise StorageError(
+                f"--out {folder}: got a build of another spec ({folder / _SPEC}), expected this one; "
+                "cure: choose another folder"
+            )
+        return
+    if any(path.name != CLAIM and not path.name.startswith(CLAIM) for path in folder.iterdir()):
+        raise StorageError(
+            f"--out {folder}: got a folder that isn't empty and holds no build; cure: choose another"
+        )
+    write_json(folder / _SPEC, table)

@@ -1,0 +1,101 @@
+"""Whether the passes of a sequence agree with each other: measured for each, printed in the card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.core.files import read_exr
+from optsim.core.quantities import Doubles
+
+Channels = dict[str, NDArray[Any]]
+
+
+def consistency(truth: Path) -> dict[str, float]:
+    """Check one slot in the middle of an export against the next one.
+
+    Parameters
+    ----------
+    truth : Path
+        Folder of :func:`optsim.dataset.export_passes`, at least two slots next to each other.
+
+    Returns
+    -------
+    dict
+        ``flow_error_px``: largest distance between the forward flow and the place that depth, camera and
+        object poses give, fine samples, of all surfaces that are rigid;
+        ``id_agreement``: share of samples, seen in both slots, that flow takes to a sample of their object or
+        next to one;
+        ``negative_share``: share of samples with negative radiance (unbiased noise);
+        ``noise_share``: median of the standard deviation of the radiance's noise over the radiance.
+    """
+    files = sorted(truth.glob("slot*.exr"))
+    middle = len(files) // 2
+    channels, said = read_exr(files[middle])
+    found = {"flow_error_px": _flow_error(channels, said)}
+    if middle + 1 < len(files):
+        found["id_agreement"] = _id_agreement(channels, read_exr(files[middle + 1])[0])
+    radiance = channels["Y"].astype(np.float64)
+    found["negative_share"] = float((radiance < 0).mean())
+    if "Y.sigma" in channels:
+        lit = radiance > 0
+        found["noise_share"] = float(np.median(channels["Y.sigma"][lit] / radiance[lit]))
+    return found
+
+
+def _flow_error(channels: Channels, said: dict[str, Any]) -> float:
+    """Compare flow with where depth and poses put each surface point in the next slot."""
+    ids, depth = channels["id"], channels["Z"].astype(np.float64)
+    rows, cols = np.mgrid[: len(ids), : ids.shape[1]] + 0.5
+    matrix = np.array(said["intrinsics_px"])
+    now, then = (np.array(said["camera_to_world"][k]) for k in (1, 2))
+    camera = _without_distortion(matrix, cols, rows, said["radial_k1"]) * depth[..., None]
+    world = camera @ now[:3, :3].T + now[:3, 3]
+    moved, rigid = world.copy(), ids > 0
+    names = {int(number): name for number, name in said["id_table"].items()}
+    for number in np.unique(ids[ids > 0]).tolist():
+        pose, here = said["object_poses"].get(names[number]), ids == number
+        if pose is None:
+            continue
+        if pose["world_at_0_to_world"] is None:
+            rigid &= ~here
+            continue
+        start, stop = (np.array(pose["world_at_0_to_world"][k]) for k in (1, 2))
+        step = stop @ np.linalg.inv(start)
+        moved[here] = world[here] @ step[:3, :3].T + step[:3, 3]
+    inverse = np.linalg.inv(then)
+    seen = moved @ inverse[:3, :3].T + inverse[:3, 3]
+    rigid &= seen[..., 2] > 1e-6
+    plane = seen[..., :2] / np.where(rigid, seen[..., 2], 1)[..., None]
+    plane *= 1 + said["radial_k1"] * (plane**2).sum(axis=-1, keepdims=True)
+    place = plane @ matrix[:2, :2].T + matrix[:2, 2]
+    flow = np.stack([channels["flow.forward.col"], channels["flow.forward.row"]], axis=-1)
+    error = np.linalg.norm(place - np.stack([cols, rows], axis=-1) - flow, axis=-1)
+    return float(error[rigid].max(initial=0.0))
+
+
+def _without_distortion(matrix: Doubles, cols: Doubles, rows: Doubles, k1: float) -> Doubles:
+    """Directions of the samples' rays, z = 1: the radial polynomial is undone by fixed-point steps."""
+    there = np.stack([cols, rows, np.ones_like(cols)], axis=-1) @ np.linalg.inv(matrix).T
+    plane = there[..., :2].copy()
+    for _ in range(20):
+        plane = there[..., :2] / (1 + k1 * (plane**2).sum(axis=-1, keepdims=True))
+    return np.concatenate([plane, np.ones((*cols.shape, 1))], axis=-1)
+
+
+def _id_agreement(now: Channels, then: Channels) -> float:
+    """Follow the forward flow of what stays seen and compare object ids."""
+    ids = now["id"]
+    seen = (now["occluded.forward"] == 0) & (ids > 0)
+    rows, cols = np.nonzero(seen)
+    row = np.floor(rows + 0.5 + now["flow.forward.row"][seen]).astype(np.int64)
+    col = np.floor(cols + 0.5 + now["flow.forward.col"][seen]).astype(np.int64)
+    # A surface point lies somewhere in its sample, whose centre may belong to the object beside.
+    padded = np.pad(then["id"], 1, mode="edge")
+    inside = (row >= 0) & (col >= 0) & (row < len(ids)) & (col < ids.shape[1])
+    row, col, own = row[inside] + 1, col[inside] + 1, ids[seen][inside]
+    around = [padded[row + i, col + k] == own for i in (-1, 0, 1) for k in (-1, 0, 1)]
+    return float(np.any(around, axis=0).mean()) if own.size else 1.0

@@ -1,0 +1,340 @@
+"""Reading a data set: ``open_dataset(path).train[0]["radiance"]`` is an array with a unit and axes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.core.errors import StorageError, ValueCheckError, unknown_name
+from optsim.core.files import read_exr, read_record
+from optsim.dataset.spec import SPLITS, Split
+
+KIND = "optsim data set 1"
+CARD, MANIFEST, ARRAYS = "dataset.json", "manifest.jsonl", "arrays"
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A named array of the truth.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        In a slot's file; more than one become the last axis.
+    unit : str
+        SI, or what the numbers are.
+    axes : str
+        Of the array of a sequence.
+    """
+
+    channels: tuple[str, ...]
+    unit: str
+    axes: str = "slot, y, x"
+
+
+_FLOW_AXES, _NORMAL_AXES = "slot, y, x, (row, col)", "slot, y, x, (x, y, z)"
+PASSES = {
+    "radiance": Pass(("Y",), "W m^-2 sr^-1"),
+    "radiance_sigma": Pass(("Y.sigma",), "W m^-2 sr^-1"),
+    "depth": Pass(("Z",), "m, along the optical axis"),
+    "distance": Pass(("distance",), "m, along the ray"),
+    "normal": Pass(("N.X", "N.Y", "N.Z"), "1, world axes", _NORMAL_AXES),
+    "albedo": Pass(("albedo",), "1"),
+    "id": Pass(("id",), "object id"),
+    "flow_forward": Pass(("flow.forward.row", "flow.forward.col"), "fine samples", _FLOW_AXES),
+    "flow_backward": Pass(("flow.backward.row", "flow.backward.col"), "fine samples", _FLOW_AXES),
+    "occluded_forward": Pass(("occluded.forward",), "mask"),
+    "occluded_backward": Pass(("occluded.backward",), "mask"),
+    "moving": Pass(("moving",), "mask"),
+}
+# Of each scheme: files of a coded frame, unit and axes.
+_CODED = {
+    "frames": ("png", "DN", "frame, y, x"),
+    "masks": ("png", "mask", "frame, v, u"),
+    "codes": ("exr", "drive level, 0..255", "frame, slot, v, u"),
+    "reconstructions": ("exr", "W m^-2 sr^-1", "frame, slot, v, u"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Mapping[str, Array]):
+    """One sequence with one seed: named arrays, read when they are asked for.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the sequence.
+    seed : int or None
+        Of the coded frames; None where there are none.
+    about : dict
+        What the data set's card says of the sequence: scene, variation, camera, split.
+    """
+
+    folder: Path
+    seed: int | None
+    about: dict[str, Any]
+
+    def __repr__(self) -> str:
+        """Say which one it is."""
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        return f"<Sample {self.about['name']}{seed}: {', '.join(self)}>"
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        first = next(iter(self._slots), None)
+        if first is None:
+            raise StorageError(
+                f"{self.folder}: got no slots, expected truth/slot000000.exr; cure: optsim dataset verify"
+            )
+        held = self._header[0]
+        passes = [name for name, each in PASSES.items() if each.channels[0] in held]
+        coded = [
+            f"{kind}/{place.name}" for kind in _CODED for place in sorted((self._coded / kind).glob("*"))
+        ]
+        return (*passes, *coded)
+
+    @cached_property
+    def _slots(self) -> list[Path]:
+        return sorted((self.folder / "truth").glob("slot*.exr"))
+
+    @cached_property
+    def _header(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        return read_exr(self._slots[0])
+
+    @property
+    def _coded(self) -> Path:
+        return self.folder / f"seed{self.seed}"
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the arrays: passes of the truth, then ``frames/SCHEME`` and so on."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Count the arrays."""
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> Array:
+        """Read an array; memory-mapped where the data set holds it as one file.
+
+        Raises
+        ------
+        KeyError
+            For an unknown name, with the nearest.
+        """
+        if name not in self._names:
+            raise KeyError(str(unknown_name("array", name, list(self._names))))
+        if (mapped := self.mapped(name)).is_file():
+            return cast("Array", np.load(mapped, mmap_mode="r"))
+        if name in PASSES:
+            return np.stack([_pass(read_exr(path)[0], PASSES[name]) for path in self._slots])
+        kind, _, scheme = name.partition("/")
+        suffix = _CODED[kind][0]
+        paths = sorted((self._coded / kind / scheme).glob(f"*.{suffix}"))
+        return np.stack([_picture(path) if suffix == "png" else _slots_of(path) for path in paths])
+
+    def mapped(self, name: str) -> Path:
+        """File of an array in the layout ``npy``, there or not."""
+        return self.folder / ARRAYS / (f"{name}.npy" if name in PASSES else f"seed{self.seed}/{name}.npy")
+
+    def slot(self, name: str, index: int) -> Array:
+        """Read a pass in one slot: (y, x) or (y, x, component)."""
+        return _pass(read_exr(self._slots[index])[0], PASSES[name])
+
+    def unit(self, name: str) -> str:
+        """Return the unit of an array."""
+        return PASSES[name].unit if name in PASSES else _CODED[name.partition("/")[0]][1]
+
+    def axes(self, name: str) -> str:
+        """Axes of an array; ``v, u`` are panel pixels, ``y, x`` fine samples of the truth or CCD pixels."""
+        return PASSES[name].axes if name in PASSES else _CODED[name.partition("/")[0]][2]
+
+    @cached_property
+    def camera(self) -> dict[str, Array]:
+        """Lens and poses: ``intrinsics_px``, ``radial_k1``, ``camera_to_world`` (slot, 4, 4), ``times_s``."""
+        headers = [read_exr(path)[1] for path in self._slots]
+        return {
+            "intrinsics_px": np.array(headers[0]["intrinsics_px"]),
+            "radial_k1": np.array(headers[0]["radial_k1"]),
+            "camera_to_world": np.array([header["camera_to_world"][1] for header in headers]),
+            "times_s": np.array([header["times_s"][1] for header in headers]),
+        }
+
+    @cached_property
+    def objects(self) -> dict[int, str]:
+        """Object id -> name."""
+        return {int(number): name for number, name in self._header[1]["id_table"].items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(Sequence[Sample]):
+    """Samples of a split, in the order of the card."""
+
+    samples: tuple[Sample, ...] = field(repr=False)
+
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> Samples: ...
+    def __getitem__(self, index: int | slice) -> Sample | Samples:
+        """Return one sample, or some."""
+        return Samples(self.samples[index]) if isinstance(index, slice) else self.samples[index]
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return len(self.samples)
+
+    def torch(self, *names: str, transform: Callable[[dict[str, Any]], Any] | None = None) -> Any:
+        """Return a PyTorch ``Dataset`` of dicts of tensors.
+
+        Parameters
+        ----------
+        *names : str
+            Arrays to read; all by default.
+        transform : callable, optional
+            Called with each dict.
+        """
+        try:
+            import torch  # pyright: ignore
+        except ImportError:
+            raise ValueCheckError("torch: got no PyTorch; cure: pip install torch") from None
+        samples, pytorch = self.samples, cast("Any", torch)
+
+        class _Torch(pytorch.utils.data.Dataset[Any]):  # pyright: ignore
+            def __len__(self) -> int:
+                return len(samples)
+
+            def __getitem__(self, index: int) -> Any:
+                sample = samples[index]
+                arrays = {name: np.array(sample[name]) for name in names or sample}
+                # PyTorch computes with few unsigned kinds.
+                signed = {
+                    name: a.astype(np.int64) if a.dtype.kind == "u" else a for name, a in arrays.items()
+                }
+                tensors: dict[str, Any] = {name: pytorch.from_numpy(array) for name, array in signed.items()}
+                return tensors if transform is None else transform(tensors)
+
+        return _Torch()
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """A data set on disk.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is.
+    card : dict
+        Content of ``dataset.json``.
+    """
+
+    folder: Path
+    card: dict[str, Any] = field(repr=False)
+
+    def samples(self, split: Split) -> Samples:
+        """Return the samples of a split: each sequence once a seed."""
+        found = [
+            Sample(self.folder / about["name"], seed, about)
+            for about in self.card["sequences"]
+            if about["split"] == split
+            for seed in about["seeds"] or [None]
+        ]
+        return Samples(tuple(found))
+
+    @property
+    def train(self) -> Samples:
+        """What to learn from."""
+        return self.samples("train")
+
+    @property
+    def val(self) -> Samples:
+        """What to choose by."""
+        return self.samples("val")
+
+    @property
+    def test(self) -> Samples:
+        """What to report."""
+        return self.samples("test")
+
+    def __repr__(self) -> str:
+        """Say what it holds."""
+        counts = ", ".join(f"{len(self.samples(split))} {split}" for split in SPLITS)
+        return f"<Dataset {self.card['name']!r} in {self.folder}: {counts}>"
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Open a data set that ``optsim dataset build`` made.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder.
+
+    Returns
+    -------
+    Dataset
+        With the splits ``train``, ``val`` and ``test``; nothing but the card is read yet.
+
+    Raises
+    ------
+    StorageError
+        When there is none, it isn't finished, or it is of another version.
+    """
+    folder = Path(path)
+    if not (folder / CARD).is_file():
+        raise StorageError(
+            f"{folder}: got no {CARD}, expected a finished data set; "
+            f"cure: optsim dataset build SPEC --out {folder}"
+        )
+    card = read_record(folder / CARD)
+    if card.get("kind") != KIND:
+        raise StorageError(
+            f"{folder / CARD}: got {card.get('kind')!r}, expected {KIND!r}; "
+            "cure: the version of optsim that made it"
+        )
+    return Dataset(folder, card)
+
+
+def manifest(folder: Path) -> list[dict[str, Any]]:
+    """Read the manifest: ``path``, ``bytes``, ``sha256`` of each file.
+
+    Raises
+    ------
+    StorageError
+        When it is lost or damaged.
+    """
+    path = folder / MANIFEST
+    try:
+        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise StorageError(
+            f"{path}: got {error}, expected a line of JSON a file; cure: build it again"
+        ) from None
+
+
+def _pass(channels: dict[str, Array], which: Pass) -> Array:
+    arrays = [channels[name] for name in which.channels]
+    array = np.stack(arrays, axis=-1) if len(arrays) > 1 else arrays[0]
+    return array.astype(np.bool_) if which.unit == "mask" else array
+
+
+def _slots_of(path: Path) -> Array:
+    channels, _ = read_exr(path)
+    stacked = np.stack([channels[name] for name in sorted(channels)])
+    return stacked.astype(np.uint8) if path.parents[1].name == "codes" else stacked
+
+
+def _picture(path: Path) -> Array:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        array = np.asarray(image)
+    return array > 0 if path.parents[1].name == "masks" else array.astype(np.uint16)

@@ -1,0 +1,66 @@
+"""One sequence of a data set: truth with all passes, then what each scheme's camera made of it.
+
+::
+
+    truth/slot000000.exr ... manifest.json passes.png
+    seed1/calibration.npz experiment.json light.json checksums.json
+    seed1/frames/SCHEME/000000.png  codes/SCHEME/000000.exr  masks/SCHEME/000000.png
+    seed1/reconstructions/SCHEME/000000.exr
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+from optsim.core.config import Table, build
+from optsim.core.files import write_json
+from optsim.dataset.export import export_passes
+from optsim.dataset.spec import DatasetSpec, SequencePlan
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.job import write_reconstruction
+from optsim.experiment.loop import calibrate_all, capture, decode, planned, set_light
+from optsim.experiment.run_calibrations import keep_calibrations
+from optsim.experiment.run_frames import write_frames
+from optsim.experiment.truth import render_truth
+
+
+def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
+    """Fill a sequence's folder; what an attempt before has finished is kept.
+
+    Parameters
+    ----------
+    folder : Path
+        To fill.
+    spec, sequence : dict
+        The :class:`DatasetSpec` and the :class:`SequencePlan` as tables, since workers get them by pickle.
+    """
+    chosen = build(DatasetSpec, spec, where="data set")
+    plan = SequencePlan(**sequence)
+    export_passes(chosen.experiment_of(plan, chosen.seeds[0]), folder / "truth", half=chosen.half)
+    for seed in chosen.seeds if chosen.schemes else ():
+        place = folder / f"seed{seed}"
+        if not (place / "light.json").is_file():
+            shutil.rmtree(place, ignore_errors=True)
+            _take(chosen.experiment_of(plan, seed), place, reconstruct=chosen.reconstruct)
+
+
+def _take(experiment: Experiment, folder: Path, *, reconstruct: bool) -> None:
+    """Calibrate, take the coded frames of all schemes, and decode them if wanted."""
+    modelled, _ = planned(experiment)
+    known = calibrate_all(modelled)
+    experiment.check_methods(known)
+    radiance = render_truth(experiment)
+    camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
+    frames = capture(modelled, camera, camera.form_image(radiance), known)
+    keep_calibrations(experiment, folder, known)
+    write_frames(folder, frames)
+    if reconstruct:
+        for decoded in decode(modelled, frames, known):
+            for name, video in decoded.videos.items():
+                write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+    write_json(folder / "experiment.json", experiment.model_dump(mode="json"))
+    # Last: it says that the rest is whole.
+    facts = {"irradiance_per_radiance": camera.irradiance_per_radiance, "gain_e_dn": camera.sensor.step_e}
+    write_json(folder / "light.json", {**asdict(light), **facts})

@@ -1,0 +1,266 @@
+"""Spec of a data set: scenes x variations x cameras x seeds, the schemes that code them, and the split."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from optsim.core.config import Part, Table, build, flat, read_toml
+from optsim.core.errors import ConfigError, unknown_name
+from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.scene.variation import is_number
+
+Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
+_MOST = 1_000_000
+
+
+class Share(Part):
+    """Which scenes and variations are held out, the rest is for training.
+
+    Parameters
+    ----------
+    val, test
+        Either patterns of ``scene/variation``, such as ``["wheel/*", "half_moving/3"]``, or the share of all
+        of these, chosen by a hash of their names, so that adding one moves no other.
+    """
+
+    val: float | tuple[str, ...] = ()
+    test: float | tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _within_one(self) -> Share:
+        shares = [share for share in (self.val, self.test) if isinstance(share, float)]
+        if any(not 0 <= share <= 1 for share in shares) or sum(shares) > 1:
+            raise ValueError(
+                f"got val {self.val}, test {self.test}, expected shares of 0 to 1, at most 1 together"
+            )
+        return self
+
+    def of(self, scene: str, variation: str) -> Split:
+        """Say where a scene and variation belongs.
+
+        Raises
+        ------
+        ConfigError
+            When patterns put it into both.
+        """
+        name = f"{scene}/{variation}"
+        patterns: dict[Split, float | tuple[str, ...]] = {"val": self.val, "test": self.test}
+        held: list[Split] = [split for split, listed in patterns.items() if _names(listed, name)]
+        if len(held) > 1:
+            raise ConfigError(
+                f"split: got {name} in val and in test, expected it in one of them; cure: narrower patterns"
+            )
+        if held:
+            return held[0]
+        place = zlib.crc32(name.encode()) / 2**32
+        test, val = (share if isinstance(share, float) else 0.0 for share in (self.test, self.val))
+        return "test" if place < test else "val" if place < test + val else "train"
+
+
+class DatasetSpec(Part):
+    """A data set, before it is built.
+
+    Parameters
+    ----------
+    name, description : str
+        For people.
+    licence : str
+        SPDX name of the licence that whoever builds it gives it.
+    experiment : str
+        Preset or TOML file: its camera, timing, render settings, calibration, schemes and decoders are taken.
+    n_frames : int
+        Coded frames a sequence; each has ``camera.slots_per_frame`` slots of truth.
+    scenes : dict
+        Scene -> its variations: names, numbers, and ranges of numbers such as ``"0:100"``, without the last.
+    cameras : dict
+        Name -> changes of the experiment's camera, as in its TOML file.
+    schemes : tuple of str
+        Names of the experiment's methods that take coded frames; none: truth alone.
+    seeds : tuple of int
+        Of photons, codes and the laboratory: each takes all coded frames anew, of the same truth.
+    reconstruct : bool
+        Decode the coded frames too.
+    half : bool
+        Radiance, normals and albedo in 16 bit; depth, flow, ids and noise never.
+    split : Share
+        What is held out.
+    """
+
+    name: str = Field(
+        pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="a letter, then letters, digits, _ and -"
+    )
+    description: str = ""
+    licence: str = "CC0-1.0"
+    experiment: str = "demo"
+    n_frames: int = Field(default=1, ge=1, le=10_000)
+    scenes: dict[str, tuple[str, ...]] = Field(min_length=1)
+    cameras: dict[str, Table] = Field(default={"main": {}}, min_length=1)
+    schemes: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = Field(default=(1,), min_length=1)
+    reconstruct: bool = False
+    half: bool = False
+    split: Share = Share()
+
+    @field_validator("scenes", mode="before")
+    @classmethod
+    def _written_out(cls, scenes: object) -> object:
+        if not isinstance(scenes, dict):
+            return scenes
+        return {str(name): _variations(name, listed) for name, listed in scenes.items()}  # pyright: ignore
+
+    def sequences(self) -> list[SequencePlan]:
+        """List all sequences, in the order of the spec.
+
+        Raises
+        ------
+        ConfigError
+            For a split that overlaps, or more sequences than anyone builds.
+        """
+        n = len(self.cameras) * sum(len(variations) for variations in self.scenes.values())
+        if n > _MOST:
+            raise ConfigError(f"scenes, cameras: got {n} sequences, expected at most {_MOST}; split the spec")
+        return [
+            SequencePlan(self.split.of(_plain(scene), variation), scene, variation, camera)
+            for scene, variations in self.scenes.items()
+            for variation in variations
+            for camera in self.cameras
+        ]
+
+    def experiment_of(self, sequence: SequencePlan, seed: int) -> Experiment:
+        """Resolve the experiment of a sequence with a seed.
+
+        Raises
+        ------
+        ConfigError
+            For an unknown scene, variation, scheme or camera key.
+        """
+        changes = {f"camera.{key}": value for key, value in flat(self.cameras[sequence.camera]).items()}
+        scene = {
+            "scene.name": sequence.scene,
+            "scene.variation": sequence.variation,
+            "n_frames": self.n_frames,
+        }
+        assignments = [f"{key}={json.dumps(value)}" for key, value in {**scene, **changes}.items()]
+        loaded = load_experiment(self.experiment, assignments, seed=seed)
+        methods = {method.name: method for method in loaded.methods}
+        for name in self.schemes:
+            if name not in methods:
+                raise unknown_name("scheme of the experiment", name, list(methods))
+        chosen = tuple(methods[name] for name in self.schemes) or loaded.methods
+        return loaded.model_copy(update={"methods": chosen, "save_reconstructions": ()})
+
+
+@dataclass(frozen=True)
+class SequencePlan:
+    """One sequence: a scene in a variation, seen by a camera.
+
+    Parameters
+    ----------
+    split : str
+        ``train``, ``val`` or ``test``.
+    scene, variation, camera : str
+        By the names of the spec.
+    """
+
+    split: Split
+    scene: str
+    variation: str
+    camera: str
+
+    @property
+    def name(self) -> str:
+        """Folder below the data set's."""
+        return f"{self.split}/{_plain(self.scene)}-{self.variation.replace(',', '_')}-{self.camera}"
+
+
+def dataset_names() -> list[str]:
+    """Names of the specs that are shipped."""
+    folder = files("optsim.presets") / "datasets"
+    return sorted(Path(str(p)).stem for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def load_spec(name_or_path: str) -> DatasetSpec:
+    """Read a spec: a shipped one by its name, or a TOML file; paths in it begin at its folder.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown name or key, or a bad value.
+    """
+    if "/" not in name_or_path and not name_or_path.endswith(".toml"):
+        if name_or_path not in dataset_names():
+            raise unknown_name("data set", name_or_path, dataset_names())
+        path = Path(str(files("optsim.presets") / "datasets" / f"{name_or_path}.toml"))
+    else:
+        path = Path(name_or_path)
+    table = read_toml(path)
+    spec = build(DatasetSpec, table, where=path.name)
+    beside = {"experiment": _beside(spec.experiment, path.parent)}
+    scenes = {_beside(name, path.parent): variations for name, variations in spec.scenes.items()}
+    return spec.model_copy(update={**beside, "scenes": scenes})
+
+
+def _beside(name: str, folder: Path) -> str:
+    """Take a path from the spec's own folder; a bare name is shipped."""
+    is_path = "/" in name or name.endswith(".toml")
+    return str((folder / Path(name).expanduser()).absolute()) if is_path else name
+
+
+def _plain(scene: str) -> str:
+    return Path(scene).stem if "/" not in scene else Path(scene.removesuffix("/scene.toml")).name
+
+
+def _names(listed: float | tuple[str, ...], name: str) -> bool:
+    """Whether patterns, if that is what is listed, name it."""
+    return isinstance(listed, tuple) and any(fnmatch.fnmatchcase(name, pattern) for pattern in listed)
+
+
+def _variations(scene: object, listed: object) -> Any:
+    if not isinstance(listed, list | tuple):
+        return listed
+    found: list[str] = []
+    for item in listed:  # pyright: ignore[reportUnknownVariableType]
+        text = str(item)  # pyright: ignore[reportUnknownArgumentType]
+        first, colon, last = text.partition(":")
+        if colon and first.isdecimal() and last.isdecimal():
+            if not int(first) < int(last) <= int(first) + _MOST:
+                raise ValueError(f"{scene}: got {text!r}, expected FIRST:LAST, LAST not included, as 0:100")
+            found += [str(number) for number in range(int(first), int(last))]
+        else:
+            found.append(text)
+    if not found or len(set(found)) < len(found):
+        raise ValueError(
+            f"{scene}: got {len(found)} variations, {len(set(found))} different, expected one or more"
+        )
+    return found
+
+
+def check_spec(spec: DatasetSpec) -> None:
+    """Refuse what would stop a build, before it begins.
+
+    Raises
+    ------
+    ConfigError, GeometryError
+        The first problem found.
+    """
+    sequences = spec.sequences()
+    names = Counter(sequence.name for sequence in sequences)
+    if twice := [name for name, n in names.items() if n > 1]:
+        raise ConfigError(f"scenes, cameras: got {twice[0]} twice, expected folders that differ; rename one")
+    checked = set[tuple[str, str, str]]()
+    for sequence in sequences:
+        # All numbers of a scene draw from ranges whose ends are checked when the scene is read.
+        kind = "number" if is_number(sequence.variation) else sequence.variation
+        if (sequence.scene, kind, sequence.camera) not in checked:
+            checked.add((sequence.scene, kind, sequence.camera))
+            spec.experiment_of(sequence, spec.seeds[0])

@@ -1,0 +1,99 @@
+"""Is a data set as it was written, and what is in it: files against the manifest, histograms."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Doubles
+from optsim.dataset.reading import MANIFEST, Dataset, manifest
+from optsim.dataset.spec import SPLITS
+
+# Speeds in fine samples a slot; luminance in stops below the brightest.
+_SPEEDS = (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
+_STOPS = np.arange(-24, 1, 2.0)
+
+
+def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
+    """Check every file of a data set by its SHA-256.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        From :func:`optsim.dataset.open_dataset`.
+    progress : Progress
+        Told of each file, as "verify".
+
+    Returns
+    -------
+    list of str
+        One line a problem: a file that is missing, changed or not listed; empty when all is well.
+    """
+    found: list[str] = []
+    stated = dataset.card["manifest"]["sha256"]
+    if _sha256(dataset.folder / MANIFEST) != stated:
+        found.append(f"{MANIFEST}: changed since the card was written")
+    listed = manifest(dataset.folder)
+    for number, record in enumerate(listed, start=1):
+        path = dataset.folder / record["path"]
+        if not path.is_file():
+            if not dataset.card["recipe"]:
+                found.append(f"{record['path']}: missing")
+        elif path.stat().st_size != record["bytes"] or _sha256(path) != record["sha256"]:
+            found.append(f"{record['path']}: changed")
+        progress("verify", number, len(listed))
+    known = {record["path"] for record in listed}
+    for sequence in dataset.card["sequences"]:
+        for path in (dataset.folder / sequence["name"]).rglob("*"):
+            place = path.relative_to(dataset.folder).as_posix()
+            if path.is_file() and place not in known:
+                found.append(f"{place}: not in the manifest")
+    return found
+
+
+def statistics(dataset: Dataset, progress: Progress = silent) -> dict[str, Any]:
+    """Count luminance in stops, speeds and the share that moves, of one slot of each sequence.
+
+    Returns
+    -------
+    dict
+        Split -> ``samples``; ``stops``: share of pixels by stops below the sequence's brightest;
+        ``speeds_px``: share of pixels by speed, fine samples a slot; ``moving``: least, mean, largest share.
+    """
+    result: dict[str, Any] = {}
+    total = sum(len(dataset.samples(split)) for split in SPLITS)
+    done = 0
+    for split in SPLITS:
+        samples = dataset.samples(split)
+        stops, speeds, moving = np.zeros(len(_STOPS)), np.zeros(len(_SPEEDS) - 1), list[float]()
+        for sample in samples:
+            middle = len(sample.camera["times_s"]) // 2
+            radiance: Doubles = sample.slot("radiance", middle).astype(np.float64)
+            flow = sample.slot("flow_forward", middle).astype(np.float64)
+            below = np.log2(np.maximum(radiance, 1e-300) / radiance.max())
+            stops += np.histogram(np.clip(below, -24, 0), [*_STOPS - 1, 1.0])[0] / radiance.size
+            speeds += np.histogram(np.hypot(flow[..., 0], flow[..., 1]), _SPEEDS)[0] / radiance.size
+            moving.append(float(sample.slot("moving", middle).mean()))
+            done += 1
+            progress("stats", done, total)
+        n = max(len(samples), 1)
+        result[split] = {
+            "samples": len(samples),
+            "stops": dict(zip([f"{stop:g}" for stop in _STOPS], (stops / n).tolist(), strict=True)),
+            "speeds_px": dict(
+                zip([f">= {low:g}" for low in _SPEEDS[:-1]], (speeds / n).tolist(), strict=True)
+            ),
+            "moving": [min(moving), float(np.mean(moving)), max(moving)] if moving else None,
+        }
+    return result
+
+
+def _sha256(path: Path) -> str:
+    if not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
