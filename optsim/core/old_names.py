@@ -1,4 +1,4 @@
-"""Modules that had another name are found by it, with a warning."""
+"""Old module names: an import by one still works, with a warning."""
 
 from __future__ import annotations
 
