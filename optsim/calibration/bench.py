@@ -1,10 +1,10 @@
-"""What a calibration bench delivers: raw images and the settings they were taken with, nothing else.
+"""Bench files: the raw images of a calibration bench and the settings they were taken with.
 
-A folder of 16-bit greyscale PNG files with a ``bench.json`` is the whole interface to a real bench; this
-module is its definition. ``bench.json`` holds the fields of :class:`Bench`; where a field holds images it
-lists their file names, relative to the folder. All images are of the whole CCD, not scaled.
+A folder of 16-bit greyscale PNG files with a ``bench.json`` is the whole interface to a real bench. This
+module defines it. ``bench.json`` holds the fields of :class:`Bench`. A field of images lists their file
+names, relative to the folder. All images are of the whole CCD, not scaled.
 
-Procedure, with the coded-image camera as it is (its period, its slots, overlapped or not):
+Procedure, with the camera's normal timing (its period, its slots, overlapped or not):
 
 ============  ==========================================================================================
 darks         lens capped; at least 2, better 16 or more
@@ -109,7 +109,7 @@ class Step:
     before, after : int
         Drive levels.
     delay_s : float
-        Begin of the flash, counted from the field sync at which the level changes, s; may be negative.
+        Start of the flash after the field sync at which the level changes, s; may be negative.
     flash_s : float
         Duration of the flash, s; the same flash energy in all steps.
     dn : ndarray of shape (frame, y, x), uint16
@@ -128,7 +128,7 @@ _Group = Flat | Patches | Step
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """All that a bench knows.
+    """All images and settings of a bench.
 
     Parameters
     ----------
@@ -143,9 +143,9 @@ class Bench:
     flats, off, greys, saturated, anchors, dots, glare, steps, fields
         See the module's table.
     white_rad : float
-        Retardance of level 255 in the bench's light, rad: pi times the wavelength at which the panel's data
-        sheet calls it a half wave, over the light's. An error in it goes into the grey curve's exponent and
-        the time constants.
+        Retardance of level 255 in the bench's light, rad. It is pi times the data sheet's half-wave
+        wavelength over the light's wavelength. Its error goes into the grey curve's exponent and the time
+        constants.
     """
 
     FILES: ClassVar[tuple[str, ...]] = (

@@ -17,8 +17,8 @@ class NormalPhotography(TiledScheme):
     Parameters
     ----------
     open_slots : int or None
-        Slots open from the start of the frame; None is all coded slots. The paper's comparison
-        (its figure 4) does not say which exposure it used.
+        Slots open from the start of the frame; None is all coded slots. The paper does not state the exposure
+        of its comparison (figure 4).
     """
 
     TEMPORAL: ClassVar[bool] = False

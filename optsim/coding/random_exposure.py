@@ -1,4 +1,4 @@
-"""One short exposure a pixel, at a time that differs from pixel to pixel (Hitomi et al.)."""
+"""Random exposure (Hitomi et al.): one short exposure a pixel, at a random time."""
 
 from __future__ import annotations
 

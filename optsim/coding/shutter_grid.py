@@ -1,4 +1,4 @@
-"""Pixels that open one after the other in small grids (Bub et al.; Gupta et al.)."""
+"""Shutter grid (Bub et al.; Gupta et al.): pixels of small grids open one after the other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ShutterGrid(TiledScheme):
     ----------
     grid_px : int
         Side of the grid, panel pixels; 4 is Bub's. All exposures have the same length, the share of the coded
-        slots rounded up: where that is no whole number, neighbours in time overlap by a slot at most.
+        slots rounded up. If the share is no whole number, successive exposures overlap by at most a slot.
     """
 
     TEMPORAL: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""Codes that repeat: a small tile of drive levels, repeated over the panel and over the frames."""
+"""Periodic codes: a small tile of drive levels, repeated over the panel and over the frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OPEN = 255
 
 @dataclass(frozen=True, eq=False)
 class TiledCode:
-    """The state of a scheme that never changes its mind: its tiles and the panel's size.
+    """State of a static scheme: its tiles and the panel's size.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class TiledCode:
 class TiledScheme(Part, ABC):
     """A scheme whose code does not depend on the scene; a subclass gives its tiles.
 
-    ``TEMPORAL`` says whether its pixels are for the sparse decoder.
+    ``TEMPORAL`` marks schemes whose pixels need the sparse decoder.
     """
 
     TEMPORAL: ClassVar[bool]
@@ -69,7 +69,7 @@ class TiledScheme(Part, ABC):
     def next(
         self, index: int, arrived: Sequence[CodedFrame], state: TiledCode
     ) -> tuple[ExposureCode, TiledCode]:
-        """Code of frame ``index``; what has arrived does not matter."""
+        """Code of frame ``index``, independent of the frames that have arrived."""
         del arrived
         moving: Bools = np.full(state.shape, self.TEMPORAL)
         return ExposureCode(state.levels(index), moving), state
