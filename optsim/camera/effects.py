@@ -1,10 +1,10 @@
-"""Every imperfection of the camera by name: how to switch it off, and how bad it could be.
+"""Every imperfection of the camera by name: its ideal, nominal and pessimistic state.
 
-The nominal state is the hardware as its data-sheet instance has it. A switch changes fields of parts, so
-whatever is set by hand in the same table wins over it. Pessimistic values have no source unless the part
-or the hardware says otherwise: they are this project's judgement of what a bad specimen would do.
+Nominal is the hardware as in its data sheet. A switch changes fields of parts; values set by hand in the same
+table override it. Pessimistic values have no source unless the part or the hardware states one: they are this
+project's judgement of a bad specimen.
 
-Shot noise has no switch: it is the light's own, no camera is without it, and only more light lowers it.
+Shot noise has no switch: it belongs to the light, and only more light reduces it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from optsim.core.errors import ConfigError, unknown_name
 _SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
 _TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
 STATES = ("ideal", "nominal", "pessimistic")
-# Words for a switch that others use.
+# Common words for a switch, accepted as hints.
 _OFF = {"off", "none", "no", "false", "0", "disabled", "perfect", "skip", "skipped"}
 _ON = {"on", "yes", "true", "1", "enabled", "default", "normal", "real"}
 Changes = Mapping[str, Mapping[str, Any]]
@@ -35,15 +35,15 @@ class Effect:
     Parameters
     ----------
     what : str
-        In a few words.
+        Short description.
     ideal, pessimistic : mapping
         Part -> field -> value; :data:`ITSELF` is the part of the camera's own fields.
     in_scene : bool
-        Whether it acts where light is rendered, so that only the scene tells its size
+        Whether it acts where light is rendered, so that its size depends on the scene
         (``experiment/focus.py``, ``experiment/truth.py``).
     drifts : bool
-        Whether it comes after the calibration, so that no decoder knows (``Experiment.drift``): the values
-        are then added to the camera's. Ideal and nominal cameras stay as they were calibrated.
+        Whether it arises after the calibration, unknown to decoders (``Experiment.drift``). The values are
+        then added to the camera's. Ideal and nominal cameras stay as calibrated.
     counts : mapping
         Part -> fields whose drift counts as this effect, beside those of ``pessimistic``.
     """
@@ -261,7 +261,7 @@ ALL: dict[str, Effect] = {
 
 
 def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
-    """Fields of the parts that a table of switches changes.
+    """Fields of parts changed by a table of switches.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
 
 
 def drifted(camera: CodedCamera, switches: Mapping[str, object]) -> Table:
-    """Return what of a camera changes after its calibration, as ``drift``; switches as checked before."""
+    """Return the changes after the calibration, as ``drift``; switches as checked before."""
     drift: dict[str, dict[str, Any]] = {}
     for name, effect in ALL.items():
         if effect.drifts and switches.get(name, switches.get("all")) == "pessimistic":
@@ -315,7 +315,7 @@ def changed(camera: CodedCamera, changes: Changes) -> CodedCamera:
 
 
 def _updated(part: Part, fields: Mapping[str, Any]) -> Part:
-    """Return a part with other fields; a table changes the part that is there."""
+    """Return a part with other fields; a table changes the existing part."""
     values = {
         name: _updated(getattr(part, name), cast("Mapping[str, Any]", value))
         if isinstance(value, Mapping)

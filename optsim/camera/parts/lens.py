@@ -1,4 +1,4 @@
-"""What objective and relay have in common: a blur with aberrations, and a veil."""
+"""Base of objective and relay: a PSF with aberrations, and veiling glare."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from optsim.optics.psf import kernel_half_width, psf_kernel
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
 LARGEST_WING_SHARE = 0.1  # of a PSF's energy: windows then end at the second dark ring of an Airy pattern
-# Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
+# Half width of the largest PSF window, cells: 0.5 GB, and a few times that while it is made.
 _LARGEST_HALF = 4096
-# Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.
+# Rms waves of a wavefront, all aberrations together: worse lenses form no image, and take minutes to model.
 _MOST_WAVES = 3.0
 
 
 class LensGroup(Part):
-    """A group of lenses that makes an image.
+    """A group of lenses that forms an image.
 
     Parameters
     ----------
     aberration_m : float
-        Standard deviation in its image of a Gaussian that stands for whatever the wavefront leaves out.
+        Standard deviation in its image of a Gaussian that stands for aberrations outside ``wavefront``.
     diffraction : bool
-        Whether its aperture blurs, and with it its wavefront; the Gaussian does anyway.
+        Whether aperture and wavefront blur; the Gaussian does anyway.
     wavefront : Wavefront
-        Its third-order aberrations, path differences that are the same in every light.
+        Its third-order aberrations; the path differences are the same at every wavelength.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
     wing_share : float
-        Share of the PSF's energy that may lie outside its window; it stays with its point.
+        Share of the PSF's energy that may lie outside its window; it is added to the central cell.
     field_error : float
-        Share of a point's light that may be misplaced since the PSF is interpolated over the field; 1 makes
-        it the same everywhere.
+        Share of a point's light that interpolating the PSF over the field may misplace; 1 makes the PSF the
+        same everywhere.
     """
 
     aberration_m: float = Field(ge=0)
@@ -60,7 +60,7 @@ class LensGroup(Part):
         Parameters
         ----------
         f_number : float
-            Of the cone that lands there.
+            f-number of the cone on the image.
         cell_m : float
             Side of a cell, m.
         sides : tuple of int
@@ -68,23 +68,23 @@ class LensGroup(Part):
         defocus_m : float
             Distance from the sharp image, m.
         wavelength_m : float
-            Of the light, m.
+            Wavelength of the light, m.
 
         Raises
         ------
         ConfigError
-            When its window would be too large for any memory.
+            When its window would not fit into memory.
         """
         self._check_window(f_number, cell_m, defocus_m, wavelength_m)
         wavefront = self.wavefront.in_light_of(wavelength_m)
         numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
-        # A frozen model has a hash, which its types don't tell.
+        # A frozen model is hashable, but its type does not declare it.
         return _psf(wavefront, self.diffraction, sides, *numbers, wavelength_m)  # pyright: ignore[reportArgumentType]
 
     def half_width(
         self, f_number: float, cell_m: float, wing_share: float, wavelength_m: float = MONO_WAVELENGTH_M
     ) -> int:
-        """Cells from the centre to the edge of a PSF's window that misses a share of the light.
+        """Half width in cells of a PSF window that misses a share of the light.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class LensGroup(Part):
             )
 
 
-# Kept by the numbers that matter: cameras are copied with other densities all the time.
+# Cached by the relevant numbers only: cameras are often copied with another neutral density.
 @lru_cache(maxsize=16)
 def _psf(
     wavefront: Wavefront,
@@ -136,7 +136,7 @@ def _psf(
     kernel = psf_kernel(
         f_number, sigma_m, cell_m, wavelength_m, wing_share, disc_m=disc_m, diffraction=diffraction
     )
-    # Without diffraction the plane out of focus blurs by geometry's disc, which the kernel holds.
+    # Without diffraction defocus blurs by the geometrical disc, which is part of the kernel.
     if not diffraction:
         return uniform(kernel)
     return field_psf(
