@@ -17,7 +17,7 @@ Reals = NDArray[np.floating]
 def sum_around(image: Reals, reach_px: int) -> Reals:
     """Sum over the square within ``reach_px`` rows and columns of each pixel, dark beyond the border.
 
-    Sums are of what is there, one by one: a running sum would leave a lamp's rounding in the dark beside it.
+    Each sum is direct: a running sum would leave rounding errors in the dark beside a lamp.
     """
     from scipy import ndimage
 
