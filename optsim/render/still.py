@@ -1,4 +1,7 @@
-"""The light without movers: rendered once, most where it is noisiest, pass by pass through the cache."""
+"""The light without movers: rendered once, with most samples where it is noisiest.
+
+It is rendered pass by pass through the cache, so an interrupted render resumes.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ _PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
 
 
 def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
-    """Statistics of plain estimates: the variance of one sample from the difference of the two halves.
+    """Sample statistics of plain estimates: the variance of one sample from the difference of the halves.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def static_light(plan: Plan, still: Stage) -> Floats:
             break
         samples = np.minimum(counts[chosen], last).astype(np.int64) - first
 
-        # A share of the pixels is about as much of the work: where samples are many there are few of them.
+        # The share of pixels is about the share of work: pixels with many samples are few.
         told = _telling(plan, "static light", spent / budget, float(samples.sum()) / budget)
 
         def make(
@@ -80,7 +83,7 @@ def static_light(plan: Plan, still: Stage) -> Floats:
 
 
 def _telling(plan: Plan, stage: str, before: float, share: float) -> _Told:
-    """Say of a part of a stage how far the whole of it is."""
+    """Convert the progress of a part to that of the whole stage."""
 
     def told(done: float) -> None:
         plan.progress(stage, round(100 * (before + share * done)), 100)
