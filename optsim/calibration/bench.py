@@ -20,10 +20,10 @@ glare         a bright patch of a fifth of the picture or so on black, more than
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
               both directions, from half a slot before to two slots after, the change being at the second
               slot of a frame; the flash may light a part of the panel,
-              but to tell how the rows are scanned, more than a quarter of its height
+              but more than a quarter of its height, if the scan of the rows is to be measured
 fields        a flash as long as a slot, in each of six successive slots in turn from a frame's first one on,
               with the panel held at a grey level, and again held at 255 (may be empty: all slots of a
-              colour-sequential panel then count as alike)
+              colour-sequential panel then count as equal)
 ============  ==========================================================================================
 
 "Held" means shown for at least ten response times before the exposure, and during all of it.

@@ -286,8 +286,8 @@ def attribution_variance(
     """Variance of a demixed signal because the origin of crosstalk is ambiguous.
 
     The kernel is measured on flats. On a flat, light from the neighbour and own light passed by the
-    neighbour's code look the same. The second comes from fringing fields, and from blur across an edge within
-    a pixel. Any mixture of the two is equally likely (a sensible default; no source). So the standard
+    neighbour's code give the same signal. The second comes from fringing fields, and from blur across an edge
+    within a pixel. Any mixture of the two is equally likely (a sensible default; no source). So the standard
     deviation is their difference over the square root of three, around the choice of :meth:`Calibration.mix`.
 
     Parameters

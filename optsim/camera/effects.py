@@ -71,8 +71,8 @@ ALL: dict[str, Effect] = {
         {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
         {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
     ),
-    # Of the drive: in white, at the top of its sine, half a percent of light at most. Ripple of the light is
-    # not modelled, neither from slot to slot nor within one.
+    # Differences of the drive change white, at the top of its sine, by half a percent of the light at most.
+    # Ripple of the light is not modelled, neither from slot to slot nor within one.
     "fields": Effect(
         "colour fields and polarities that are driven differently",
         {"modulator": {"field_drive": (1.0, 1.0, 1.0), "polarity_drive": 0.0}},
@@ -163,10 +163,10 @@ ALL: dict[str, Effect] = {
         {"relay": {"distortion": 0.0, "keystone_y": 0.0, "keystone_x": 0.0}},
         {"relay": {"distortion": -0.01, "keystone_y": 0.002}},
     ),
-    # Known to the bench, which maps the panel as it stands; what moves after that is an experiment's drift.
-    # No source for any: a CCD pixel each way, as far as picking the centre of three allows, a millimetre in a
-    # metre, lenses within 0.3 % of their focal length, and a blur of a CCD pixel at f/8. Smaller rather than
-    # larger, since the prototype's image just fits its CCD.
+    # The bench measures it with the pixel map; later motion is an experiment's drift. No source for any: a
+    # CCD pixel each way, the most that reading the centre of three allows, a millimetre in a metre, lenses
+    # within 0.3 % of their focal length, and a blur of a CCD pixel at f/8. Smaller rather than larger, since
+    # the prototype's image just fits its CCD.
     "alignment": Effect(
         "panel imaged onto the CCD shifted, turned, at another scale and out of focus",
         {
@@ -188,7 +188,7 @@ ALL: dict[str, Effect] = {
             }
         },
     ),
-    # What a bench leaves of it is in every calibration; this is what moves later. 0.4 CCD pixels: no source.
+    # The bench's own map error is in every calibration; this is later motion. 0.4 CCD pixels: no source.
     "misregistration": Effect(
         "panel that moved, turned or went out of focus on the CCD since it was calibrated",
         {},

@@ -1,7 +1,7 @@
 """Claims: one process at a time writes into a folder or file, and claims it before its work.
 
-A claim is a system lock on a hidden file. It ends with its process, so a killed run blocks nobody. On a file
-system without locks the process named in the file decides.
+A claim is a system lock on a hidden file. It ends with its process, so a killed run blocks no other. On a
+file system without locks the process named in the file decides.
 """
 
 from __future__ import annotations

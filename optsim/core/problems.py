@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from optsim.core.errors import nearest_name
 from optsim.core.units import parse_quantity, units_of
 
-# If a name is valid in more places than this, a list of them helps nobody.
+# If a name is valid in more places than this, they are not listed.
 _PLACES = 3
 # Pydantic's name for a field's type -> the word for a user who writes TOML.
 _WORDS = {

@@ -3,7 +3,7 @@
 """Polarised radiance: the Stokes vector at each fine sample, by a polarised Mitsuba variant.
 
 Conventions (R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized Light and Optical Systems*, CRC Press 2018,
-chapter 3, as in ``optics.mueller``), all as one looks at the upright picture, hence against the light:
+chapter 3, as in ``optics.mueller``), all in the upright picture, seen against the light:
 
 - S1 > 0: the field swings along the picture's rows, horizontally; a level floor's gloss has S1 > 0.
 - S2 > 0: along the diagonal from the lower left to the upper right.

@@ -2,13 +2,14 @@
 
 The method depends on what changes (``Scene.kind_of_change``):
 
-- nothing: one picture;
-- lamps: one picture for each group of lamps that flicker alike, added in proportion (light is linear);
-- movers: what stands still once with many samples, B_hi; at key instants what the movers change,
-  F_n - B_n, with the same n random paths; linear in time between. In the movers' own pixels first surfaces
-  are found at poses chosen by their measured path, the light on matt ones is carried between few key poses
-  and everything else rendered at each; they become Blocks. With flicker, for each group of lamps;
-- the camera: every slot by itself; so on demand, where slots must not share their noise.
+- nothing: one picture.
+- lamps: one picture for each group of lamps with the same flicker, added in proportion (light is linear).
+- movers: the light without movers, B_hi, is rendered once with many samples. At key instants the movers'
+  change, F_n - B_n, is rendered with the same n random paths; it is linear in time between. In the movers'
+  own pixels primary hits are found at poses chosen by the measured path. Irradiance on matt movers is
+  reprojected between few key poses, and all other light is rendered at each pose. These pixels become
+  Blocks. With flicker, all this is done for each group of lamps.
+- the camera: every slot by itself; on request also where slots must not share their noise.
 
 Samples go where the relative error is largest. All is rendered twice from independent random numbers. The
 truth is the mean of these halves, and half their difference shows its noise. Unbiased estimates may be

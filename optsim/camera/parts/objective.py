@@ -59,8 +59,8 @@ class Objective(LensGroup):
         from the centre. Positive is a pincushion, negative a barrel, as in the relay.
     moving_wing_share : float
         Share of the PSF's energy in its tails for moving light (:mod:`optsim.optics.wings`). Tails and
-        veiling glare are computed on a coarser grid and on straight lines in time. 0 images every instant by
-        itself.
+        veiling glare are computed on a coarser grid and on straight lines in time. 0 images every instant
+        separately.
     """
 
     focal_length_m: float = Field(default=12.5e-3, gt=0, le=1)

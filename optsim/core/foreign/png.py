@@ -23,7 +23,7 @@ _CHANNELS = {0: 1, 2: 3}
 
 
 class PngHead(NamedTuple):
-    """What a file's header declares.
+    """Properties declared in a file's header.
 
     Parameters
     ----------
