@@ -12,12 +12,12 @@ import numpy as np
 from optsim.calibration.calibration import Calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Ints, PanelState
-from optsim.optics.motion import Bounds, bounds
+from optsim.optics.motion import IrradianceInterval, irradiance_interval
 
 Crosstalk = Literal["undone", "row_summed"]
 _REMAINDER = 1e-4
 LEAST_EXPOSURE = 1e-6
-"""Slots; what gathered less says nothing of its irradiance."""
+"""Slots; a pixel with less exposure gives no irradiance."""
 # A pixel must keep this share of its own light, or it cannot be separated from its neighbours'.
 _LEAST_SHARE = 1 / 3
 # The iteration converges for own shares above a half, faster for larger ones. Below a half it would overshoot
@@ -80,7 +80,7 @@ class DemixedFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Brightness:
+class SaturationPrior:
     """Saturation prior: a pixel's irradiance from other frames, for frames in which it saturates.
 
     Parameters
@@ -95,17 +95,17 @@ class Brightness:
     least: Floats
 
     @classmethod
-    def unknown(cls, shape: tuple[int, int]) -> Brightness:
+    def unknown(cls, shape: tuple[int, int]) -> SaturationPrior:
         """Prior before the first frame."""
         return cls(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
 
-    def after(self, sample: DemixedFrame) -> Brightness:
+    def after(self, demixed: DemixedFrame) -> SaturationPrior:
         """Update by one more frame: the newest measurement counts, or the highest bound since."""
-        measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
-        mean = sample.signal / np.maximum(sample.exposure, np.float32(1e-6))
-        return Brightness(
+        measured = demixed.valid & ~demixed.saturated & ~demixed.tainted & (demixed.exposure > 0)
+        mean = demixed.signal / np.maximum(demixed.exposure, np.float32(1e-6))
+        return SaturationPrior(
             np.where(measured, mean, self.irradiance).astype(np.float32),
-            np.where(measured, 0, np.maximum(self.least, sample.least)).astype(np.float32),
+            np.where(measured, 0, np.maximum(self.least, demixed.least)).astype(np.float32),
         )
 
 
@@ -142,7 +142,7 @@ def take(
     weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
     weights, panel = weigh(frame.code, panel)
     exposure = weights.sum(axis=0, dtype=np.float64).astype(np.float32)
-    sample = DemixedFrame(
+    demixed = DemixedFrame(
         weights,
         exposure,
         calibration.mix(exposure) if crosstalk == "undone" else exposure,
@@ -156,30 +156,32 @@ def take(
     )
     if crosstalk == "undone":
         noise = separated_variance(calibration, seen.variance)
-        sample = separate(calibration, replace(sample, variance=noise), Brightness.unknown(calibration.shape))
-        opened = np.maximum(sample.exposure, np.float32(1e-6))
-        rough = np.maximum(sample.signal / opened, np.float32(0))
-        error = attribution_variance(
-            calibration, sample.exposure, rough, (noise / opened**2).astype(np.float32)
+        demixed = separate(
+            calibration, replace(demixed, variance=noise), SaturationPrior.unknown(calibration.shape)
         )
-        sample = replace(sample, variance=noise + error, attribution=error)
-    return sample, panel
+        opened = np.maximum(demixed.exposure, np.float32(1e-6))
+        rough = np.maximum(demixed.signal / opened, np.float32(0))
+        error = attribution_variance(
+            calibration, demixed.exposure, rough, (noise / opened**2).astype(np.float32)
+        )
+        demixed = replace(demixed, variance=noise + error, attribution=error)
+    return demixed, panel
 
 
 def take_next(
     calibration: Calibration,
     frame: CodedFrame,
     panel: PanelState | None,
-    seen: Brightness,
+    seen: SaturationPrior,
     crosstalk: Crosstalk,
-) -> tuple[DemixedFrame, PanelState, Brightness]:
+) -> tuple[DemixedFrame, PanelState, SaturationPrior]:
     """Demix the next frame of a video; earlier frames give the irradiance of saturated pixels.
 
     Parameters
     ----------
     calibration, frame, panel, crosstalk
         As of :func:`take`.
-    seen : Brightness
+    seen : SaturationPrior
         Saturation prior from the frames before.
 
     Returns
@@ -187,13 +189,13 @@ def take_next(
     demixed : DemixedFrame
     panel : PanelState
         The panel when the next frame starts.
-    seen : Brightness
+    seen : SaturationPrior
         The prior updated by this frame.
     """
-    sample, panel = take(calibration, frame, panel, crosstalk)
+    demixed, panel = take(calibration, frame, panel, crosstalk)
     if crosstalk == "undone":
-        sample = separate(calibration, sample, seen)
-    return sample, panel, seen.after(sample)
+        demixed = separate(calibration, demixed, seen)
+    return demixed, panel, seen.after(demixed)
 
 
 def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
@@ -208,7 +210,7 @@ def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
         _own_share(calibration)
 
 
-def sampled(
+def demixed_frames(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, DemixedFrame]]:
     """Demix the frames of a video in turn; earlier ones give the irradiance of saturated pixels.
@@ -220,13 +222,13 @@ def sampled(
     """
     check_crosstalk(calibration, crosstalk)
     panel: PanelState | None = None
-    seen = Brightness.unknown(calibration.shape)
+    seen = SaturationPrior.unknown(calibration.shape)
     for frame in frames:
-        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
-        yield frame, sample
+        demixed, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        yield frame, demixed
 
 
-def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightness) -> DemixedFrame:
+def separate(calibration: Calibration, demixed: DemixedFrame, elsewhere: SaturationPrior) -> DemixedFrame:
     """Remove the other pixels' light from ``measured``: solve ``calibration.mix(signal) = measured``.
 
     Saturated pixels take their irradiance from other frames, but at least that of uniform surroundings. With
@@ -237,27 +239,27 @@ def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightne
     ----------
     calibration : Calibration
         Holds the kernel.
-    sample : DemixedFrame
+    demixed : DemixedFrame
         The frame.
-    elsewhere : Brightness
+    elsewhere : SaturationPrior
         Saturation prior from other frames.
     """
     share = _own_share(calibration)
     centre = np.where(share > _ENOUGH, share, np.float32(_LARGER))
     known = np.isfinite(elsewhere.irradiance)
-    pinned = sample.saturated | ~sample.valid
-    pins = sample.measured
+    pinned = demixed.saturated | ~demixed.valid
+    pins = demixed.measured
     if pinned.any():
-        even = sample.even
-        if not sample.valid.all() and sample.valid.any():
-            even = even[nearest(sample.valid)]
-        told = np.fmax(elsewhere.irradiance, elsewhere.least)
-        pins = np.fmax(even, told) * sample.exposure
+        even = demixed.even
+        if not demixed.valid.all() and demixed.valid.any():
+            even = even[nearest(demixed.valid)]
+        prior = np.fmax(elsewhere.irradiance, elsewhere.least)
+        pins = np.fmax(even, prior) * demixed.exposure
     # The signal of an earlier call is a good start; at first it is the measured signal.
-    signal = np.where(pinned, pins, sample.signal)
+    signal = np.where(pinned, pins, demixed.signal)
     # Glare is small and smooth: it is computed again after the near light has converged.
     for _ in range(_rounds(calibration.glare.share(calibration.reach))):
-        near, before = sample.measured - calibration.mix_far(signal), signal.copy()
+        near, before = demixed.measured - calibration.mix_far(signal), signal.copy()
         for _ in range(_rounds(float(((1 - share) / share).max()))):
             change = (near - calibration.mix_near(signal)) / centre
             change[pinned] = 0
@@ -266,9 +268,9 @@ def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightne
                 break
         if _settled(signal - before, signal):
             break
-    loud = (sample.saturated & ~known).astype(np.float32)
-    tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
-    return replace(sample, signal=signal, tainted=tainted)
+    unknown_light = (demixed.saturated & ~known).astype(np.float32)
+    tainted = (calibration.spread(unknown_light[None])[0] > _REMAINDER) & ~demixed.saturated
+    return replace(demixed, signal=signal, tainted=tainted)
 
 
 def _rounds(rate: float) -> int:
@@ -343,20 +345,20 @@ def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: F
     return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
 
 
-def sample_bounds(calibration: Calibration, sample: DemixedFrame) -> Bounds:
+def demixed_interval(calibration: Calibration, demixed: DemixedFrame) -> IrradianceInterval:
     """Irradiance intervals of a frame, with the calibration's own uncertainties as model error."""
     leaked = calibration.response.leak * calibration.coded_slots
     # Equal pixels are rounded equally: rounding does not average out.
-    alike = np.minimum(sample.attribution + 1 / (12 * calibration.responsivity_dn**2), sample.variance)
-    return bounds(
-        sample.signal,
-        sample.exposure,
-        sample.variance,
-        alike.astype(np.float32),
+    common = np.minimum(demixed.attribution + 1 / (12 * calibration.responsivity_dn**2), demixed.variance)
+    return irradiance_interval(
+        demixed.signal,
+        demixed.exposure,
+        demixed.variance,
+        common.astype(np.float32),
         (calibration.dn_per_e / calibration.responsivity_dn).astype(np.float32),
-        sample.saturated,
-        sample.tainted,
-        sample.valid,
+        demixed.saturated,
+        demixed.tainted,
+        demixed.valid,
         gain_uncertainty=calibration.gain_uncertainty,
         exposure_uncertainty=calibration.leak_uncertainty * leaked,
         map_residual_px=calibration.map_residual_px,

@@ -15,7 +15,7 @@ from optsim.optics.ghost import mirrored
 from optsim.optics.psf import Blur, make_blur
 
 RINGS_PX = (0.0, 7.0, 14.0, 28.0, 56.0)
-"""Borders of the rings in which wings have a strength each, panel pixels from the middle."""
+"""Radii of the rings with one strength of PSF tails each, panel pixels."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Glare:
         if self.ghost > 0:
             stray += self.ghost * mirrored(arrived, self.ghost_blur_px)
         if any(self.wings):
-            stray += wings_blur(self.wings, reach, (arrived.shape[0], arrived.shape[1])).apply(arrived)
+            stray += tails_blur(self.wings, reach, (arrived.shape[0], arrived.shape[1])).apply(arrived)
         return stray
 
 
@@ -128,6 +128,6 @@ def _kernel(strengths: tuple[float, ...], reach: int) -> Doubles:
 
 
 @lru_cache(maxsize=16)
-def wings_blur(strengths: tuple[float, ...], reach: int, shape: tuple[int, int]) -> Blur:
+def tails_blur(strengths: tuple[float, ...], reach: int, shape: tuple[int, int]) -> Blur:
     """Prepare PSF tails of these strengths, beyond ``reach`` panel pixels, for images of a shape."""
     return make_blur(_kernel(strengths, reach), shape)

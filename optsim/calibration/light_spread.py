@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from optsim.calibration.bench import Patches
-from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, wings_blur
+from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, tails_blur
 from optsim.calibration.shading import PixelReader, Shading
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Doubles, Floats
@@ -52,7 +52,7 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
         return np.concatenate(images) / sigma
 
     n_rings = sum(outer <= _WIDEST_RING * min(shape) for outer in RINGS_PX[1:])
-    blurs = [wings_blur(tuple(ring), REACH, shape) for ring in np.eye(len(RINGS_PX) - 1)[:n_rings]]
+    blurs = [tails_blur(tuple(ring), REACH, shape) for ring in np.eye(len(RINGS_PX) - 1)[:n_rings]]
     plain = [term(lambda light: np.full(shape, light.mean())), *(term(blur.apply) for blur in blurs)]
 
     def fit(terms: list[Doubles]) -> tuple[float, list[float]]:
@@ -69,13 +69,13 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
         return with_ghost(log_blur)[0]
 
     log_blur = cast("float", fminbound(left_with_ghost, *np.log(_GHOST_BLURS_PX), xtol=_BLUR_STEP))
-    left, (veil, *wings) = fit(plain)
+    left, (veil, *tails) = fit(plain)
     ghost, blur_px = 0.0, Glare.ghost_blur_px
-    left_with, (veil_with, *wings_with, ghost_with) = with_ghost(log_blur)
+    left_with, (veil_with, *tails_with, ghost_with) = with_ghost(log_blur)
     if left - left_with > _GHOST_SIGMAS**2:
-        veil, wings, ghost, blur_px = veil_with, wings_with, ghost_with, float(np.exp(log_blur))
-    wings += [0.0] * (len(RINGS_PX) - 1 - n_rings)
-    return Glare(veil, ghost, blur_px, tuple(wings))
+        veil, tails, ghost, blur_px = veil_with, tails_with, ghost_with, float(np.exp(log_blur))
+    tails += [0.0] * (len(RINGS_PX) - 1 - n_rings)
+    return Glare(veil, ghost, blur_px, tuple(tails))
 
 
 def _dark_places(

@@ -75,7 +75,7 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
     if signal <= 0 or excess <= 0.1 * read_variance:
         raise BenchError(
             f"bench flats: their temporal variance exceeds that of the darks by {excess:.3g} DN^2 only, so "
-            "the gain cannot be told; take flats up to half of full well"
+            "the gain cannot be measured; take flats up to half of full well"
         )
     # Identical darks still have rounding noise.
     return SensorNoise(float(np.sqrt(max(read_variance, 1 / 12))), excess / signal)

@@ -42,16 +42,16 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "ccd_shape": ("(rows, columns)", "CCD pixels", "size of a frame"),
     "pick_row": ("v, u", "CCD pixel", "row of a frame that is read for a panel pixel, from 0"),
     "pick_col": ("v, u", "CCD pixel", "column of a frame that is read for a panel pixel, from 0"),
-    "reading_px": ("", "CCD pixels", "side of the square around the pick whose mean is read"),
+    "reading_px": ("", "CCD pixels", "side of the readout window, whose mean is read"),
     "valid": ("v, u", "mask", "false: off the CCD, a dead CCD pixel, a stuck panel pixel"),
     "responsivity_dn": (
         "v, u",
         "DN / (W m^-2 slot)",
         "signal of even light at weight 1, shading included; irradiance is that on the modulator, on axis",
     ),
-    "black_dn": ("v, u", "DN", "black level of what is read"),
+    "black_dn": ("v, u", "DN", "black level of the readout window"),
     "saturation_dn": ("v, u", "DN", "a pixel of a frame at or above it is saturated"),
-    "read_noise_dn": ("", "DN", "noise of what is read in the dark, standard deviation"),
+    "read_noise_dn": ("", "DN", "noise of the readout window in the dark, standard deviation"),
     "dn_per_e": ("", "DN / electron", "its shot noise has the variance dn_per_e (DN above black)"),
     "crosstalk": (
         "v, u, dv, du",
@@ -72,7 +72,7 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "glare_veil": ("", "1", "share of the light that is spread evenly"),
     "glare_ghost": ("", "1", "share of the light that comes back mirrored through the panel's middle"),
     "glare_ghost_blur_px": ("", "panel pixels", "standard deviation of the ghost's blur"),
-    "glare_wings": ("ring", "1", "a pick r panel pixels away gets strength / r^3 of a pixel's light"),
+    "glare_wings": ("ring", "1", "PSF tails: a reading r panel pixels away gets strength / r^3"),
     "slot_weight": (
         "field, end, before, level",
         "1",

@@ -67,7 +67,7 @@ ALL: dict[str, Effect] = {
         {"modulator": {"depolarised_share": 0.09, "gap_reflectivity": 0.1}},
     ),
     "response": Effect(
-        "time that the liquid crystal takes, with its history",
+        "response time of the liquid crystal, with its history",
         {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
         {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
     ),
@@ -122,7 +122,7 @@ ALL: dict[str, Effect] = {
     ),
     # 0.1 dioptres, 7 m taken for 4 m, is a focus set by eye; 3 % is a cheap wide-angle lens: no source.
     "depth_of_field": Effect(
-        "what is not in focus, by a thin lens",
+        "defocus by depth, of a thin lens",
         {"objective": {"focus_m": "everywhere"}},
         {"objective": {"defocus_per_m": 0.1}},
         in_scene=True,
@@ -214,7 +214,7 @@ ALL: dict[str, Effect] = {
         drifts=True,
     ),
     "lost_fields": Effect(
-        "slots that pass while the CCD is read out, if it cannot be read during the next exposure",
+        "slots lost to the CCD's readout, if it cannot overlap the next exposure",
         {ITSELF: {"overlap": True}},
         {ITSELF: {"overlap": False}},
     ),
@@ -234,7 +234,7 @@ ALL: dict[str, Effect] = {
         {"sensor": {"smear_share": 1e-2}},
     ),
     "dark_current": Effect(
-        "electrons that no light freed",
+        "dark current: electrons without light",
         {"sensor": {"dark_current_e_s": 0.0}},
         {"sensor": {"dark_current_e_s": 10.0}},
     ),
@@ -253,7 +253,7 @@ ALL: dict[str, Effect] = {
     # the published simulation of the ICX674, 10 in a camera with the IMX174 (Grasshopper3 Technical
     # Reference).
     "quantisation": Effect(
-        "digital numbers that are whole; ideal: of 16 bits",
+        "rounding to whole digital numbers; ideal: 16 bits",
         {"sensor": {"finer_bits": 8}},
         {"sensor": {"finer_bits": -2}},
     ),

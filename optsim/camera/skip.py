@@ -18,7 +18,7 @@ from typing import Literal
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import Changes, changed
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.camera.probe import FINEST_FIELD, Illumination, share_beyond_window
 from optsim.core.config import Part
 
@@ -28,7 +28,7 @@ _MOST_HIDDEN = 0.06
 # 0.0001 of a frame's noise, before a window too large to be hidden at most 0.046. Beside small lamps it was
 # 0.3 to 4.7 times the electrons in their PSF tails, over the noise.
 _EVEN, _LARGE_LIGHT, _HIDDEN_LIGHT = 1e-3, 0.06, 7.0
-_FINEST_WINGS = 1e-4  # share of the light beyond a PSF's window
+_FINEST_TAILS = 1e-4  # share of the light beyond a PSF's window
 _NEVER = math.inf
 
 
@@ -86,7 +86,7 @@ def straight_lines(given: Given) -> float:
     """Bound the error of putting the light of PSF tails on straight lines in time within a segment.
 
     Only a bright light that appears or disappears deviates from its line. In the worst case a small one is
-    hidden as a whole: the share :data:`MOVING_WING_SHARE` of its light then changes, much of it close by.
+    hidden as a whole: the share :data:`MOVING_TAIL_SHARE` of its light then changes, much of it close by.
     """
     camera, lights = given.camera, given.light.lights
     hidden = sum(each.light for each in lights if each.share < _MOST_HIDDEN)
@@ -97,7 +97,7 @@ def straight_lines(given: Given) -> float:
     # The light rule limits the signal to this share of the well; a frame's mean is half of it.
     frame_e = min(white_e, given.light.saturation_share * sensor.most_e) / 2
     noise_e = math.hypot(math.sqrt(frame_e), sensor.read_noise_e)
-    spread = _HIDDEN_LIGHT * MOVING_WING_SHARE * hidden * 2 * frame_e / noise_e
+    spread = _HIDDEN_LIGHT * MOVING_TAIL_SHARE * hidden * 2 * frame_e / noise_e
     return (_LARGE_LIGHT if len(lights) else _EVEN) + spread
 
 
@@ -110,7 +110,7 @@ ALL: tuple[Skip, ...] = (
     ),
     Skip(
         "still_light",
-        "light that stands still, in all slots but one: movers are rendered as differences from it",
+        "the light without movers, in all slots but one: movers are rendered as differences from it",
         "render.window_room of optsim bench: time against error beside rendering every slot",
         lambda given: _exact(given.change in ("static", "lamps", "movers")),
     ),
@@ -122,7 +122,7 @@ ALL: tuple[Skip, ...] = (
     ),
     Skip(
         "polarisation",
-        "polarised light paths: nothing polarises, or the camera is told not to look",
+        "polarised light paths: nothing polarises, or the camera is set to ignore it",
         "not measured",
         lambda given: _exact(given.change is not None and not given.polarised),
     ),
@@ -133,11 +133,11 @@ ALL: tuple[Skip, ...] = (
         lambda given: _exact(given.change is not None and given.focused),
     ),
     Skip(
-        "moving_wings",
+        "moving_tails",
         "far parts of the objective's PSF for moving light, instant by instant: straight lines instead",
         "12 to 0.75 s a frame of the prototype",
         straight_lines,
-        {"objective": {"moving_wing_share": 0.0}},
+        {"objective": {"moving_tail_share": 0.0}},
     ),
 )
 
@@ -220,8 +220,8 @@ def _finest(camera: CodedCamera) -> CodedCamera:
     for part, fields in changes.items():
         if _at_default(camera, {part: {"field_error": 0.0}}):
             fields["field_error"] = FINEST_FIELD
-        if _at_default(camera, {part: {"wing_share": 0.0}}):
-            fields["wing_share"] = max(_FINEST_WINGS, share_beyond_window(camera, part, length))
+        if _at_default(camera, {part: {"tail_share": 0.0}}):
+            fields["tail_share"] = max(_FINEST_TAILS, share_beyond_window(camera, part, length))
     return changed(camera, changes)
 
 

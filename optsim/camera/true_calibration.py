@@ -21,7 +21,7 @@ from optsim.optics.panel import PanelResponse
 from optsim.optics.readings import mean_reading
 from optsim.optics.relay import RelayOperator
 
-_SAME_TIME = 1e-6  # relative difference of slots that is rounding
+_SAME_TIME = 1e-6  # relative difference of slots within rounding
 
 
 def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = False) -> Calibration:
@@ -46,7 +46,7 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
     image = operator.apply(shading * gain * camera.slot_s)
     nothing = _no_crosstalk(camera), Glare()
     crosstalk, glare = nothing if alone else _of_others(camera, operator, image, square, on_ccd)
-    return _known(
+    return _from_electrons(
         "true",
         camera,
         response=camera.panel_response,
@@ -109,7 +109,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     shape = (camera.panel_rows, camera.panel_cols)
     exponent = camera.modulator.drive_exponent
     white_rad = camera.modulator.stated_white_rad(camera.wavelength_m)
-    return _known(
+    return _from_electrons(
         "ideal",
         camera,
         response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
@@ -123,7 +123,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     )
 
 
-def _known(
+def _from_electrons(
     source: Literal["true", "ideal"],
     camera: CodedCamera,
     *,

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, check_fits, turns
+from optsim.coding.periodic import PeriodicScheme, check_fits, turns
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class CodedRollingShutter(TiledScheme):
+class CodedRollingShutter(PeriodicScheme):
     """Rows k, k + K, k + 2 K ... are one sub-image; the K sub-images are exposed one after the other.
 
     The interlaced readout of Gu, Hitomi, Mitsunaga and Nayar, "Coded rolling shutter photography: flexible

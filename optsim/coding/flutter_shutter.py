@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from optsim.coding.tiles import OPEN, TiledScheme
+from optsim.coding.periodic import OPEN, PeriodicScheme
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, Bytes
 
@@ -22,7 +22,7 @@ _STARTS = 64
 _WEAKEST = 96
 
 
-class FlutterShutter(TiledScheme):
+class FlutterShutter(PeriodicScheme):
     """All pixels equal: half of the coded slots are open, so that motion blur loses no frequency.
 
     Raskar, Agrawal and Tumblin, "Coded exposure photography: motion deblurring using fluttered shutter", ACM

@@ -8,11 +8,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import field_validator
 
-from optsim.coding.tiles import TiledScheme, bump
+from optsim.coding.periodic import PeriodicScheme, bump
 from optsim.core.quantities import Bytes
 
 
-class HdrMosaic(TiledScheme):
+class HdrMosaic(PeriodicScheme):
     """Pixel (v, u) of frame f has exposure e_((2v + u + f) mod 4): equation (5), x = u and y = v.
 
     Every 2 x 2 block holds all four exposures, and every pixel has all four within four frames. An exposure

@@ -11,33 +11,33 @@ from pydantic import Field, model_validator
 
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import (
-    Brightness,
     Crosstalk,
     DemixedFrame,
+    SaturationPrior,
     check_crosstalk,
-    sample_bounds,
+    demixed_interval,
     take_next,
 )
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
+from optsim.coding.periodic import PeriodicCode
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.static_schemes import StaticScheme
-from optsim.coding.tiles import TiledCode
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode, PanelState
 from optsim.optics.motion import changed
-from optsim.optics.neighbourhoods import dilated, without_specks
+from optsim.optics.neighbourhoods import dilated, remove_specks
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class AdaptiveState:
     """State of the adaptive scheme between frames.
 
     Parameters
     ----------
     calibration : Calibration
         The camera as measured on the bench.
-    static, moving : TiledCode
+    static, moving : PeriodicCode
         The two codes it chooses from.
     panel : PanelState or None
         The panel after the last frame that arrived; None before there is one.
@@ -45,7 +45,7 @@ class Watch:
         Frames that have arrived.
     last : DemixedFrame or None
         The last frame that arrived.
-    seen : Brightness
+    seen : SaturationPrior
         Saturation prior of each pixel, from its last frames.
     label : ndarray of shape (v, u), bool
         Pixels that changed between the last two frames, before clean-up.
@@ -54,12 +54,12 @@ class Watch:
     """
 
     calibration: Calibration
-    static: TiledCode
-    moving: TiledCode
+    static: PeriodicCode
+    moving: PeriodicCode
     panel: PanelState | None
     n_seen: int
     last: DemixedFrame | None
-    seen: Brightness
+    seen: SaturationPrior
     label: Bools
     label_before: Bools
 
@@ -127,7 +127,7 @@ class MotionAdaptive(Part):
             )
         return self
 
-    def init(self, calibration: Calibration, rng: np.random.Generator) -> Watch:
+    def init(self, calibration: Calibration, rng: np.random.Generator) -> AdaptiveState:
         """Start before any frame.
 
         Raises
@@ -136,19 +136,21 @@ class MotionAdaptive(Part):
             When crosstalk is to be undone and cannot be.
         """
         check_crosstalk(calibration, self.crosstalk)
-        return Watch(
+        return AdaptiveState(
             calibration,
             self.static.init(calibration, rng),
             self.moving.init(calibration, rng),
             None,
             n_seen=0,
             last=None,
-            seen=Brightness.unknown(calibration.shape),
+            seen=SaturationPrior.unknown(calibration.shape),
             label=np.zeros(calibration.shape, np.bool_),
             label_before=np.zeros(calibration.shape, np.bool_),
         )
 
-    def next(self, index: int, arrived: Sequence[CodedFrame], state: Watch) -> tuple[ExposureCode, Watch]:
+    def next(
+        self, index: int, arrived: Sequence[CodedFrame], state: AdaptiveState
+    ) -> tuple[ExposureCode, AdaptiveState]:
         """Code of frame ``index`` from all frames that have arrived."""
         for frame in arrived[state.n_seen :]:
             state = self._learn(frame, state)
@@ -164,15 +166,15 @@ class MotionAdaptive(Part):
         return ExposureCode(levels, decoded), state
 
     def _cleaned(self, label: Bools) -> Bools:
-        return dilated(without_specks(label, self.speck_px), self.dilation_px)
+        return dilated(remove_specks(label, self.speck_px), self.dilation_px)
 
-    def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
+    def _learn(self, frame: CodedFrame, state: AdaptiveState) -> AdaptiveState:
         # Saturated pixels keep their earlier irradiance: right if nothing moves, which is what the test
         # assumes.
-        sample, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
+        demixed, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
         label = state.label
         if state.last is not None:
-            before, now = (sample_bounds(state.calibration, s) for s in (state.last, sample))
+            before, now = (demixed_interval(state.calibration, s) for s in (state.last, demixed))
             moved, undecided = changed(before, now, self.threshold_sigma, least_change=self.least_change)
             if self.release_sigma is not None:
                 lower = changed(before, now, self.release_sigma, least_change=self.least_change)[0]
@@ -182,7 +184,7 @@ class MotionAdaptive(Part):
             state,
             panel=panel,
             n_seen=state.n_seen + 1,
-            last=sample,
+            last=demixed,
             seen=seen,
             label=label,
             label_before=state.label,

@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, bump, check_fits
+from optsim.coding.periodic import PeriodicScheme, bump, check_fits
 from optsim.core.quantities import Bytes
 
 
-class NormalPhotography(TiledScheme):
+class NormalPhotography(PeriodicScheme):
     """All pixels open, in all coded slots or in the first few.
 
     Parameters

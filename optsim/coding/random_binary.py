@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import OPEN, TiledScheme, square
+from optsim.coding.periodic import OPEN, PeriodicScheme, square
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class RandomBinary(TiledScheme):
+class RandomBinary(PeriodicScheme):
     """Every pixel open or closed at random in every slot, independently of all others.
 
     The code of Reddy, Veeraraghavan and Chellappa, "P2C2: Programmable pixel compressive camera for high

@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from optsim.coding.tiles import TiledScheme, bumps, check_fits, square
+from optsim.coding.periodic import PeriodicScheme, bumps, check_fits, square
 from optsim.core.quantities import Bytes
 
 
-class RandomLengths(TiledScheme):
+class RandomLengths(PeriodicScheme):
     """A single bump a pixel; lengths evenly spread over a tile at random places, starts at random.
 
     After Portz, Zhang and Jiang, "Random coded sampling for high-speed HDR video", ICCP 2013. Their sensor

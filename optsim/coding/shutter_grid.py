@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, square, turns
+from optsim.coding.periodic import PeriodicScheme, square, turns
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class ShutterGrid(TiledScheme):
+class ShutterGrid(PeriodicScheme):
     """The pixels of a k x k grid open one after the other, row by row, each for its share of the frame.
 
     Bub, Tecza, Helmes, Lee and Kohl, "Temporal pixel multiplexing for simultaneous high-speed,

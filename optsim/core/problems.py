@@ -40,18 +40,18 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
     # Pydantic also calls a list of wrong items too short: that is not a second problem.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
     lines: list[str] = []
-    told: dict[tuple[int | str, ...], int] = {}
+    reported: dict[tuple[int | str, ...], int] = {}
     for item in items:
         if item["type"] == "too_short" and item["loc"] in inside:
             continue
         place = _place(part, table, item["loc"])
         line = _line(part, item, place)
         _, also, expected = line.partition(", expected ")
-        if also and place.steps in told:
+        if also and place.steps in reported:
             # A key that takes a number or a word reports two errors: they are merged into one problem.
-            lines[told[place.steps]] += f", or {expected}"
+            lines[reported[place.steps]] += f", or {expected}"
         else:
-            told[place.steps] = len(lines)
+            reported[place.steps] = len(lines)
             lines.append(line)
     return lines
 
@@ -190,7 +190,7 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
         keys.append(str(name or step))
         path += [step] if isinstance(step, str) else []
         if field and get_origin(field.annotation) is dict:
-            field = None  # a name that somebody gave a part, not a key of one
+            field = None  # the name of a part, not a key of one
         elif isinstance(step, str):
             owners = inside
             fields = [p.model_fields[step] for p in owners if step in p.model_fields]

@@ -19,7 +19,7 @@ _UNITS: dict[str, dict[str, float]] = {
     "_c": {"°C": 1.0, "C": 1.0},
 }
 # Units that are only shown: such a key accepts plain numbers only.
-_TOLD = {
+_SHOWN_ONLY = {
     "_w_m2_sr": "W m^-2 sr^-1",
     "_px": "pixels",
     "_dn": "digital numbers",
@@ -41,7 +41,9 @@ def units_of(key: str) -> dict[str, float]:
 
 def unit_of(key: str) -> str:
     """Name a key's unit, with an example of another one that is accepted; empty where it has none."""
-    own, *others = units_of(key) or [next((unit for end, unit in _TOLD.items() if key.endswith(end)), "")]
+    own, *others = units_of(key) or [
+        next((unit for end, unit in _SHOWN_ONLY.items() if key.endswith(end)), "")
+    ]
     return f"{own} (a text such as '1 {others[0]}' works too)" if others else own
 
 

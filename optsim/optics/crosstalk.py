@@ -102,12 +102,12 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
                 v, u = (a.ravel() for a in np.meshgrid(lattice.rows - dv, lattice.cols - du, indexing="ij"))
                 inside = (v >= 0) & (v < rows) & (u >= 0) & (u < cols)
                 v, u = v[inside], u[inside]
-                believed = good[v, u] & good[v + dv, u + du]
-                v, u = v[believed], u[believed]
+                usable = good[v, u] & good[v + dv, u + du]
+                v, u = v[usable], u[usable]
                 left += terms[v, u].T @ terms[v, u]
                 right += terms[v, u].T @ lattice.seen[v, u]
             if left[0, 0] == 0:
-                raise ValueError(f"no dot shows the neighbour at ({dv}, {du}) of any believable pixel")
+                raise ValueError(f"no dot shows the neighbour at ({dv}, {du}) of any valid pixel")
             ridge = _RIDGE * left[0, 0] * np.eye(n)
             ridge[0, 0] = 0
             coefficients[:, reach + dv, reach + du] = np.linalg.solve(left + ridge, right)

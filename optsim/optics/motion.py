@@ -22,7 +22,7 @@ from optsim.optics.stray_light import stray_light
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class IrradianceInterval:
     """Interval of each pixel's mean irradiance, from one coded frame.
 
     Parameters
@@ -59,19 +59,19 @@ class Bounds:
         """Pixels that were measured on both sides, not only bounded."""
         return self.valid & np.isfinite(self.low) & np.isfinite(self.high)
 
-    def replaced(self, where: Bools, by: Bounds) -> Bounds:
+    def replaced(self, where: Bools, by: IrradianceInterval) -> IrradianceInterval:
         """Replace some pixels by those of another frame."""
         mixed: dict[str, Any] = {
             f.name: np.where(where, getattr(by, f.name), getattr(self, f.name)) for f in fields(self)
         }
-        return Bounds(**mixed)
+        return IrradianceInterval(**mixed)
 
 
-def bounds(
+def irradiance_interval(
     signal: Floats,
     exposure: Floats,
     variance: Floats,
-    alike: Floats,
+    common: Floats,
     electron: Floats,
     saturated: Bools,
     tainted: Bools,
@@ -80,7 +80,7 @@ def bounds(
     gain_uncertainty: float,
     exposure_uncertainty: float,
     map_residual_px: float,
-) -> Bounds:
+) -> IrradianceInterval:
     """Divide a frame by its exposure, with the error of the quotient.
 
     Model error: ``gain_uncertainty E``, plus ``exposure_uncertainty E`` over the exposure, plus the change of
@@ -94,7 +94,7 @@ def bounds(
         Sum over the slots of the weights, slots.
     variance : ndarray of shape (v, u), float32
         Variance of the signal by noise and errors that pixels share, its unit squared.
-    alike : ndarray of shape (v, u), float32
+    common : ndarray of shape (v, u), float32
         Part of it that pixels may share: rounding, and the ambiguous origin of crosstalk.
     electron : ndarray of shape (v, u), float32
         Signal of one electron, W m^-2 slots: its shot noise per unit of signal.
@@ -110,16 +110,16 @@ def bounds(
     usable = valid & (exposure > 1e-6)
     per_slot = np.where(usable, exposure, np.float32(1))
     mean = np.where(usable, signal / per_slot, 0).astype(np.float32)
-    shared = alike / per_slot**2
+    shared = common / per_slot**2
     shared += (gain_uncertainty * mean) ** 2 + (exposure_uncertainty * mean / per_slot) ** 2
     shared += (map_residual_px * _slope(signal) / per_slot) ** 2
-    whole = (variance - alike) / per_slot**2 + shared
+    whole = (variance - common) / per_slot**2 + shared
     infinite = np.float32(np.inf)
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
     stray = stray_light(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
-    return Bounds(
+    return IrradianceInterval(
         low,
         high,
         whole.astype(np.float32),
@@ -146,8 +146,8 @@ def _slope(image: Floats) -> Floats:
 
 
 def changed(
-    first: Bounds,
-    second: Bounds,
+    first: IrradianceInterval,
+    second: IrradianceInterval,
     threshold_sigma: float,
     *,
     reaches_px: Sequence[int] = (1, 2),
@@ -163,7 +163,7 @@ def changed(
 
     Parameters
     ----------
-    first, second : Bounds
+    first, second : IrradianceInterval
         Two frames.
     threshold_sigma : float
         Gap that counts as a change, in standard deviations of the difference. For two measured values of a
@@ -229,7 +229,7 @@ class _Pair:
         return self.read + self.shot * self.mean
 
 
-def _pair(first: Bounds, second: Bounds) -> _Pair:
+def _pair(first: IrradianceInterval, second: IrradianceInterval) -> _Pair:
     frames = (first, second)
     measured = first.measured & second.measured
     means = [np.where(measured, frame.high, 0) for frame in frames]

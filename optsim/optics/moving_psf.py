@@ -18,8 +18,8 @@ import numpy as np
 from optsim.core.quantities import Doubles
 from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.pixel_splines import splines
+from optsim.optics.psf_tails import near_half
 from optsim.optics.tap_blur import LARGEST_TAPS
-from optsim.optics.wings import near_half
 
 # Largest share of light collected on pixels, and least half width of the core, panel pixels.
 _REST_SHARE, _LEAST_NEAR = 1e-2, 3

@@ -27,7 +27,7 @@ def sum_around(image: Reals, reach_px: int) -> Reals:
     return image
 
 
-def without_specks(mask: Bools, least_px: int) -> Bools:
+def remove_specks(mask: Bools, least_px: int) -> Bools:
     """Remove connected regions (8 neighbours) of fewer than ``least_px`` pixels."""
     if least_px <= 1:
         return mask

@@ -44,9 +44,9 @@ def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
     return (2 / np.pi) * (np.arccos(rho) - rho * np.sqrt(1 - rho**2))
 
 
-def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, wing_share: float) -> int:
-    """Half width in cells of a window that misses at most ``wing_share`` of an Airy pattern."""
-    return max(2, int(np.ceil(share_beyond(wavelength_m, f_number, cell_m) / wing_share)))
+def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, tail_share: float) -> int:
+    """Half width in cells of a window that misses at most ``tail_share`` of an Airy pattern."""
+    return max(2, int(np.ceil(share_beyond(wavelength_m, f_number, cell_m) / tail_share)))
 
 
 def share_beyond(wavelength_m: float, f_number: float, radius_m: float) -> float:
@@ -62,7 +62,7 @@ def psf_kernel(
     sigma_m: float,
     cell_m: float,
     wavelength_m: float,
-    wing_share: float,
+    tail_share: float,
     *,
     disc_m: float = 0.0,
     diffraction: bool = True,
@@ -79,7 +79,7 @@ def psf_kernel(
         Side of a cell in the plane where f-number and sigma hold, m.
     wavelength_m : float
         Wavelength, m.
-    wing_share : float
+    tail_share : float
         Share of the energy that may lie outside the window; it is added to the central cell.
     disc_m : float
         Diameter of the disc of confusion of geometrical optics, for a plane out of focus, m.
@@ -96,7 +96,7 @@ def psf_kernel(
         # The variance of a disc along each axis is a sixteenth of its squared diameter.
         return _gaussian_kernel(np.sqrt(variance + (disc_m / cell_m) ** 2 / 16))
     spread = wavelength_m * f_number / cell_m
-    half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share) + int(np.ceil(disc_m / cell_m / 2))
+    half = kernel_half_width(wavelength_m, f_number, cell_m, tail_share) + int(np.ceil(disc_m / cell_m / 2))
     if spread <= _POINT_SPREAD and not variance and not disc_m:
         return _point_kernel(spread, half)
     # The rings' mean is used beyond this: far from disc and Gaussian, and many rings from the centre.

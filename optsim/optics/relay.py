@@ -282,7 +282,7 @@ class RelayOperator:
 
     Parameters
     ----------
-    blur : Blur, FieldBlur or Winged
+    blur : Blur, FieldBlur or TailedBlur
         PSF on the fine panel grid.
     overlap : sparse.csc_array
         From :func:`overlap_operator`.

@@ -23,7 +23,7 @@ def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Fl
     Parameters
     ----------
     signal, exposure, variance : ndarray of shape (v, u), float32
-        As of :func:`optsim.optics.motion.bounds`.
+        As of :func:`optsim.optics.motion.irradiance_interval`.
     electron : ndarray of shape (v, u), float32
         Signal of one electron, as there.
     known : ndarray of shape (v, u), bool
@@ -44,7 +44,7 @@ def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Fl
     y, xy = around(weights * own), around(weights * opened * own)
     spread = n * xx - x**2
     # With equal exposures the two cannot be separated.
-    told = spread > 1e-6 * n * xx
-    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=told)
-    noise = np.divide(xx, spread, out=np.zeros_like(y), where=told)
+    separable = spread > 1e-6 * n * xx
+    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=separable)
+    noise = np.divide(xx, spread, out=np.zeros_like(y), where=separable)
     return np.sqrt(np.maximum(intercept**2 - _SIGMA**2 * noise, 0))

@@ -24,7 +24,7 @@ _LOOK_UP = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
+class _TracedPaths:
     """Paths without movers: a range of the samples of some pixels; (n, sample)."""
 
     radiance: Floats
@@ -57,7 +57,7 @@ class Difference:
         self._around = Stage(*seen, movers=False, boxes=boxes, glow=True, azimuth_rad=azimuth_rad)
         # (turn, half, level) -> row of each pixel, and its paths. Only a cache: paths are keyed by pixel, so
         # the order of tracing has no effect.
-        self._known: dict[tuple[object, int, int], tuple[Ints, _Known]] = {}
+        self._traced: dict[tuple[object, int, int], tuple[Ints, _TracedPaths]] = {}
         entry = plan.cache.get(plan.key("near", plan.timing.n_slots), self._near_share)
         self._cost = np.array(entry["share"]).ravel() + np.float32(_LOOK_UP)
 
@@ -99,7 +99,7 @@ class Difference:
         first: list[Ints] = []
         before: list[Floats] = []
         for part, level, here in _wanted(counts):
-            rows, paths = self._known[turn, part, level]
+            rows, paths = self._traced[turn, part, level]
             at = rows[pixels[here]]
             row, sample = np.nonzero(paths.near[at] | all_near)
             where.append(here[row] + part * len(pixels))
@@ -132,11 +132,11 @@ class Difference:
         asks: list[Ints] = []
         for half, level, pixels in wanted:
             first, width = _stretch(level)
-            if (turn, half, level) not in self._known:
+            if (turn, half, level) not in self._traced:
                 nothing = np.zeros((0, width), np.float32)
                 rows = np.full(len(self._static), -1, np.int64)
-                self._known[turn, half, level] = rows, _Known(nothing, nothing.astype(np.bool_))
-            rows, paths = self._known[turn, half, level]
+                self._traced[turn, half, level] = rows, _TracedPaths(nothing, nothing.astype(np.bool_))
+            rows, paths = self._traced[turn, half, level]
             new = pixels[rows[pixels] < 0]
             rows[new] = len(paths.radiance) + np.arange(len(new))
             seeds = np.full(len(new) * width, self._plan.seeds("key", turn)[half])
@@ -151,11 +151,11 @@ class Difference:
         ends = np.cumsum([part.shape[1] for part in asks])[:-1]
         parts = zip(wanted, np.split(found.astype(np.float32), ends), np.split(near, ends), strict=True)
         for (half, level, _), radiance, is_near in parts:
-            rows, paths = self._known[turn, half, level]
+            rows, paths = self._traced[turn, half, level]
             shape = -1, _stretch(level)[1]
-            self._known[turn, half, level] = (
+            self._traced[turn, half, level] = (
                 rows,
-                _Known(
+                _TracedPaths(
                     np.concatenate([paths.radiance, radiance.reshape(shape)]),
                     np.concatenate([paths.near, is_near.reshape(shape)]),
                 ),
@@ -165,7 +165,7 @@ class Difference:
         """Share of each pixel's paths that come near a mover, smoothed."""
         pixels = self._plan.pixels
         self._trace_new("pilot", [(0, 0, pixels), (1, 0, pixels)])
-        halves = [self._known["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
+        halves = [self._traced["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
         return {"share": smoothed(self._plan.shape, np.mean(halves, axis=0))}
 
 

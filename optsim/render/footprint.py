@@ -17,21 +17,25 @@ from optsim.render.lens import margin_px as margin_of
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Single
 from optsim.scene.geometry import Faces
-from optsim.scene.keyframed import Carried
+from optsim.scene.keyframed import KeyframedObjects
 
 # A square pixel cannot see a triangle farther from its centre than half its diagonal.
 _MARGIN_PX = 0.75
 
 
-def vertices_at(mover: Single | Carried, time_s: float) -> Doubles:
+def vertices_at(mover: Single | KeyframedObjects, time_s: float) -> Doubles:
     """Return a mover's vertices at an instant, (n, 3), m; cached, since several stages use the same ones."""
     # Keyframed objects hold a dict, so they can't be cached; they are quick to move.
-    return mover.vertices(time_s) if isinstance(mover, Carried) else _vertices_at(cast("Any", mover), time_s)
+    return (
+        mover.vertices(time_s)
+        if isinstance(mover, KeyframedObjects)
+        else _vertices_at(cast("Any", mover), time_s)
+    )
 
 
-def faces_of(mover: Single | Carried) -> Faces:
+def faces_of(mover: Single | KeyframedObjects) -> Faces:
     """Return a mover's triangles, the same at all times."""
-    return mover.rest().faces if isinstance(mover, Carried) else _faces_of(cast("Any", mover))
+    return mover.rest().faces if isinstance(mover, KeyframedObjects) else _faces_of(cast("Any", mover))
 
 
 @functools.lru_cache(maxsize=1024)

@@ -68,7 +68,7 @@ def radial_k1(view: View) -> float:
     return view.distortion / corner_tan(view.rows, view.cols, view.tan_half_width) ** 2
 
 
-def picked(image: np.ndarray, view: View) -> np.ndarray:
+def on_view(image: np.ndarray, view: View) -> np.ndarray:
     """Resample a picture from the ideal grid, (y, x), to the view's by the nearest sample."""
     return image[_nearest(view)] if view.distortion else image
 
@@ -79,7 +79,7 @@ def touched(mask: Bools, view: View) -> Bools:
         return mask
     wide = np.pad(mask, 1)
     tall = wide[:-2] | wide[1:-1] | wide[2:]
-    return picked(tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:], view)
+    return on_view(tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:], view)
 
 
 @lru_cache(maxsize=4)

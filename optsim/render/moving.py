@@ -120,7 +120,7 @@ def render_segment(
         covered = plan.own(span.times_s[pose]).ravel()[
             np.concatenate([trajectory.pixels for trajectory in due])
         ]
-        seen, coarse, own = _look(span, keys, pose, due, covered, own)
+        seen, coarse, own = _light_at(span, keys, pose, due, covered, own)
         cut = ends(due)
         parts = np.split(seen, cut, axis=1), np.split(coarse, cut, axis=1), np.split(covered, cut)
         for trajectory, light, without, hidden in zip(due, *parts, strict=True):
@@ -141,7 +141,7 @@ def render_segment(
     return arrays
 
 
-def _look(
+def _light_at(
     span: Span, keys: dict[int, KeyPose], pose: int, due: list[Trajectory], covered: Bools, own: Statistics
 ) -> tuple[Doubles, Doubles, Statistics]:
     """Light of some trajectories at a pose, both halves, (2, their samples), and statistics.

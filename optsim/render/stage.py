@@ -20,7 +20,7 @@ from optsim.render.analyser import twice_analysed
 from optsim.render.describe import camera_to_world, describe, parse_static, unit_m
 from optsim.render.first_hit import first_hit
 from optsim.render.footprint import vertices_at
-from optsim.render.lens import picked
+from optsim.render.lens import on_view
 from optsim.render.nearby import Boxes, glowing
 from optsim.render.rays import camera_rays, pieces, starts
 from optsim.scene.scene import Scene
@@ -132,11 +132,11 @@ class Stage:
         samples: int | Ints,
         seeds: tuple[int, ...],
         first_sample: int = 0,
-        told: Callable[[float], None] | None = None,
+        report_share: Callable[[float], None] | None = None,
     ) -> Doubles:
         """Mean of samples in some pixels, one independent estimate for each seed.
 
-        ``told`` is called with the share of samples done.
+        ``report_share`` is called with the share of samples done.
 
         Returns
         -------
@@ -146,7 +146,7 @@ class Stage:
         counts = np.broadcast_to(np.asarray(samples, np.int64), pixels.shape)
         turns = np.repeat(np.asarray(seeds, np.int64), len(pixels))
         found = self.paths(
-            np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample, told
+            np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample, report_share
         )
         return found.reshape(len(seeds), len(pixels))
 
@@ -156,7 +156,7 @@ class Stage:
         samples: Ints,
         seeds: Ints,
         first_sample: int | Ints = 0,
-        told: Callable[[float], None] | None = None,
+        report_share: Callable[[float], None] | None = None,
     ) -> Doubles:
         """Mean radiance over random paths, bitwise independent of other paths in the same call.
 
@@ -174,7 +174,7 @@ class Stage:
             Seed of each.
         first_sample : int or ndarray of shape (n,)
             Number of the first path: calls that continue each other stratify as one.
-        told : callable, optional
+        report_share : callable, optional
             Called at each launch with the share of pixels done.
 
         Returns
@@ -193,8 +193,8 @@ class Stage:
             values = self._trace(pixels[part], samples[part], seeds[part], first[part])
             # In float64, as float32 sums of many paths lose precision.
             result[part] = np.add.reduceat(values, starts(samples[part]), dtype=np.float64)
-            if told is not None:
-                told(part.stop / len(pixels))
+            if report_share is not None:
+                report_share(part.stop / len(pixels))
         return result / samples
 
     def hits(
@@ -212,7 +212,7 @@ class Stage:
         if not len(pixels):
             return PrimaryHits(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
-        parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
+        parts = [self._first_hits(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
         found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
         shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
         shape[~np.isfinite(found[2])] = -1
@@ -236,7 +236,7 @@ class Stage:
         seen = twice_analysed(mi, self._loaded, ray, light, self._azimuth_rad)
         return seen * mi.unpolarized_spectrum(weight)[0]
 
-    def _look(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
+    def _first_hits(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
         """Shape, face, distance, weights, albedo and perhaps radiance of random paths, in one launch."""
         import drjit as dr
         import mitsuba as mi
@@ -259,7 +259,7 @@ class Stage:
         import mitsuba as mi
 
         image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
-        return np.ascontiguousarray(picked(image.mean(axis=2), self.view), np.float32)
+        return np.ascontiguousarray(on_view(image.mean(axis=2), self.view), np.float32)
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:

@@ -153,7 +153,7 @@ def rotation(axis: Vector, angle_rad: float) -> Doubles:
     return np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * (cross @ cross)
 
 
-class Carried(Part):
+class KeyframedObjects(Part):
     """The objects of one material in a keyframed motion: a single mover.
 
     Parameters
@@ -186,13 +186,15 @@ def _resting(items: tuple[StillObject, ...]) -> Mesh:
     return merge([item.mesh() for item in items])
 
 
-def carried(name: str, motion: Keyframed, objects: dict[str, StillObject]) -> dict[str, Carried]:
+def keyframed_objects(
+    name: str, motion: Keyframed, objects: dict[str, StillObject]
+) -> dict[str, KeyframedObjects]:
     """Split a keyframed motion into one single mover a material, called ``<name>_<material>``."""
     groups: dict[str, tuple[StillObject, ...]] = {}
     for key in motion.objects:
         item = objects[key]
         groups[item.material] = (*groups.get(item.material, ()), item)
     return {
-        f"{name}_{material}": Carried.model_construct(material=material, motion=motion, items=items)
+        f"{name}_{material}": KeyframedObjects.model_construct(material=material, motion=motion, items=items)
         for material, items in groups.items()
     }

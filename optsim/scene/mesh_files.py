@@ -39,7 +39,7 @@ _LENGTH = "length of "
 _MARK, _OFFSET_BYTES, _DOUBLE = 0x041C, {3: 4, 4: 8}, 0x2000
 _FURTHER = {0x1: 3, 0x2: 2, 0x8: 3}
 _NAME_BYTES = 4096  # most that the name of a serialized mesh may take
-_STEP = 64  # rows looked at at once, more and more while all lists are as long
+_STEP = 64  # rows read at once, growing while all lists have the same length
 
 
 @dataclass(frozen=True)

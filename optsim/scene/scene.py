@@ -14,7 +14,7 @@ from optsim.scene.bands import MONO_NM, Band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
-from optsim.scene.keyframed import Carried, Keyframed, carried
+from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
@@ -31,7 +31,7 @@ Mover = Annotated[
 ]
 
 # Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.
-SingleMover = Single | Wheel | CarBody | Carried
+SingleMover = Single | Wheel | CarBody | KeyframedObjects
 
 
 class Scene(Part):
@@ -94,7 +94,7 @@ class Scene(Part):
         return lamps
 
     @model_validator(mode="after")
-    def _carries_what_exists(self) -> Scene:
+    def _keyframed_objects_exist(self) -> Scene:
         owner: dict[str, str] = {}
         for name, motion in self._motions().items():
             for key in motion.objects:
@@ -107,7 +107,7 @@ class Scene(Part):
                         "cure: let one mover carry it"
                     )
                 owner[key] = name
-            if clash := sorted(set(carried(name, motion, self.objects)) & set(self.movers)):
+            if clash := sorted(set(keyframed_objects(name, motion, self.objects)) & set(self.movers)):
                 raise ValueError(
                     f"movers.{name}: its part {clash[0]!r} has the name of another mover; cure: rename one"
                 )
@@ -147,7 +147,7 @@ class Scene(Part):
         found: dict[str, SingleMover] = {}
         for name, mover in self.movers.items():
             if isinstance(mover, Keyframed):
-                found |= carried(name, mover, self.objects)
+                found |= keyframed_objects(name, mover, self.objects)
             elif not isinstance(mover, Crowd | Car):
                 found[name] = mover
         return found

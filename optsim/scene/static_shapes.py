@@ -77,7 +77,7 @@ class StaticShapes(Part):
             element.set(key, str(Path(self.folder) / element.get(key, "")))
         if unit_m != 1.0:
             for shape in root.findall("shape"):
-                if shape.get("type") != "shapegroup":  # its instances are what stands in the scene
+                if shape.get("type") != "shapegroup":  # only its instances are in the scene
                     place = shape.find("transform[@name='to_world']")
                     if place is None:
                         place = ElementTree.SubElement(shape, "transform", name="to_world")

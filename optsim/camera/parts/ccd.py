@@ -132,7 +132,7 @@ class Ccd(Part):
         if self.zero_dn >= self.max_dn:
             raise ValueError(
                 f"black_dn: got {self.black_dn:g}, expected less than {2**self.bits - 1}, the most "
-                f"that {self.bits} bits tell; lower it, or take more bits"
+                f"number of {self.bits} bits; lower it, or take more bits"
             )
         least_e = _LEAST_RANGE * max(self.read_noise_e, 1.0)
         if self.range_e < least_e:

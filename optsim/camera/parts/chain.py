@@ -10,7 +10,7 @@ from optsim.core.quantities import Doubles
 from optsim.optics.mueller import UNPOLARISED
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-_PERFECT = 1e12  # contrast of a polariser that lets nothing else through
+_PERFECT = 1e12  # contrast of an ideal polariser
 
 
 def stage_transmissions(

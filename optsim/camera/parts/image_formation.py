@@ -22,8 +22,8 @@ from optsim.optics.integrate import cell_means
 from optsim.optics.moving_blur import blur_moving
 from optsim.optics.pixel_splines import draw_row, splines
 from optsim.optics.psf import Blur, extend, make_blur
+from optsim.optics.psf_tails import Ring, cut_softly, far_light, keep_above_zero, make_tails, moving_ends
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
-from optsim.optics.wings import Ring, cut_softly, far_light, keep_above_zero, make_wings, moving_ends
 
 
 def form_image(
@@ -36,7 +36,7 @@ def form_image(
     """Irradiance on the modulator: blur, cos^4, radiance to irradiance, veiling glare.
 
     PSF tails and veiling glare see moving light as its best straight line in time within a segment. The
-    deviation from the line is dropped (far below the tails and the glare). With a ``moving_wing_share`` of 0
+    deviation from the line is dropped (far below the tails and the glare). With a ``moving_tail_share`` of 0
     every instant is imaged like a still picture.
 
     Parameters
@@ -62,7 +62,7 @@ def form_image(
     cell_m = pitch_m / pitch
     f_number = objective.working_f_number
     psf = objective.psf(f_number, cell_m, shape, 0.0, wavelength_m)
-    moving_share = objective.moving_wing_share
+    moving_share = objective.moving_tail_share
     core_half = (
         objective.half_width(f_number, cell_m, moving_share, wavelength_m) if moving_share else psf.half
     )
@@ -99,10 +99,10 @@ def form_image(
             float(key.mean()) + float(np.einsum("yx,yx->", line, factor)) / key.size
             for key, line in zip(keys, moving, strict=True)
         ]
-        if not blurs.wings:
+        if not blurs.tails:
             ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
         else:
-            far = far_light(moving, blurs.wings, pitch)
+            far = far_light(moving, blurs.tails, pitch)
             ends = [
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
@@ -136,7 +136,7 @@ class _Blurs:
     ----------
     core : FieldPsf
         PSF core, applied to moving light in each instant.
-    wings : tuple of Ring
+    tails : tuple of Ring
         PSF tails, applied to the straight line in time.
     reach : int
         Half width of the whole PSF.
@@ -147,7 +147,7 @@ class _Blurs:
     """
 
     core: FieldPsf
-    wings: tuple[Ring, ...]
+    tails: tuple[Ring, ...]
     reach: int
     common: Blur
     varying: FieldBlur | None
@@ -167,11 +167,11 @@ class _Blurs:
 @lru_cache(maxsize=2)
 def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) -> _Blurs:
     turned = reversed_psf(psf)
-    core, wings = cut_softly(turned, core_half)
+    core, tails = cut_softly(turned, core_half)
     wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
     return _Blurs(
         core,
-        make_wings(wings, pitch, shape),
+        make_tails(tails, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
         varying_blur(turned.cores, shape) if psf.cores.size else None,

@@ -17,7 +17,7 @@ from optsim.optics.rims import RimModel, Rims
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
 _TAU_PER_DEGREE = 0.03
-_SHARP_PX = 1e-3  # narrower borders have no rims to speak of
+_SHARP_PX = 1e-3  # narrower borders need no fringe-field correction
 _FARTHEST = 4.0  # standard deviations of jitter at most: it lies beyond once in 16 000 frames
 _Drive = Annotated[float, Field(ge=0.5, le=1.5)]
 

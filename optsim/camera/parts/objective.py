@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optsim.camera.parts.lens import LARGEST_WING_SHARE, LensGroup
+from optsim.camera.parts.lens import LARGEST_TAIL_SHARE, LensGroup
 from optsim.core.quantities import Doubles
 from optsim.core.units import parse_quantity
 from optsim.optics.lens import STRONGEST_DISTORTION
@@ -18,7 +18,7 @@ _EITHER_WORD = ", ".join(_FOCUS_WORDS)
 # The share that plans mostly choose at a tolerance of a tenth of the noise. If the prototype's whole field
 # moves, with a window in it, a frame is off by half of that (`optsim bench capture`), by light that is not
 # straight in time.
-MOVING_WING_SHARE = 3.5e-3
+MOVING_TAIL_SHARE = 3.5e-3
 
 
 class Objective(LensGroup):
@@ -57,8 +57,8 @@ class Objective(LensGroup):
     distortion : float
         Relative radial displacement at the corner of the used panel; it grows with the square of the distance
         from the centre. Positive is a pincushion, negative a barrel, as in the relay.
-    moving_wing_share : float
-        Share of the PSF's energy in its tails for moving light (:mod:`optsim.optics.wings`). Tails and
+    moving_tail_share : float
+        Share of the PSF's energy in its tails for moving light (:mod:`optsim.optics.psf_tails`). Tails and
         veiling glare are computed on a coarser grid and on straight lines in time. 0 images every instant
         separately.
     """
@@ -75,7 +75,7 @@ class Objective(LensGroup):
     focus_m: float | Literal["target", "everywhere"] = "target"
     defocus_per_m: float = Field(default=0.0, ge=0, le=10)
     distortion: float = Field(default=0.0, ge=-STRONGEST_DISTORTION, le=STRONGEST_DISTORTION)
-    moving_wing_share: float = Field(default=MOVING_WING_SHARE, ge=0, le=LARGEST_WING_SHARE)
+    moving_tail_share: float = Field(default=MOVING_TAIL_SHARE, ge=0, le=LARGEST_TAIL_SHARE)
 
     @field_validator("focus_m", mode="before")
     @classmethod

@@ -11,15 +11,15 @@ from scipy import sparse
 from optsim.camera.parts.lens import LensGroup
 from optsim.optics.field_blur import FieldPsf, make_field_blur
 from optsim.optics.psf import SomeBlur
+from optsim.optics.psf_tails import near_half, with_tails
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 from optsim.optics.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
-from optsim.optics.wings import near_half, winged
 
 # PSF tails are computed on panel pixels. They begin at this distance from the centre or farther, and have at
 # most this share of the light. For the prototype they have 0.4 %, and 0.02 % is misplaced by up to two fine
 # cells.
-_NEAR_PIXELS, _WINGS_SHARE = 8, 5e-3
-_COLOURS_M = 200e-9  # of which lateral colour is told
+_NEAR_PIXELS, _TAILS_SHARE = 8, 5e-3
+_COLOURS_M = 200e-9  # range of lateral colour
 
 
 class Relay(LensGroup):
@@ -155,5 +155,5 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
 
 @lru_cache(maxsize=4)
 def _blur(psf: FieldPsf, shape: tuple[int, int], pitch: int) -> SomeBlur:
-    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _WINGS_SHARE))
-    return winged(make_field_blur(near, shape), psf.kernel, near.half, pitch)
+    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _TAILS_SHARE))
+    return with_tails(make_field_blur(near, shape), psf.kernel, near.half, pitch)

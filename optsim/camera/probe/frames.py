@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.camera.effects import Changes, changed
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.camera.probe.made_code import Schemes, made_code
 from optsim.core.quantities import Bools, Doubles, Floats, RadianceVideo
 
@@ -30,7 +30,7 @@ NOTHING: Changes = {}
 # that concern these are compared with a model that has them.
 PLAIN: Changes = {
     "modulator": {"rim_model": "mixed"},
-    "objective": {"field_error": 1.0, "moving_wing_share": MOVING_WING_SHARE},
+    "objective": {"field_error": 1.0, "moving_tail_share": MOVING_TAIL_SHARE},
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
@@ -47,7 +47,7 @@ _WHOLE: dict[str, Changes] = {
     "relay_blur": _RELAY,
 }
 MARGIN_PX = 4
-"""CCD pixels around a small panel's image, by as many of which pixels may be moved."""
+"""CCD pixels around a small panel's image: the largest displacement of its pixels."""
 
 
 def compared_with(name: str) -> Changes:

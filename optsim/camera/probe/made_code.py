@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.coding import MotionAdaptive, Scheme
-from optsim.coding.tiles import TiledCode
+from optsim.coding.periodic import PeriodicCode
 from optsim.core.quantities import Bytes, ExposureCode, RadianceVideo
 
 Schemes = Mapping[str, Scheme]
@@ -49,4 +49,4 @@ def levels_of(scheme: Scheme, camera: CodedCamera) -> Bytes:
         stripe = np.arange(camera.panel_cols) * _STRIPES // camera.panel_cols
         return np.where(stripe % 2 == 0, static, moving)
     tiles = scheme.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(_SEED))
-    return TiledCode(tiles, (camera.panel_rows, camera.panel_cols)).levels(0)
+    return PeriodicCode(tiles, (camera.panel_rows, camera.panel_cols)).levels(0)

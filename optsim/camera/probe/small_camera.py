@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ITSELF, Changes, changed
-from optsim.camera.parts.lens import LARGEST_WING_SHARE
+from optsim.camera.parts.lens import LARGEST_TAIL_SHARE
 from optsim.camera.probe.frames import MARGIN_PX, Probe, cone_and_sample
 from optsim.camera.probe.made_code import Schemes, levels_of
 from optsim.camera.probe.made_scene import made_scene
@@ -28,7 +28,7 @@ from optsim.scene import BrightLight
 
 _COLS = 40
 # PSF windows of a probe miss at least this share of the light: tails longer than its panel have no room.
-_NEAR_WINGS = 1e-3
+_NEAR_TAILS = 1e-3
 # Side of a lamp as wide as its blur by the lenses, fine samples; by trial.
 _POINT = 5.0
 _SHIFTS = ("shift_y_px", "shift_x_px")
@@ -109,10 +109,10 @@ def _window_within(small: CodedCamera) -> Changes:
     length = max(small.view.rows, small.view.cols)
 
     def share(part: str) -> float:
-        least = max(_NEAR_WINGS, share_beyond_window(small, part, length))
-        return max(getattr(small, part).wing_share, min(least, LARGEST_WING_SHARE))
+        least = max(_NEAR_TAILS, share_beyond_window(small, part, length))
+        return max(getattr(small, part).tail_share, min(least, LARGEST_TAIL_SHARE))
 
-    return {part: {"wing_share": share(part)} for part in ("objective", "relay")}
+    return {part: {"tail_share": share(part)} for part in ("objective", "relay")}
 
 
 def share_beyond_window(camera: CodedCamera, part: str, half: int) -> float:

@@ -19,7 +19,7 @@ OPEN = 255
 
 
 @dataclass(frozen=True, eq=False)
-class TiledCode:
+class PeriodicCode:
     """State of a static scheme: its tiles and the panel's size.
 
     Parameters
@@ -41,7 +41,7 @@ class TiledCode:
         return tile[:, rows[:, None], cols]
 
 
-class TiledScheme(Part, ABC):
+class PeriodicScheme(Part, ABC):
     """A scheme whose code does not depend on the scene; a subclass gives its tiles.
 
     ``TEMPORAL`` marks schemes whose pixels need the sparse decoder.
@@ -53,7 +53,7 @@ class TiledScheme(Part, ABC):
     def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
         """Levels of shape (frame, slot, y, x), dark in slots >= coded_slots."""
 
-    def init(self, calibration: Calibration, rng: np.random.Generator) -> TiledCode:
+    def init(self, calibration: Calibration, rng: np.random.Generator) -> PeriodicCode:
         """Choose the tiles once; all randomness of the scheme is here.
 
         Parameters
@@ -64,11 +64,11 @@ class TiledScheme(Part, ABC):
             The scheme's own stream.
         """
         tiles = self.tiles(calibration.slots_per_frame, calibration.coded_slots, rng)
-        return TiledCode(tiles, calibration.shape)
+        return PeriodicCode(tiles, calibration.shape)
 
     def next(
-        self, index: int, arrived: Sequence[CodedFrame], state: TiledCode
-    ) -> tuple[ExposureCode, TiledCode]:
+        self, index: int, arrived: Sequence[CodedFrame], state: PeriodicCode
+    ) -> tuple[ExposureCode, PeriodicCode]:
         """Code of frame ``index``, independent of the frames that have arrived."""
         del arrived
         moving: Bools = np.full(state.shape, self.TEMPORAL)

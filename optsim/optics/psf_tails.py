@@ -151,7 +151,7 @@ def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
     -------
     core : FieldPsf
         Core, falling to zero towards its edge.
-    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+    tails : ndarray of shape (2 h + 1, 2 h + 1), float64
         Tails, the same everywhere.
     """
     half = max(half, psf.core_half + _SOFT_CELLS)
@@ -162,36 +162,36 @@ def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
     far = np.abs(np.arange(-half, half + 1))
     fall = np.clip((np.maximum(far[:, None], far) - whole) / (half + 1 - whole), 0, 1)
     kept = core.kernel * np.cos(np.pi / 2 * fall) ** 2
-    wings = psf.kernel.copy()
+    tails = psf.kernel.copy()
     inner = slice(psf.half - half, psf.half + half + 1)
-    wings[inner, inner] -= kept
-    return FieldPsf(kept, core.cores), wings
+    tails[inner, inner] -= kept
+    return FieldPsf(kept, core.cores), tails
 
 
-def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
+def make_tails(tails: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
     """Prepare PSF tails for moving light on a fine grid of one shape; empty if there are none.
 
     Parameters
     ----------
-    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+    tails : ndarray of shape (2 h + 1, 2 h + 1), float64
         From :func:`cut_softly`.
     pitch : int
         Fine samples to a panel pixel.
     shape : tuple of int
         Rows and columns of the fine grid.
     """
-    if not wings.any():
+    if not tails.any():
         return ()
-    coarse = coarse_kernel(wings, pitch)
-    outer = _coarse_wings(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
+    coarse = coarse_kernel(tails, pitch)
+    outer = _coarse_tails(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
     # Splines reach a little farther than the tails they represent.
-    half, room = len(wings) // 2, (_RING_HALF + _ROOM) * pitch
+    half, room = len(tails) // 2, (_RING_HALF + _ROOM) * pitch
     near = slice(max(half - room, 0), half + room + 1)
-    inner = spline_kernel(wings[near, near], pitch)
+    inner = spline_kernel(tails[near, near], pitch)
     beyond = max(len(inner) // 2 - _RING_HALF, 0)
     inner = inner[beyond : len(inner) - beyond, beyond : len(inner) - beyond]
     parts = [(inner, 1)] if outer is None else [(inner, 1), (outer, _CELL)]
-    inner *= (wings.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
+    inner *= (tails.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
     rings: list[Ring] = []
     for part, cell in parts:
         reach = len(part) // 2
@@ -200,26 +200,26 @@ def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring
     return tuple(rings)
 
 
-def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
-    wings, half = kernel.copy(), len(kernel) // 2
-    wings[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
-    return coarse_kernel(wings, pitch) if wings.any() else None
+def _coarse_tails(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
+    tails, half = kernel.copy(), len(kernel) // 2
+    tails[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
+    return coarse_kernel(tails, pitch) if tails.any() else None
 
 
-def far_light(ends: Floats, wings: tuple[Ring, ...], pitch: int) -> Doubles:
+def far_light(ends: Floats, tails: tuple[Ring, ...], pitch: int) -> Doubles:
     """PSF tails of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
 
     Parameters
     ----------
     ends : ndarray of shape (2, y, x), float32
         From :func:`moving_ends`.
-    wings : tuple of Ring
-        From :func:`make_wings`, at least one.
+    tails : tuple of Ring
+        From :func:`make_tails`, at least one.
     pitch : int
         Fine samples to a panel pixel.
     """
     panel = np.stack(side_by_side(partial(_spline_means, end, pitch) for end in ends))
-    return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
+    return sum((ring.light(panel) for ring in tails[1:]), tails[0].light(panel))
 
 
 def _spline_means(image: Floats, pitch: int) -> Doubles:
@@ -232,7 +232,7 @@ def _spline_means(image: Floats, pitch: int) -> Doubles:
 
 
 @dataclass(frozen=True, eq=False)
-class Winged:
+class TailedBlur:
     """Blur on a fine grid, dark outside, with PSF tails on panel pixels and an exact adjoint.
 
     Parameters
@@ -285,7 +285,7 @@ def near_half(kernel: Doubles, least: int, share: float) -> int:
     return near
 
 
-def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:
+def with_tails(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:
     """Add a kernel's tails, all but its centre of (2 near_half + 1)^2, to a blur by that centre.
 
     Parameters
@@ -299,7 +299,7 @@ def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeB
     pitch : int
         Fine cells to a panel pixel.
     """
-    coarse = _coarse_wings(kernel, near_half, pitch)
+    coarse = _coarse_tails(kernel, near_half, pitch)
     if coarse is None:
         return near
-    return Winged(near, make_blur(coarse, (near.shape[0] // pitch, near.shape[1] // pitch)), pitch)
+    return TailedBlur(near, make_blur(coarse, (near.shape[0] // pitch, near.shape[1] // pitch)), pitch)
