@@ -27,7 +27,7 @@ from optsim.camera.hardware import prototype
 from optsim.camera.probe import WHITE_OVER_INTERIOR, Illumination
 from optsim.camera.skip import Given, leave_out
 from optsim.coding import MotionAdaptive, RandomBinary, Scheme
-from optsim.coding.tiles import TiledCode
+from optsim.coding.periodic import PeriodicCode
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import (
     Block,
@@ -224,7 +224,7 @@ def _adaptive_code(camera: CodedCamera, scheme: MotionAdaptive, share: float) ->
     """Code that the adaptive scheme would show, had it found out where something moves."""
     panel, rng = (camera.panel_rows, camera.panel_cols), np.random.default_rng(36)
     static, moving = (
-        TiledCode(each.tiles(camera.slots_per_frame, camera.coded_slots, rng), panel).levels(0)
+        PeriodicCode(each.tiles(camera.slots_per_frame, camera.coded_slots, rng), panel).levels(0)
         for each in (scheme.static, scheme.moving)
     )
     (height, width), places = _ways(*panel, share)

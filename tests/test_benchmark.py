@@ -12,7 +12,7 @@ from benchmarks.render import _Point, _Reference, _seconds_for
 from optsim.calibration.demixed import take
 from optsim.camera.effects import changed
 from optsim.camera.hardware import demo
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.core.errors import ConfigError
 from optsim.core.progress import silent
 from optsim.core.quantities import ExposureCode
@@ -94,7 +94,7 @@ def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(monkeypatch, share
     monkeypatch.setattr(moving_blur, "FEW", 0 if is_divided else 10**9)
     whole = demo().without_glare()
     # Nor with a PSF that varies, whose modes leave a stated rest on what moves (tests/test_field_blur.py).
-    lens = whole.objective.model_copy(update={"wing_share": MOVING_WING_SHARE, "field_error": 1.0})
+    lens = whole.objective.model_copy(update={"tail_share": MOVING_TAIL_SHARE, "field_error": 1.0})
     sensor = whole.sensor.model_copy(update={"rows": 80, "cols": 98})
     camera = whole.model_copy(
         update={"objective": lens, "sensor": sensor, "panel_rows": 24, "panel_cols": 30}
@@ -115,7 +115,7 @@ def test_the_dense_frame_is_ours_but_for_what_ours_leaves_out(monkeypatch, share
 
 def test_the_dense_frame_is_ours_when_nothing_is_left_out():
     """Wings, glare and a PSF that varies, before a window a thousand times as bright as the room."""
-    lens = {"moving_wing_share": 0.0, "field_error": 0.05, "wing_share": 1e-3, "glare_share": 0.01}
+    lens = {"moving_tail_share": 0.0, "field_error": 0.05, "tail_share": 1e-3, "glare_share": 0.01}
     camera = changed(demo(), {"objective": lens})
     sensor = camera.sensor.model_copy(update={"rows": 80, "cols": 98})
     camera = camera.model_copy(update={"sensor": sensor, "panel_rows": 24, "panel_cols": 30})
@@ -126,7 +126,7 @@ def test_the_dense_frame_is_ours_when_nothing_is_left_out():
     ours, _ = camera.expected_electrons(camera.form_image(radiance), 0, code, camera.panel_at_rest())
     dense = capture._dense(camera, radiance, code, silent)
     np.testing.assert_allclose(ours, dense, rtol=1e-5, atol=1e-6 * dense.max())
-    cheaper = changed(camera, {"objective": {"moving_wing_share": 6e-3}})
+    cheaper = changed(camera, {"objective": {"moving_tail_share": 6e-3}})
     other, _ = cheaper.expected_electrons(cheaper.form_image(radiance), 0, code, camera.panel_at_rest())
     assert np.abs(other - dense).max() > 20 * np.abs(ours - dense).max()
 

@@ -10,7 +10,7 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ALL, STATES, with_effects
 from optsim.camera.hardware import demo, icx674, imx174
 from optsim.camera.parts import Modulator, Splitter, throughput
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.core.config import build
 from optsim.core.errors import ConfigError, GeometryError
 from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, Segment, made_radiance
@@ -71,7 +71,7 @@ def tables(draw):
         # Wide windows and their aberrations take long, and more so for slow cones.
         if f_number > 16:
             table[lens]["wavefront"] = {"coma_waves": 0.05}
-        table[lens]["wing_share"] = draw(wide(2e-3 if f_number < 8 else 0.02, 0.1))
+        table[lens]["tail_share"] = draw(wide(2e-3 if f_number < 8 else 0.02, 0.1))
         table[lens]["field_error"] = draw(wide(0.1 if f_number < 8 else 0.4, 1))
         table[lens]["glare_share"] = draw(st.sampled_from([0.0, 0.01, 0.9]))
     slots = draw(st.sampled_from([1, 2, 6, 12]))
@@ -177,7 +177,7 @@ def check_frames(camera, moving, rng):
         peak = max(float(np.abs(segment.instant(i)).max()) for i in range(segment.n_instants))
         flat = camera.expected_electrons(even_light(camera, 1.0), index, code, panel)[0] - camera.dark_e
         # What goes on in a straight line in time: far wings and glare.
-        share = MOVING_WING_SHARE + camera.objective.glare_share + ROUNDING_32
+        share = MOVING_TAIL_SHARE + camera.objective.glare_share + ROUNDING_32
         dip = share * steps(source) * camera.irradiance_per_radiance + ROUNDING * peak
         assert np.isfinite(expected).all()
         assert (expected - camera.dark_e >= -dip * flat.max() - 1e-9).all()
@@ -307,16 +307,16 @@ def test_parts_that_cannot_work_together_are_refused_with_the_key(parts, message
 
 
 def test_a_psf_that_no_memory_holds_is_refused_with_the_key_and_the_cure():
-    slow = small(2, 2, relay={"wing_share": 1e-4, "f_number": 60.0})
+    slow = small(2, 2, relay={"tail_share": 1e-4, "f_number": 60.0})
     with pytest.raises(
-        ConfigError, match=r"camera\.relay\.wing_share: got 0\.0001.*raise it to 0\.000"
+        ConfigError, match=r"camera\.relay\.tail_share: got 0\.0001.*raise it to 0\.000"
     ) as error:
         slow.relay_operator()
     cure = float(str(error.value).split("raise it to ")[1].split(",")[0])
-    with pytest.raises(ConfigError, match="wing_share"):
-        changed(slow, relay={"wing_share": cure * 0.9}).relay_operator()
+    with pytest.raises(ConfigError, match="tail_share"):
+        changed(slow, relay={"tail_share": cure * 0.9}).relay_operator()
     assert (
-        slow.relay.model_copy(update={"wing_share": cure})._check_window(60.0, 4.54e-6, 0.0, 550e-9) is None
+        slow.relay.model_copy(update={"tail_share": cure})._check_window(60.0, 4.54e-6, 0.0, 550e-9) is None
     )
     with pytest.raises(ConfigError, match=r"camera\.relay: defocus_m"):
         small(2, 2, relay={"defocus_m": 1.0}).relay_operator()
@@ -327,7 +327,7 @@ def test_an_exposure_over_15_orders_of_radiance_is_that_of_dense_float64(diffrac
     """Written out with sums, in float64: off by float32's steps, and by rounding of the brightest light."""
     lens = {
         "field_error": 1.0,
-        "wing_share": 0.05,
+        "tail_share": 0.05,
         "diffraction": diffraction,
         "glare_share": 0.01 * diffraction,
     }
@@ -477,8 +477,8 @@ def test_a_window_that_goes_dark_leaves_neither_light_nor_less_than_none():
 
     left, dark = instant(lit, (Block(20, 150, gone),)), instant(room, ())
     # Far wings lie on splines of panel pixels where they are a mover's, and not where they are the base's.
-    assert np.abs(left - dark).max() < 0.04 * MOVING_WING_SHARE
-    assert left.min() > -0.04 * MOVING_WING_SHARE
+    assert np.abs(left - dark).max() < 0.04 * MOVING_TAIL_SHARE
+    assert left.min() > -0.04 * MOVING_TAIL_SHARE
 
 
 def test_no_light_is_too_bright_for_the_sensor_and_rounding_is_not_negative_light():

@@ -254,7 +254,7 @@ def test_a_tolerance_is_an_override_like_any_other(cli) -> None:
     plan = json.loads(out)["plan"]
     assert plan["tolerance"] == 0
     assert plan["bound"] == 0
-    assert not next(c["skipped"] for c in plan["choices"] if c["skip"] == "moving_wings")
+    assert not next(c["skipped"] for c in plan["choices"] if c["skip"] == "moving_tails")
     code, _, err = cli("explain", "demo", "--tolerance", "-1")
     assert code == 2
     assert "tolerance" in err

@@ -16,7 +16,7 @@ from optsim.camera.hardware import demo, imx174, prototype
 from optsim.camera.probe import PLAIN, Illumination, Probe, drifted_as_far, make_probe, shrunk
 from optsim.camera.probe.made_scene import made_scene
 from optsim.coding import HdrMosaic
-from optsim.coding.tiles import TiledCode
+from optsim.coding.periodic import PeriodicCode
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, Segment
 from optsim.experiment.experiment import load_experiment
@@ -506,7 +506,7 @@ def test_one_truth_instant_a_slot_errs_by_what_explain_says():
     rng = np.random.default_rng(36)
     tiles = SCHEMES["random"].tiles(36, 36, rng)
     shape = camera.panel_rows, camera.panel_cols
-    code = ExposureCode(TiledCode(tiles, shape).levels(0), np.ones(shape, np.bool_))
+    code = ExposureCode(PeriodicCode(tiles, shape).levels(0), np.ones(shape, np.bool_))
     electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a frame"]
     # What fills 0.8 of the well under all-on counts as white.
     white = 0.8 * camera.sensor.most_e * camera.irradiance_per_radiance / electrons

@@ -233,7 +233,7 @@ def test_lenses_with_odd_numbers_still_give_a_psf():
     """Aberrations of several waves, tiny fields, strong defocus: finite, positive, energy kept."""
     for wavefront, defocus in ((Wavefront(coma_waves=-1.0), 0.0), (ACHROMAT, 5e-4), (ACHROMAT, -5e-4)):
         relay = Relay(magnification=0.65, f_number=3.9, transmission=0.9, aberration_m=0.0, glare_share=0.0,
-                      wavefront=wavefront, wing_share=5e-3)  # fmt: skip
+                      wavefront=wavefront, tail_share=5e-3)  # fmt: skip
         own = relay.psf(3.9, 4.36e-6, (1, 1), defocus).at(1, 1)
         assert own.min() >= 0
         assert own.sum() == pytest.approx(1, abs=1e-9)

@@ -14,18 +14,18 @@ from optsim.optics.fringing import border_shares, fine_image, fine_image_adjoint
 from optsim.optics.integrate import Shutter, cell_means, integrate_exposure
 from optsim.optics.pixel_splines import spline_kernel, splines
 from optsim.optics.psf import extend, make_blur, psf_kernel
-from optsim.optics.wings import (
+from optsim.optics.psf_tails import (
     Ring,
-    Winged,
+    TailedBlur,
     coarse_kernel,
     cut_softly,
     far_light,
     keep_above_zero,
     line_ends,
-    make_wings,
+    make_tails,
     moving_ends,
     near_half,
-    winged,
+    with_tails,
 )
 
 
@@ -133,7 +133,7 @@ def test_a_soft_cut_loses_nothing_and_passes_evenly(varies):
     same, nothing = cut_softly(psf, at)
     assert same is psf
     assert not nothing.any()
-    assert make_wings(nothing, 3, (30, 30)) == ()
+    assert make_tails(nothing, 3, (30, 30)) == ()
 
 
 @pytest.mark.parametrize("pitch", [1, 2, 3, 4])
@@ -167,7 +167,7 @@ def test_far_light_is_the_wings_of_what_moves_up_to_its_coarseness():
     segment = Segment(*np.zeros((2, *shape), np.float32), (Block(40, 33, excess),), 3)
     ends = moving_ends(segment)
     np.testing.assert_allclose(ends[:, 45, 40], [0.5, 3.5], rtol=1e-6)
-    far = far_light(ends, make_wings(wings, 3, shape), 3)
+    far = far_light(ends, make_tails(wings, 3, shape), 3)
     reach = kernel.shape[0] // 2
     wide = np.stack([extend(end, reach) for end in ends])
     whole = make_blur(wings, wide.shape[1:]).apply(wide)[:, reach:-reach, reach:-reach]
@@ -180,7 +180,7 @@ def test_the_outer_ring_of_the_wings_is_coarser_but_no_less_light_nor_elsewhere(
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
     assert kernel.shape[0] // 2 > 450
     _, wings = cut_softly(uniform(kernel), 17)
-    rings = make_wings(wings, 3, (450, 609))
+    rings = make_tails(wings, 3, (450, 609))
     assert [ring.cell for ring in rings] == [1, 4]
     assert sum(total_of(ring) for ring in rings) == pytest.approx(wings.sum(), rel=1e-9)
     for row, col in ((14, 17), (13, 102), (91, 191)):
@@ -205,7 +205,7 @@ def test_a_flat_that_moves_has_flat_wings_to_the_edge_of_any_panel():
     """A panel of 101 x 135 pixels, no whole number of coarse cells: the light goes on beyond its edge."""
     kernel = psf_kernel(6.0, 3e-6, 20e-6 / 3, 550e-9, 2e-4)
     _, wings = cut_softly(uniform(kernel), 17)
-    far = far_light(np.ones((2, 303, 405), np.float32), make_wings(wings, 3, (303, 405)), 3)
+    far = far_light(np.ones((2, 303, 405), np.float32), make_tails(wings, 3, (303, 405)), 3)
     # Compiled loops spread light to pixels in single precision.
     np.testing.assert_allclose(far, wings.sum(), rtol=1e-6)
 
@@ -235,7 +235,7 @@ LENS = Objective(glare_share=0.01, clipped_share=0.2, wavefront=Wavefront(coma_w
 
 def test_without_a_share_for_wings_every_instant_is_a_still_picture():
     video = moving_scene()
-    exact = LENS.model_copy(update={"moving_wing_share": 0.0})
+    exact = LENS.model_copy(update={"moving_tail_share": 0.0})
     found = form_image(exact, video, 20e-6, 1).load(0)
     assert [block.excess.shape for block in found.blocks] == [(6, 90, 120)]
     for t in range(6):
@@ -249,7 +249,7 @@ def test_where_nothing_moves_the_share_for_wings_changes_nothing():
     video = moving_scene()
     still = replace(video, load=lambda _: replace(video.load(0), blocks=()))
     ours, whole = (
-        form_image(LENS.model_copy(update={"moving_wing_share": share}), still, 20e-6, 1).load(0)
+        form_image(LENS.model_copy(update={"moving_tail_share": share}), still, 20e-6, 1).load(0)
         for share in (0.006, 0.0)
     )
     assert ours.blocks == whole.blocks == ()
@@ -261,7 +261,7 @@ def test_wings_along_lines_are_off_by_their_share_of_what_is_no_line():
     """And by nothing else: the more of the light is in them, the more."""
     video = moving_scene()
     exact, *cheaper = (
-        form_image(LENS.model_copy(update={"moving_wing_share": share}), video, 20e-6, 1).load(0)
+        form_image(LENS.model_copy(update={"moving_tail_share": share}), video, 20e-6, 1).load(0)
         for share in (0.0, 0.003, 0.012)
     )
     window = 500 * LENS.irradiance_per_radiance
@@ -292,7 +292,7 @@ def total_of(ring: Ring) -> float:
 
 def test_a_lamp_a_million_billion_times_as_bright_as_the_rest_leaves_no_negative_light():
     """It moves as a block; its wings' window ends within the picture, where nothing of it arrives."""
-    lens = Objective(glare_share=0.0, wing_share=2e-3)
+    lens = Objective(glare_share=0.0, tail_share=2e-3)
     base = np.full((300, 360), 1e-6, np.float32)
     excess = np.zeros((2, 4, 4), np.float32)
     excess[0] = 1e9
@@ -324,7 +324,7 @@ def test_light_that_would_begin_or_end_below_zero_begins_or_ends_there_with_the_
 
 
 def test_a_flash_in_a_dark_room_leaves_no_negative_light():
-    lens = Objective(glare_share=0.0, wing_share=2e-3)
+    lens = Objective(glare_share=0.0, tail_share=2e-3)
     base = np.full((300, 360), 1e-5, np.float32)
     excess = np.zeros((9, 30, 30), np.float32)
     excess[0] = 1e5
@@ -335,7 +335,7 @@ def test_a_flash_in_a_dark_room_leaves_no_negative_light():
     found = form_image(lens, video, 20e-6, 1).load(0)
     assert min(found.instant(t).min() for t in range(9)) >= 0
     # Mean light is what it would be without wings along lines, up to what their splines round away.
-    whole = lens.model_copy(update={"moving_wing_share": 0.0})
+    whole = lens.model_copy(update={"moving_tail_share": 0.0})
     exact = form_image(whole, video, 20e-6, 1).load(0)
     means = [np.mean([each.instant(t).mean() for t in range(9)]) for each in (found, exact)]
     assert means[0] == pytest.approx(means[1], rel=1e-4)
@@ -366,8 +366,8 @@ def test_a_blur_with_wings_on_panel_pixels_is_the_whole_blur_up_to_their_coarsen
     cores = np.tile(uniform(kernel).middle(10).kernel, (2, 2, 1, 1))
     psf = FieldPsf(kernel, cores) if varies else uniform(kernel)
     near, shape = psf.middle(24), (60, 90)
-    blur = winged(make_field_blur(near, shape), kernel, near.half, 3)
-    assert isinstance(blur, Winged)
+    blur = with_tails(make_field_blur(near, shape), kernel, near.half, 3)
+    assert isinstance(blur, TailedBlur)
     rng = np.random.default_rng(1)
     image, other = rng.random((2, *shape)) ** 8
     forth, back = (blur.apply(image) * other).sum(), (blur.adjoint(other) * image).sum()
@@ -386,12 +386,12 @@ def test_a_blur_with_wings_on_panel_pixels_is_the_whole_blur_up_to_their_coarsen
     pixel[30:33, 42:45] = 1.0
     means, exact = (cell_means(each.apply(pixel), 3) for each in (blur, whole))
     np.testing.assert_allclose(means, exact, atol=1e-13)
-    assert winged(whole, kernel, len(kernel) // 2, 3) is whole
+    assert with_tails(whole, kernel, len(kernel) // 2, 3) is whole
 
 
 def test_light_that_stands_still_in_a_block_is_imaged_as_in_the_base_wings_and_all():
     """A lamp a thousand times as bright, as base or as a moving block that doesn't move: the same image."""
-    lens = Objective(glare_share=0.0, aberration_m=3e-6, moving_wing_share=6e-3)
+    lens = Objective(glare_share=0.0, aberration_m=3e-6, moving_tail_share=6e-3)
     base = np.full((120, 150), 0.1, np.float32)
     excess = np.zeros((4, 24, 30), np.float32)
     excess[:, 6:18, 6:24] = 100.0

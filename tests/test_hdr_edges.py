@@ -8,7 +8,7 @@ from ideal_camera import film, ideal_calibration, still_light
 from scipy import stats
 
 from optsim.calibration import Glare
-from optsim.calibration.demixed import Brightness, attribution_variance, separate, take
+from optsim.calibration.demixed import SaturationPrior, attribution_variance, separate, take
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge
@@ -202,7 +202,7 @@ def test_bounds_are_kept_until_a_pixel_is_measured_again():
     calibration = ideal_calibration(4, 4)
     bright, dark = still_light(np.full((4, 4), 400.0)), still_light(np.full((4, 4), 0.2))
     frames = film(calibration, HdrMosaic(), [bright] * 4 + [dark], None)
-    seen, panel, most = Brightness.unknown((4, 4)), None, np.zeros((4, 4), np.float32)
+    seen, panel, most = SaturationPrior.unknown((4, 4)), None, np.zeros((4, 4), np.float32)
     for frame in frames[:4]:
         sample, panel = take(calibration, frame, panel, "undone")
         seen = seen.after(sample)

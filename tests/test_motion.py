@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, still_light
 
-from optsim.calibration.demixed import sample_bounds, take
+from optsim.calibration.demixed import demixed_interval, take
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
 from optsim.core.quantities import CodedFrame
-from optsim.optics.motion import _changed_together, _pair, bounds, changed
-from optsim.optics.neighbourhoods import dilated, without_specks
+from optsim.optics.motion import _changed_together, _pair, changed, irradiance_interval
+from optsim.optics.neighbourhoods import dilated, remove_specks
 
 ROWS, COLS = 96, 128
 
@@ -24,14 +24,14 @@ def seen(calibration, frames, crosstalk="undone"):
     result = []
     for frame in frames:
         sample, panel = take(calibration, frame, panel, crosstalk)
-        result.append(sample_bounds(calibration, sample))
+        result.append(demixed_interval(calibration, sample))
     return result
 
 
 def certain(value, *, saturated=False, tainted=False, variance=0.0, attribution=0.0):
     image = np.array(value, np.float32, ndmin=2)
     flag = np.ones_like(image, np.bool_)
-    return bounds(
+    return irradiance_interval(
         image,
         np.ones_like(image),
         np.broadcast_to(np.float32(variance), image.shape),
@@ -128,7 +128,7 @@ def test_a_moving_edge_is_found_and_nothing_else():
     # At 1/36 exposure 0.1 gives 27 electrons and 0.3 gives 81: about 5 sigma apart, so most pixels are found.
     assert moved[truth].mean() > 0.85
     assert moved[~truth].mean() < 1e-3
-    grown_mask = dilated(without_specks(moved, 4), 1)
+    grown_mask = dilated(remove_specks(moved, 4), 1)
     assert grown_mask[truth].all()
     assert not grown_mask[:17].any()
 
@@ -195,7 +195,7 @@ def test_stray_light_of_a_lamp_is_no_motion_and_hides_no_motion_elsewhere():
     # As much as up to five slots of the field's own light, on the left, in the first frame alone.
     wing = np.broadcast_to(np.linspace(0.2, -0.1, COLS), (ROWS, COLS)).clip(0.1, None) - 0.1
     lit = replace(samples[0], signal=(samples[0].signal + wing).astype(np.float32))
-    first, second = (sample_bounds(calibration, sample) for sample in (lit, samples[1]))
+    first, second = (demixed_interval(calibration, sample) for sample in (lit, samples[1]))
     blind = (replace(b, stray=np.zeros_like(b.stray)) for b in (first, second))
     assert _changed_together(_pair(*blind), 4.0, 0.0, 2)[:60, :20].mean() > 0.5
     moved = _changed_together(_pair(first, second), 4.0, 0.0, 2)
@@ -215,7 +215,7 @@ def test_stray_light_is_told_from_noise_and_texture(irradiance, textured):
         shot = film(calibration, scheme, [still_light(light)], np.random.default_rng(9))[0]
         sample = take(calibration, shot, None, "undone")[0]
         sample = replace(sample, signal=sample.signal + np.float32(added))
-        return np.sqrt(sample_bounds(calibration, sample).stray) * sample.exposure
+        return np.sqrt(demixed_interval(calibration, sample).stray) * sample.exposure
 
     assert (found(HdrMosaic(), 0) > 0).mean() < 0.02
     # As much as eight slots of its own light: less what three standard deviations of noise may be.
@@ -326,10 +326,10 @@ def test_specks_go_and_regions_stay():
     mask = np.zeros((10, 10), np.bool_)
     mask[1, 1] = mask[2, 2] = mask[3, 3] = True
     mask[7:9, 7:9] = True
-    kept = without_specks(mask, 4)
+    kept = remove_specks(mask, 4)
     assert kept.sum() == 4
     assert kept[7:9, 7:9].all()
-    np.testing.assert_array_equal(without_specks(mask, 3), mask)
+    np.testing.assert_array_equal(remove_specks(mask, 3), mask)
 
 
 def test_panel_history_is_part_of_the_comparison():
@@ -346,7 +346,7 @@ def test_panel_history_is_part_of_the_comparison():
         shots.append(frame)
     right = seen(calibration, shots)
     assert not changed(*right, 3.0)[0].any()
-    forgetful = [sample_bounds(calibration, take(calibration, s, rest, "undone")[0]) for s in shots]
+    forgetful = [demixed_interval(calibration, take(calibration, s, rest, "undone")[0]) for s in shots]
     # A slow panel still shows the frame before; in a flat it looks like stray light, which is no motion.
     assert np.abs(right[1].low - 1).max() < 0.01
     assert np.abs(forgetful[1].low - 1).max() > 0.1

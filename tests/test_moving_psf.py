@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optsim.camera.hardware import prototype
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.core.quantities import Block
 from optsim.optics import moving_blur
 from optsim.optics.aberrations import Wavefront, field_psf
@@ -13,8 +13,8 @@ from optsim.optics.fringing import fine_image
 from optsim.optics.moving_psf import divided
 from optsim.optics.pixel_splines import draw, splines, spread
 from optsim.optics.psf import psf_kernel
+from optsim.optics.psf_tails import cut_softly
 from optsim.optics.tap_blur import Grid, Patch
-from optsim.optics.wings import cut_softly
 
 RNG = np.random.default_rng(88)
 FIELD, PITCH = (180, 210), 3
@@ -155,7 +155,7 @@ def test_the_prototypes_psf_is_divided_as_is_said():
     camera = prototype()
     shape, cell_m = (camera.panel_rows * 3, camera.panel_cols * 3), camera.modulator.pitch_m / 3
     lens = camera.objective
-    reach = lens.half_width(lens.working_f_number, cell_m, MOVING_WING_SHARE, camera.wavelength_m)
+    reach = lens.half_width(lens.working_f_number, cell_m, MOVING_TAIL_SHARE, camera.wavelength_m)
     psf, _ = cut_softly(lens.psf(lens.working_f_number, cell_m, shape, 0.0, camera.wavelength_m), reach)
     assert divided(psf, 3).near.half == psf.core_half == 10
     whole = psf.whole

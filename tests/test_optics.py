@@ -142,7 +142,7 @@ def moving_video(rng, excess_scale=1.0):
 
 def test_a_moving_video_is_imaged_like_each_of_its_instants():
     scene = moving_video(np.random.default_rng(1))
-    lens = Objective(glare_share=0.1, wing_share=0.02)
+    lens = Objective(glare_share=0.1, tail_share=0.02)
     video = form_image(lens, scene, PITCH_M, 2)
     for index in range(2):
         segment, source = video.load(index), scene.load(index)
@@ -155,7 +155,7 @@ def test_a_moving_video_is_imaged_like_each_of_its_instants():
 
 def test_blocks_cut_off_at_most_their_stated_share_of_wings():
     scene = moving_video(np.random.default_rng(2), excess_scale=100.0)
-    lens = Objective(glare_share=0.0, wing_share=1e-3)
+    lens = Objective(glare_share=0.0, tail_share=1e-3)
     segment = form_image(lens, scene, PITCH_M, 2).load(0)
     direct = imaged(lens, scene.load(0).instant(1))
     excess = np.abs(scene.load(0).blocks[0].excess[1]).sum() * lens.irradiance_per_radiance

@@ -207,8 +207,8 @@ def test_a_probe_makes_one_image_for_all_errors_that_have_as_many_nodes(monkeypa
 
 @pytest.mark.parametrize("f_number", [4.0, 32.0])
 def test_a_probe_has_no_wider_wings_than_room(f_number):
-    camera = changed(demo(), {"objective": {"f_number": f_number, "wing_share": 1e-4}})
+    camera = changed(demo(), {"objective": {"f_number": f_number, "tail_share": 1e-4}})
     near = make_probe(camera, ROOM, SCHEMES).camera
     kernel = near.objective.psf(near.objective.working_f_number, near.modulator.pitch_m / 3, (90, 120)).kernel
     assert len(kernel) // 2 == pytest.approx({4.0: 101, 32.0: 120}[f_number], abs=2)
-    assert camera.objective.wing_share < near.objective.wing_share
+    assert camera.objective.tail_share < near.objective.tail_share

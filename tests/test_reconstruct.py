@@ -10,7 +10,7 @@ from ideal_camera import BLACK_DN, KERNEL, SLOTS, crossing, expose, film, ideal_
 from pydantic import TypeAdapter
 
 from optsim.calibration import Glare
-from optsim.calibration.demixed import Brightness, noise_variance, separate, separated_variance, take
+from optsim.calibration.demixed import SaturationPrior, noise_variance, separate, separated_variance, take
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -268,7 +268,7 @@ def test_neighbours_light_is_taken_out_while_a_third_is_a_pixels_own(share, glar
     signal = np.random.default_rng(1).lognormal(0, 1, (24, 30)).astype(np.float32)
     signal[4:20, 3:12] = 5
     measured = calibration.mix(signal)
-    unknown = Brightness.unknown(calibration.shape)
+    unknown = SaturationPrior.unknown(calibration.shape)
     found = separate(calibration, replace(sample, measured=measured, signal=measured), unknown).signal
     # It ends where a step changes nothing by more than 1e-4 of the brightest.
     np.testing.assert_allclose(found, signal, atol=1e-3 * signal.max())
@@ -296,7 +296,7 @@ def test_saturated_neighbours_taint_unless_known():
     sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
     assert sample.tainted[3:6, 3:6].sum() == 8
     assert sample.tainted.sum() == 8
-    known = separate(calibration, sample, Brightness(image, np.zeros_like(image)))
+    known = separate(calibration, sample, SaturationPrior(image, np.zeros_like(image)))
     assert not known.tainted.any()
     np.testing.assert_allclose(known.signal[3:6, 3:6], image[3:6, 3:6] * 36, rtol=0.02)
     result = last(HdrMerge(), [frame], calibration)

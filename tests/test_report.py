@@ -275,7 +275,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             "bound": 0.0321,
             "choices": [
                 {
-                    "skip": "moving_wings",
+                    "skip": "moving_tails",
                     "what": "far light in lines",
                     "saves": "12 to 0.75 s a frame",
                     "skipped": True,

@@ -6,7 +6,7 @@ from small_experiment import SMALL
 
 from optsim.camera.effects import changed
 from optsim.camera.hardware import demo, prototype
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.camera.probe import Illumination
 from optsim.camera.skip import ALL, Given, leave_out, straight_lines
 from optsim.experiment.check_skips import check_skips
@@ -37,16 +37,16 @@ def test_what_is_left_out_fits_the_tolerance_and_a_larger_one_leaves_out_more(fa
         assert [choice.skip for choice in each.choices] == [row.name for row in ALL]
     taken = [skipped(each) for each in found]
     assert taken[0] <= taken[1] <= taken[2] <= taken[3]
-    assert "moving_wings" in taken[3] - taken[0]
+    assert "moving_tails" in taken[3] - taken[0]
 
 
 def test_without_a_tolerance_nothing_is_left_out_that_is_there():
     found = leave_out(WINDOW, 0.0)
     assert found.bound == 0
-    assert found.camera.objective.moving_wing_share == 0
+    assert found.camera.objective.moving_tail_share == 0
     # Wings need not reach beyond the panel, here 480 cells wide, and back.
     for lens in (found.camera.objective, found.camera.relay):
-        assert lens.wing_share == 3e-4 or lens.wing_share == pytest.approx(1e-4, rel=2)
+        assert lens.tail_share == 3e-4 or lens.tail_share == pytest.approx(1e-4, rel=2)
         assert lens.field_error == 5e-3
 
 
@@ -64,11 +64,11 @@ def test_far_light_follows_lines_unless_a_lamp_may_be_hidden():
     """Of the lamps in the picture all count; one that brings next to nothing changes nothing."""
     for facts, lines in ((ROOM, True), (WINDOW, True), (LAMP, False)):
         found = leave_out(facts, 0.1)
-        assert ("moving_wings" in skipped(found)) == lines
-        assert found.camera.objective.moving_wing_share == (MOVING_WING_SHARE if lines else 0)
+        assert ("moving_tails" in skipped(found)) == lines
+        assert found.camera.objective.moving_tail_share == (MOVING_TAIL_SHARE if lines else 0)
     for over_white, lines in ((5000.0, False), (10.0, True)):
         found = leave_out(before(*WINDOW.light.lights, BrightLight(over_white, 3e-4)), 0.1)
-        assert ("moving_wings" in skipped(found)) == lines
+        assert ("moving_tails" in skipped(found)) == lines
 
 
 def test_the_bound_of_lines_is_in_units_of_noise():
@@ -76,7 +76,7 @@ def test_the_bound_of_lines_is_in_units_of_noise():
     camera = demo()
     frame_e = 0.8 * camera.sensor.most_e / 2
     noise_e = np.sqrt(frame_e + camera.sensor.read_noise_e**2)
-    brought_e = MOVING_WING_SHARE * 0.5 * 2 * frame_e
+    brought_e = MOVING_TAIL_SHARE * 0.5 * 2 * frame_e
     lamp = before(BrightLight(1000.0, 5e-4))
     lamp = Given(camera, Illumination(1e6, 90.0, 0.8, lamp.light.lights))
     assert straight_lines(lamp) - straight_lines(WINDOW) == pytest.approx(7 * brought_e / noise_e)
@@ -102,18 +102,18 @@ def test_what_is_not_in_the_scene_is_left_out(scene, leaves):
 
 
 def test_numbers_set_by_hand_stay():
-    by_hand = {"relay": {"wing_share": 0.02}, "objective": {"field_error": 0.5, "moving_wing_share": 0.01}}
+    by_hand = {"relay": {"tail_share": 0.02}, "objective": {"field_error": 0.5, "moving_tail_share": 0.01}}
     found = leave_out(before(*LAMP.light.lights, camera=changed(demo(), by_hand)), 0.1)
-    assert found.camera.relay.wing_share == 0.02
+    assert found.camera.relay.tail_share == 0.02
     assert found.camera.objective.field_error == 0.5
-    assert found.camera.objective.moving_wing_share == 0.01
-    assert "moving_wings" not in {choice.skip for choice in found.choices}
+    assert found.camera.objective.moving_tail_share == 0.01
+    assert "moving_tails" not in {choice.skip for choice in found.choices}
 
 
 def test_wings_have_room_on_every_panel():
     for camera in (demo(), prototype()):
         found = leave_out(before(camera=camera), 0.1).camera
-        assert 1e-4 <= found.objective.wing_share < camera.objective.wing_share
+        assert 1e-4 <= found.objective.tail_share < camera.objective.tail_share
 
 
 def test_a_run_models_what_the_table_says():
@@ -132,7 +132,7 @@ def test_a_frame_is_taken_both_ways():
     experiment = load_experiment("demo", [*SMALL, "calibration=ideal"])
     found = check_skips(experiment)
     assert [each["method"] for each in found] == [method.name for method in experiment.methods]
-    assert all("moving_wings" in each["left_out"] for each in found)
+    assert all("moving_tails" in each["left_out"] for each in found)
     assert all(0 < each["error"] < 0.1 for each in found)
     assert all(each["loss_db"] == pytest.approx(4.343 * each["error"] ** 2, rel=0.02) for each in found)
     nothing = check_skips(experiment.model_copy(update={"tolerance": 0.0}))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibration.demixed import sample_bounds, take
+from optsim.calibration.demixed import demixed_interval, take
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography
 from optsim.core.quantities import ExposureCode
 from optsim.decoding import HdrMerge
@@ -118,10 +118,10 @@ def test_errors_of_the_calibration_count_as_large_as_stated() -> None:
     opened = 3 + 33 * 0.01
     rounding = 1 / 12 / (ELECTRONS_A_SLOT * opened) ** 2
     model = (0.004 * LIGHT) ** 2 + (0.2 * 0.01 * 36 * LIGHT / opened) ** 2
-    found = sample_bounds(calibration, sample)
+    found = demixed_interval(calibration, sample)
     np.testing.assert_allclose(found.shared, model + rounding, rtol=0.01)
     electrons = ELECTRONS_A_SLOT * LIGHT * opened
     noise = (electrons + READ_E**2) / (ELECTRONS_A_SLOT * opened) ** 2
     np.testing.assert_allclose(found.variance, model + noise, rtol=0.01)
-    certain = sample_bounds(replace(calibration, gain_uncertainty=0, leak_uncertainty=0), sample)
+    certain = demixed_interval(replace(calibration, gain_uncertainty=0, leak_uncertainty=0), sample)
     np.testing.assert_allclose(certain.variance, noise, rtol=0.01)

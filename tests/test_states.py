@@ -10,7 +10,7 @@ from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
 from optsim.calibration import demixed
-from optsim.calibration.demixed import Brightness, take_next
+from optsim.calibration.demixed import SaturationPrior, take_next
 from optsim.camera.true_calibration import true_calibration
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.core.quantities import ExposureCode, PanelState
@@ -102,7 +102,7 @@ def test_a_patch_in_the_sun_is_bright_in_the_sparse_decoder() -> None:
 
 
 def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[Brightness] = []
+    given: list[SaturationPrior] = []
 
     def spy(*taken: Any) -> Any:
         given.append(taken[3])

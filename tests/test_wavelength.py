@@ -93,7 +93,7 @@ def test_diffraction_scales_with_the_wavelength(wavelength_m):
     np.testing.assert_allclose(here.cores, green.cores, rtol=1e-9, atol=1e-15)
     assert here.cores.size
     # The first dark ring of a perfect lens, 1.2197 lambda N, by the cells on an axis.
-    perfect = sharp.model_copy(update={"wavefront": Wavefront(), "wing_share": 0.03})
+    perfect = sharp.model_copy(update={"wavefront": Wavefront(), "tail_share": 0.03})
     kernel = perfect.psf(6.0, 0.1e-6, (1, 1), 0.0, wavelength_m).kernel
     line = kernel[len(kernel) // 2, len(kernel) // 2 :]
     ring = int(np.argmax(np.diff(line) > 0))

@@ -1,4 +1,4 @@
-"""Bench files -> Calibration. Knows no camera, so the files of a real bench work too."""
+"""Bench files -> Calibration, for schemes and decoders. It uses no camera: real bench files work too."""
 
 from optsim.calibration.bench import Bench, Flat, Patches, Step
 from optsim.calibration.calibration import Calibration, Observation

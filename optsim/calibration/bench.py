@@ -1,10 +1,10 @@
-"""What a calibration bench delivers: raw images and the settings they were taken with, nothing else.
+"""Bench files: the raw images of a calibration bench and the settings they were taken with.
 
-A folder of 16-bit greyscale PNG files with a ``bench.json`` is the whole interface to a real bench; this
-module is its definition. ``bench.json`` holds the fields of :class:`Bench`; where a field holds images it
-lists their file names, relative to the folder. All images are of the whole CCD, not scaled.
+A folder of 16-bit greyscale PNG files with a ``bench.json`` is the whole interface to a real bench. This
+module defines it. ``bench.json`` holds the fields of :class:`Bench`. A field of images lists their file
+names, relative to the folder. All images are of the whole CCD, not scaled.
 
-Procedure, with the coded-image camera as it is (its period, its slots, overlapped or not):
+Procedure, with the camera's normal timing (its period, its slots, overlapped or not):
 
 ============  ==========================================================================================
 darks         lens capped; at least 2, better 16 or more
@@ -20,10 +20,10 @@ glare         a bright patch of a fifth of the picture or so on black, more than
 steps         a flash of at most a fifth of a slot at a known delay after the panel changed level, for
               both directions, from half a slot before to two slots after, the change being at the second
               slot of a frame; the flash may light a part of the panel,
-              but to tell how the rows are scanned, more than a quarter of its height
+              but more than a quarter of its height, if the scan of the rows is to be measured
 fields        a flash as long as a slot, in each of six successive slots in turn from a frame's first one on,
               with the panel held at a grey level, and again held at 255 (may be empty: all slots of a
-              colour-sequential panel then count as alike)
+              colour-sequential panel then count as equal)
 ============  ==========================================================================================
 
 "Held" means shown for at least ten response times before the exposure, and during all of it.
@@ -109,7 +109,7 @@ class Step:
     before, after : int
         Drive levels.
     delay_s : float
-        Begin of the flash, counted from the field sync at which the level changes, s; may be negative.
+        Start of the flash after the field sync at which the level changes, s; may be negative.
     flash_s : float
         Duration of the flash, s; the same flash energy in all steps.
     dn : ndarray of shape (frame, y, x), uint16
@@ -128,7 +128,7 @@ _Group = Flat | Patches | Step
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """All that a bench knows.
+    """All images and settings of a bench.
 
     Parameters
     ----------
@@ -143,9 +143,9 @@ class Bench:
     flats, off, greys, saturated, anchors, dots, glare, steps, fields
         See the module's table.
     white_rad : float
-        Retardance of level 255 in the bench's light, rad: pi times the wavelength at which the panel's data
-        sheet calls it a half wave, over the light's. An error in it goes into the grey curve's exponent and
-        the time constants.
+        Retardance of level 255 in the bench's light, rad. It is pi times the data sheet's half-wave
+        wavelength over the light's wavelength. Its error goes into the grey curve's exponent and the time
+        constants.
     """
 
     FILES: ClassVar[tuple[str, ...]] = (

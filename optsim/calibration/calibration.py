@@ -1,5 +1,5 @@
 # pyright: reportUntypedFunctionDecorator=false
-"""What the bench knows of a camera: the only picture of it that schemes and decoders ever see."""
+"""The calibration: the bench's estimate of a camera, and the only one that schemes and decoders see."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from optsim.core.threads import in_bands
 from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
 from optsim.optics.readings import brightest, mean_reading
 
-# For smaller images starting threads takes longer than to gather.
+# For smaller images starting threads takes longer than the work.
 _FEW_PIXELS = 100_000
 
 
@@ -47,13 +47,12 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A camera as the bench knows it, on the panel grid.
+    """A camera as measured on the bench, on the panel grid.
 
-    With ``light = sum over slots of weight x irradiance``, a frame measures :meth:`mix` of it: the
-    weights are those of each panel pixel alone, the crosstalk kernel says how much of its neighbours'
-    light is read with its own, glare how much of that from farther away. What is read is the CCD pixel at
-    a panel pixel's centre, or the mean of a square around it, whose electrons are counted as one pixel's.
-    Beyond the panel's edge the nearest pixel's value counts, so uniform light stays uniform.
+    A frame measures :meth:`mix` of ``light = sum over slots of weight x irradiance``. The weights are those
+    of each panel pixel alone. The crosstalk kernel adds shares of the neighbours' light, and glare adds light
+    from farther away. The readout window is the CCD pixel at a panel pixel's centre, or the mean of a square
+    around it. Beyond the panel's edge the nearest pixel's value is used, so uniform light stays uniform.
 
     Parameters
     ----------
@@ -68,30 +67,31 @@ class Calibration:
     response : PanelResponse
         Temporal response, contrast and grey curve of the panel.
     pick_row, pick_col : ndarray of shape (v, u), int64
-        CCD pixel at the centre of each panel pixel; inside the CCD even where not valid.
+        Pixel map: CCD row and column at the centre of each panel pixel. They lie on the CCD even where not
+        valid.
     valid : ndarray of shape (v, u), bool
         False: off the CCD, a dead CCD pixel, a stuck panel pixel.
     responsivity_dn : ndarray of shape (v, u), float32
-        DN per (W m^-2 on axis) per slot at weight 1. It holds the product of every shading (objective,
-        splitter, panel, relay, CCD pixel), which is all that a flat can identify. Positive everywhere;
-        without meaning where not valid.
+        DN per (W m^-2 on axis) per slot at weight 1. It is the product of every shading (objective, splitter,
+        panel, relay, CCD pixel): a flat cannot separate them. Positive everywhere; without meaning where not
+        valid.
     black_dn, saturation_dn : ndarray of shape (v, u), float32
-        Black level of what is read, and the least raw DN at which a CCD pixel of it counts as saturated.
+        Black level of the readout window, and the raw DN from which a CCD pixel in it is saturated.
     read_noise_dn : float
-        Temporal noise of what is read in the dark, quantisation included, DN.
+        Temporal noise of the readout window in the dark, quantisation included, DN.
     dn_per_e : float
-        DN of what is read per electron in it: the system gain, over the CCD pixels that are averaged.
+        System gain of the readout window: DN per electron, divided by the number of CCD pixels averaged.
     crosstalk : ndarray of shape (v, u, k, k), float32
-        What is read with each pixel of the panel pixels around it: element (k // 2 + dv, k // 2 + du)
-        is its share of the light of pixel (v + dv, u + du). k is odd, each kernel sums to 1.
+        Crosstalk kernels. Element (k // 2 + dv, k // 2 + du) is the share of the light of pixel (v + dv, u +
+        du) in the reading of (v, u). k is odd, each kernel sums to 1.
     gain_uncertainty, leak_uncertainty : float
         Relative standard uncertainty, pixel to pixel, of the responsivity and of the leak.
     map_residual_px : float
         Rms distance between the fitted map and the measured dots, panel pixels.
     glare : Glare
-        Shares of the light that land beyond the kernel: the PSF's wings, a ghost, a veil.
+        Shares of the light that land beyond the kernel: PSF tails, a ghost, veiling glare.
     reading_px : int
-        CCD pixels to a side of the square that is read, odd.
+        Side of the readout window, CCD pixels, odd.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -192,7 +192,8 @@ class Calibration:
         code : ExposureCode
             All slots of a frame's period.
         panel : PanelState or None
-            The panel when the frame starts; None when an experiment does: it has shown a cycle of this code.
+            The panel when the frame starts. None at the start of an experiment: it has then shown a cycle of
+            this code.
 
         Returns
         -------
@@ -216,8 +217,8 @@ class Calibration:
     def effective_weights(self, code: ExposureCode, panel: PanelState | None) -> tuple[Floats, PanelState]:
         """Weights with the neighbours' share added: the diagonal approximation of the whole operator.
 
-        Exact where the irradiance is the same over the reach of the crosstalk. Arguments and
-        results as in :meth:`weights`.
+        Exact where the irradiance is uniform over the reach of the crosstalk. Arguments and results as in
+        :meth:`weights`.
         """
         weights, panel = self.weights(code, panel)
         return self.spread(weights), panel
@@ -233,12 +234,12 @@ class Calibration:
         return self.mix_near(light) + self.mix_far(light)
 
     def mix_near(self, light: Floats) -> Floats:
-        """Find the part of :meth:`mix` that the crosstalk kernel brings."""
+        """Compute the part of :meth:`mix` from the crosstalk kernel."""
         near = self.spread(light[None])[0]
         return near if self._glareless else self.direct_share * near
 
     def mix_far(self, light: Floats) -> Floats:
-        """Find the part of :meth:`mix` that glare brings: a few percent of bright light, smooth."""
+        """Compute the part of :meth:`mix` from glare: a few percent of bright light, smooth."""
         return np.zeros_like(light) if self._glareless else self._glare(light)
 
     def _glare(self, light: Floats) -> Floats:
@@ -247,7 +248,7 @@ class Calibration:
 
     @cached_property
     def direct_share(self) -> Floats:
-        """What of a flat is no glare, (v, u): the responsivity holds both."""
+        """Share of a flat's signal that is not glare, (v, u); the responsivity includes both."""
         flat = np.ones(self.shape, np.float32)
         return flat if self._glareless else 1 - self._glare(flat)
 
@@ -256,33 +257,33 @@ class Calibration:
         return self.glare.share(self.reach) == 0
 
     def spread(self, stack: Floats) -> Floats:
-        """Gather the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
+        """Add the neighbours' light by the crosstalk kernels: images of shape (n, v, u), float32."""
         return self._gather(stack, self._planes)
 
     def spread_variance(self, variance: Floats) -> Floats:
-        """Gather independent noise: an image of shape (v, u) by the squared kernels, own pixel left out."""
+        """Add the neighbours' independent noise by the squared kernels, without the own pixel's: (v, u)."""
         return self._gather(variance[None], self._squared_planes)[0]
 
     @property
     def own_share(self) -> Floats:
-        """What each pixel keeps of its own light: the centres of the kernels, array (v, u)."""
+        """Share of its own light that each pixel keeps: the centres of the kernels, array (v, u)."""
         return self.crosstalk[:, :, self.reach, self.reach]
 
     @property
     def ratio(self) -> float:
-        """CCD pixels to a panel pixel along a row or column, by the picks."""
+        """CCD pixels per panel pixel along a row or column, from the pixel map."""
         rows, cols = self.shape
         apart = (float(pick[-1, -1] - pick[0, 0]) for pick in (self.pick_row, self.pick_col))
         return max(math.hypot(*apart) / math.hypot(rows - 1, cols - 1), 1.0) if rows * cols > 1 else 1.0
 
     @property
     def reach(self) -> int:
-        """Farthest neighbours in the kernels, panel pixels."""
+        """Half width of the kernels, panel pixels."""
         return self.crosstalk.shape[2] // 2
 
     @cached_property
     def _planes(self) -> Floats:
-        """The kernels as images, (ky, kx, v, u): so whole rows are weighted at once."""
+        """The kernels as images, (ky, kx, v, u), so that whole rows are weighted at once."""
         return np.ascontiguousarray(self.crosstalk.transpose(2, 3, 0, 1))
 
     @cached_property
@@ -292,7 +293,7 @@ class Calibration:
         return squared
 
     def observe(self, frame: CodedFrame) -> Observation:
-        """Bring a frame to the panel grid: black subtracted, responsivity divided out, noise predicted.
+        """Bring a frame to the panel grid: subtract black, divide by the responsivity, predict the noise.
 
         Raises
         ------

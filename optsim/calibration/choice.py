@@ -1,4 +1,4 @@
-"""What schemes and decoders know of a camera, and how much of it they read."""
+"""Calibration choice of an experiment: source of the calibration, and size of the readout window."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from optsim.core.config import Table
 from optsim.core.errors import StorageError, nearest_name
 
-# Widest square that is read, over a panel pixel: a sensible default, no source.
+# Widest readout window over a panel pixel: a sensible default, no source.
 _WIDEST = 1.2
 
 OPERATORS = ("bench", "true", "ideal")
@@ -20,12 +20,12 @@ _PATHS = f"the path of a {CALIBRATION_FILE} (or of the run folder that holds it)
 
 
 def _true_is_a_word(value: object) -> object:
-    """Read ``calibration=true``, which TOML takes for a truth value, as the word that was meant."""
+    """Read ``calibration=true``, a truth value in TOML, as the word "true"."""
     return "true" if value is True else value
 
 
 def _word_or_path(value: str) -> str:
-    """Tell a word that nobody knows from the path of a file, which may be on another machine."""
+    """Refuse an unknown word; accept the path of a file, which may be on another machine."""
     if value in OPERATORS:
         return value
     path = Path(value).expanduser()
@@ -41,8 +41,7 @@ def _is_path(value: str) -> bool:
     return "/" in value or value.endswith((".npz", ".json"))
 
 
-# What is known of the camera: what the bench found, the simulator's own parameters, the paper's equations, or
-# what a file holds.
+# Source of the calibration: measured on the bench, true parameters, the paper's equations, or a file.
 Operator = Annotated[
     Literal["bench", "true", "ideal"] | str, BeforeValidator(_true_is_a_word), AfterValidator(_word_or_path)
 ]
@@ -54,19 +53,19 @@ def _with_a_middle(value: int) -> int:
     return value
 
 
-# CCD pixels to a side of the square that is read for a panel pixel.
+# Side of the readout window, CCD pixels.
 ReadingPx = Annotated[int, Field(ge=1, le=9), AfterValidator(_with_a_middle)]
 
 
 class CalibrationChoice(NamedTuple):
-    """What schemes and decoders know of the camera, and what they read of it.
+    """Source of the calibration for schemes and decoders, and their readout window.
 
     Parameters
     ----------
     operator : str
-        Where the calibration is from: bench, true, ideal, or a file (:func:`kept_file`).
+        bench, true, ideal, or a file (:func:`kept_file`).
     reading_px : int
-        CCD pixels to a side of the square that is read for a panel pixel.
+        Side of the readout window, CCD pixels.
     """
 
     operator: str
@@ -74,17 +73,17 @@ class CalibrationChoice(NamedTuple):
 
     @property
     def file(self) -> Path | None:
-        """File that holds it, a calibration's or a bench's record; None where it is made anew."""
+        """File that holds it, a calibration's or a bench's record; None if it is made anew."""
         return None if self.operator in OPERATORS else Path(self.operator)
 
     def __str__(self) -> str:
-        """Name it, in reports."""
+        """Name it in reports."""
         square = f", {self.reading_px} x {self.reading_px} CCD pixels read" if self.reading_px > 1 else ""
         return self.operator + square
 
 
 def kept_file(path: Path) -> Path:
-    """File in which a calibration is kept, or a bench's record, from its own path or that of its folder.
+    """Find the file of a stored calibration or bench record, from its own path or that of its folder.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def kept_file(path: Path) -> Path:
 
 
 def find_kept(table: Table, folder: Path) -> None:
-    """Take the relative paths of calibrations from the experiment's own folder, wherever it is run from."""
+    """Resolve the relative paths of calibrations from the experiment's own folder."""
     methods: object = table.get("methods")
     for each in (table, *(cast("list[object]", methods) if isinstance(methods, list) else ())):
         held = cast("Table", each) if isinstance(each, dict) else {}
@@ -113,10 +112,10 @@ def find_kept(table: Table, folder: Path) -> None:
 
 
 def _in_folder(path: Path) -> Path:
-    """File of a folder that holds a calibration or a bench; else the path itself."""
+    """Find the calibration or bench file of a folder; else return the path itself."""
     return next((path / name for name in (CALIBRATION_FILE, BENCH_FILE) if (path / name).is_file()), path)
 
 
 def widest_reading(ratio: float) -> int:
-    """CCD pixels to a side of the widest square that may be read, at so many to a panel pixel."""
+    """Widest readout window allowed at a number of CCD pixels per panel pixel, CCD pixels."""
     return max(1, int((_WIDEST * ratio - 1) // 2) * 2 + 1)

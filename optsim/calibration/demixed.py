@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""A coded frame as each panel pixel saw it by itself: the light of the neighbours taken out."""
+"""Demixed frames: a coded frame with crosstalk and glare removed, so that each pixel has its own light."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ import numpy as np
 from optsim.calibration.calibration import Calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Ints, PanelState
-from optsim.optics.motion import Bounds, bounds
+from optsim.optics.motion import IrradianceInterval, irradiance_interval
 
 Crosstalk = Literal["undone", "row_summed"]
 _REMAINDER = 1e-4
 LEAST_EXPOSURE = 1e-6
-"""Slots; what gathered less says nothing of its irradiance."""
-# Of its own light a pixel must keep so much, or its neighbours' light can't be told from its own.
+"""Slots; a pixel with less exposure gives no irradiance."""
+# A pixel must keep this share of its own light, or it cannot be separated from its neighbours'.
 _LEAST_SHARE = 1 / 3
-# Iterating by shares above a half converges for sure, the faster the larger they are. Below, it would
-# overshoot where light is even: there the step is that of a larger share. Slowest rate that is waited for.
+# The iteration converges for own shares above a half, faster for larger ones. Below a half it would overshoot
+# in even light, so a larger share sets the step. The last is the slowest convergence rate that is iterated to
+# the end.
 _ENOUGH, _LARGER, _SLOWEST = 0.5, 0.6, 0.95
 
 
@@ -36,19 +37,19 @@ class DemixedFrame:
     exposure : ndarray of shape (v, u), float32
         Their sum over the slots.
     gathered : ndarray of shape (v, u), float32
-        What ``measured`` would be of 1 W m^-2 everywhere: with crosstalk neighbours' exposures have a share.
+        ``measured`` for 1 W m^-2 everywhere; crosstalk includes the neighbours' exposures.
     measured : ndarray of shape (v, u), float32
         The signal with crosstalk, W m^-2 slots; a lower bound where saturated.
     signal : ndarray of shape (v, u), float32
         The signal of each pixel by itself (or ``measured``, with row-summed weights).
     variance : ndarray of shape (v, u), float32
-        Variance of ``signal`` by noise and by attribution.
+        Variance of ``signal`` by noise and attribution.
     attribution : ndarray of shape (v, u), float32
         Part of it that is :func:`attribution_variance`.
     saturated, valid : ndarray of shape (v, u), bool
         As in :class:`~optsim.calibration.calibration.Observation`.
     tainted : ndarray of shape (v, u), bool
-        Light of a saturated neighbour, of unknown amount, is in ``signal``: it is an upper bound.
+        ``signal`` includes an unknown amount of a saturated neighbour's light: it is an upper bound.
     """
 
     weights: Floats
@@ -64,71 +65,71 @@ class DemixedFrame:
 
     @property
     def even(self) -> Floats:
-        """Irradiance if all around were as bright, W m^-2, (v, u): the least there is where saturated."""
+        """Irradiance in uniform surroundings, W m^-2, (v, u): a lower bound where saturated."""
         return (self.measured / np.maximum(self.gathered, np.float32(1e-6))).astype(np.float32, copy=False)
 
     @property
     def least(self) -> Floats:
-        """Irradiance of a saturated pixel if it had gathered through its own code alone, W m^-2, (v, u).
+        """Irradiance of a saturated pixel from its own exposure alone, W m^-2, (v, u); 0 for the others.
 
-        0 for the others. More than there is where the neighbours' longer exposures brought light; less than
-        there is where the pixel saturated by far: all that is known of one that saturates in every frame.
+        It is too high where neighbours with longer exposures brought light. It is too low where the pixel
+        saturated by far. It is the only estimate for a pixel that saturates in every frame.
         """
         bound = self.measured / np.maximum(self.exposure, np.float32(1e-6))
         return np.where(self.saturated & self.valid, bound, 0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
-class Brightness:
-    """What other frames say of each pixel, for those in which it saturates.
+class SaturationPrior:
+    """Saturation prior: a pixel's irradiance from other frames, for frames in which it saturates.
 
     Parameters
     ----------
     irradiance : ndarray of shape (v, u), float32
-        W m^-2; NaN where no frame says.
+        W m^-2; NaN where no frame measured it.
     least : ndarray of shape (v, u), float32
-        What saturated samples say (:attr:`Sample.least`), W m^-2.
+        Estimate from saturated frames (:attr:`DemixedFrame.least`), W m^-2.
     """
 
     irradiance: Floats
     least: Floats
 
     @classmethod
-    def unknown(cls, shape: tuple[int, int]) -> Brightness:
-        """Before there is a frame."""
+    def unknown(cls, shape: tuple[int, int]) -> SaturationPrior:
+        """Prior before the first frame."""
         return cls(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
 
-    def after(self, sample: DemixedFrame) -> Brightness:
-        """With what one more frame says: the newest measurement counts, or the highest bound since."""
-        measured = sample.valid & ~sample.saturated & ~sample.tainted & (sample.exposure > 0)
-        mean = sample.signal / np.maximum(sample.exposure, np.float32(1e-6))
-        return Brightness(
+    def after(self, demixed: DemixedFrame) -> SaturationPrior:
+        """Update by one more frame: the newest measurement counts, or the highest bound since."""
+        measured = demixed.valid & ~demixed.saturated & ~demixed.tainted & (demixed.exposure > 0)
+        mean = demixed.signal / np.maximum(demixed.exposure, np.float32(1e-6))
+        return SaturationPrior(
             np.where(measured, mean, self.irradiance).astype(np.float32),
-            np.where(measured, 0, np.maximum(self.least, sample.least)).astype(np.float32),
+            np.where(measured, 0, np.maximum(self.least, demixed.least)).astype(np.float32),
         )
 
 
 def take(
     calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
 ) -> tuple[DemixedFrame, PanelState]:
-    """Observe a frame and separate its pixels.
+    """Demix one frame.
 
     Parameters
     ----------
     calibration : Calibration
-        The camera as the bench knows it.
+        The camera as measured on the bench.
     frame : CodedFrame
         The frame.
     panel : PanelState or None
         The panel when the frame started; None for the first frame of an experiment.
     crosstalk : {"undone", "row_summed"}
-        "undone" inverts the calibrated kernel, which acts on the image after the slots have been summed, so
-        this is right for every code and scene; "row_summed" leaves the light where it is and adds the
-        neighbours' share to the weights, right only where the scene is the same over the kernel.
+        "undone" inverts the calibrated kernel. The kernel acts on the sum over the slots, so this is right
+        for every code and scene. "row_summed" keeps the mixed light and adds the neighbours' share to the
+        weights. It is right only where the scene is uniform over the kernel.
 
     Returns
     -------
-    sample : Sample
+    demixed : DemixedFrame
     panel : PanelState
         The panel when the next frame starts.
 
@@ -141,7 +142,7 @@ def take(
     weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
     weights, panel = weigh(frame.code, panel)
     exposure = weights.sum(axis=0, dtype=np.float64).astype(np.float32)
-    sample = DemixedFrame(
+    demixed = DemixedFrame(
         weights,
         exposure,
         calibration.mix(exposure) if crosstalk == "undone" else exposure,
@@ -155,44 +156,46 @@ def take(
     )
     if crosstalk == "undone":
         noise = separated_variance(calibration, seen.variance)
-        sample = separate(calibration, replace(sample, variance=noise), Brightness.unknown(calibration.shape))
-        opened = np.maximum(sample.exposure, np.float32(1e-6))
-        rough = np.maximum(sample.signal / opened, np.float32(0))
-        error = attribution_variance(
-            calibration, sample.exposure, rough, (noise / opened**2).astype(np.float32)
+        demixed = separate(
+            calibration, replace(demixed, variance=noise), SaturationPrior.unknown(calibration.shape)
         )
-        sample = replace(sample, variance=noise + error, attribution=error)
-    return sample, panel
+        opened = np.maximum(demixed.exposure, np.float32(1e-6))
+        rough = np.maximum(demixed.signal / opened, np.float32(0))
+        error = attribution_variance(
+            calibration, demixed.exposure, rough, (noise / opened**2).astype(np.float32)
+        )
+        demixed = replace(demixed, variance=noise + error, attribution=error)
+    return demixed, panel
 
 
 def take_next(
     calibration: Calibration,
     frame: CodedFrame,
     panel: PanelState | None,
-    seen: Brightness,
+    seen: SaturationPrior,
     crosstalk: Crosstalk,
-) -> tuple[DemixedFrame, PanelState, Brightness]:
-    """Take the next frame of a film: as :func:`take`, and frames before say how bright saturated pixels are.
+) -> tuple[DemixedFrame, PanelState, SaturationPrior]:
+    """Demix the next frame of a video; earlier frames give the irradiance of saturated pixels.
 
     Parameters
     ----------
     calibration, frame, panel, crosstalk
         As of :func:`take`.
-    seen : Brightness
-        What the frames before say of each pixel.
+    seen : SaturationPrior
+        Saturation prior from the frames before.
 
     Returns
     -------
-    sample : Sample
+    demixed : DemixedFrame
     panel : PanelState
         The panel when the next frame starts.
-    seen : Brightness
-        With what this frame says.
+    seen : SaturationPrior
+        The prior updated by this frame.
     """
-    sample, panel = take(calibration, frame, panel, crosstalk)
+    demixed, panel = take(calibration, frame, panel, crosstalk)
     if crosstalk == "undone":
-        sample = separate(calibration, sample, seen)
-    return sample, panel, seen.after(sample)
+        demixed = separate(calibration, demixed, seen)
+    return demixed, panel, seen.after(demixed)
 
 
 def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
@@ -207,10 +210,10 @@ def check_crosstalk(calibration: Calibration, crosstalk: Crosstalk) -> None:
         _own_share(calibration)
 
 
-def sampled(
+def demixed_frames(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, DemixedFrame]]:
-    """Take the frames of a film: earlier ones say how bright saturated pixels are.
+    """Demix the frames of a video in turn; earlier ones give the irradiance of saturated pixels.
 
     Raises
     ------
@@ -219,44 +222,44 @@ def sampled(
     """
     check_crosstalk(calibration, crosstalk)
     panel: PanelState | None = None
-    seen = Brightness.unknown(calibration.shape)
+    seen = SaturationPrior.unknown(calibration.shape)
     for frame in frames:
-        sample, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
-        yield frame, sample
+        demixed, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        yield frame, demixed
 
 
-def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightness) -> DemixedFrame:
-    """Take everybody else's light out of ``measured``: solve ``calibration.mix(signal) = measured``.
+def separate(calibration: Calibration, demixed: DemixedFrame, elsewhere: SaturationPrior) -> DemixedFrame:
+    """Remove the other pixels' light from ``measured``: solve ``calibration.mix(signal) = measured``.
 
-    Saturated pixels give what other frames say they did, but no less than if all around were as bright: by
-    their neighbours' exposures they may have gathered several times the light that their own let through.
-    Pixels that are not valid are taken to look like the nearest valid one.
+    Saturated pixels take their irradiance from other frames, but at least that of uniform surroundings. With
+    their neighbours' exposures they may have gathered several times their own light. Pixels that are not
+    valid get the value of the nearest valid one.
 
     Parameters
     ----------
     calibration : Calibration
         Holds the kernel.
-    sample : Sample
+    demixed : DemixedFrame
         The frame.
-    elsewhere : Brightness
-        What other frames say of the pixels.
+    elsewhere : SaturationPrior
+        Saturation prior from other frames.
     """
     share = _own_share(calibration)
     centre = np.where(share > _ENOUGH, share, np.float32(_LARGER))
     known = np.isfinite(elsewhere.irradiance)
-    pinned = sample.saturated | ~sample.valid
-    pins = sample.measured
+    pinned = demixed.saturated | ~demixed.valid
+    pins = demixed.measured
     if pinned.any():
-        even = sample.even
-        if not sample.valid.all() and sample.valid.any():
-            even = even[nearest(sample.valid)]
-        told = np.fmax(elsewhere.irradiance, elsewhere.least)
-        pins = np.fmax(even, told) * sample.exposure
-    # The signal of an earlier call is a good start; at first it is what was measured.
-    signal = np.where(pinned, pins, sample.signal)
-    # Glare is little and smooth: it is looked up again when all else has settled.
+        even = demixed.even
+        if not demixed.valid.all() and demixed.valid.any():
+            even = even[nearest(demixed.valid)]
+        prior = np.fmax(elsewhere.irradiance, elsewhere.least)
+        pins = np.fmax(even, prior) * demixed.exposure
+    # The signal of an earlier call is a good start; at first it is the measured signal.
+    signal = np.where(pinned, pins, demixed.signal)
+    # Glare is small and smooth: it is computed again after the near light has converged.
     for _ in range(_rounds(calibration.glare.share(calibration.reach))):
-        near, before = sample.measured - calibration.mix_far(signal), signal.copy()
+        near, before = demixed.measured - calibration.mix_far(signal), signal.copy()
         for _ in range(_rounds(float(((1 - share) / share).max()))):
             change = (near - calibration.mix_near(signal)) / centre
             change[pinned] = 0
@@ -265,9 +268,9 @@ def separate(calibration: Calibration, sample: DemixedFrame, elsewhere: Brightne
                 break
         if _settled(signal - before, signal):
             break
-    loud = (sample.saturated & ~known).astype(np.float32)
-    tainted = (calibration.spread(loud[None])[0] > _REMAINDER) & ~sample.saturated
-    return replace(sample, signal=signal, tainted=tainted)
+    unknown_light = (demixed.saturated & ~known).astype(np.float32)
+    tainted = (calibration.spread(unknown_light[None])[0] > _REMAINDER) & ~demixed.saturated
+    return replace(demixed, signal=signal, tainted=tainted)
 
 
 def _rounds(rate: float) -> int:
@@ -282,12 +285,12 @@ def _settled(change: Floats | Doubles, signal: Floats) -> bool:
 def attribution_variance(
     calibration: Calibration, exposure: Floats, irradiance: Floats, variance: Floats | None = None
 ) -> Floats:
-    """Variance of a separated signal by not knowing whose light it is that crosstalk brings.
+    """Variance of a demixed signal because the origin of crosstalk is ambiguous.
 
-    The kernel is measured on flats. There a neighbour's light that spreads here looks like the own light
-    that the neighbour's code lets through (fringing fields, and blur across an edge that lies within a
-    pixel). Anything between the two may be true, as likely as not (a sensible default; no source): the
-    difference over the square root of three around the one that :meth:`Calibration.mix` takes.
+    The kernel is measured on flats. On a flat, light from the neighbour and own light passed by the
+    neighbour's code give the same signal. The second comes from fringing fields, and from blur across an edge
+    within a pixel. Any mixture of the two is equally likely (a sensible default; no source). So the standard
+    deviation is their difference over the square root of three, around the choice of :meth:`Calibration.mix`.
 
     Parameters
     ----------
@@ -296,9 +299,9 @@ def attribution_variance(
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     irradiance : ndarray of shape (v, u), float32
-        Of each pixel, W m^-2.
+        Irradiance of each pixel, W m^-2.
     variance : ndarray of shape (v, u), float32, optional
-        Of the irradiance, (W m^-2)^2: what neighbours differ by two standard deviations is no difference.
+        Its variance, (W m^-2)^2. Differences between neighbours up to two standard deviations count as none.
     """
     own = calibration.own_share
     theirs, opened = calibration.spread(np.stack([irradiance * exposure, exposure]))
@@ -312,9 +315,9 @@ def attribution_variance(
 
 
 def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
-    """Noise variance after crosstalk was undone: own noise and, to first order, that of the neighbours.
+    """Noise variance after crosstalk was undone: own noise plus, to first order, the neighbours'.
 
-    What is left out is 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
+    Higher orders are 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
     """
     centre = _own_share(calibration)
     around = calibration.spread_variance(variance)
@@ -322,14 +325,14 @@ def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
 
 
 def noise_variance(calibration: Calibration, measured: Floats) -> Floats:
-    """Predicted shot and read noise of a signal that is known, W^2 m^-4 slots^2."""
+    """Predict shot and read noise of a known signal, W^2 m^-4 slots^2."""
     dn = np.maximum(measured, 0) * calibration.responsivity_dn
     variance = (dn * calibration.dn_per_e + calibration.read_noise_dn**2) / calibration.responsivity_dn**2
     return variance.astype(np.float32)
 
 
 def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: Floats) -> Floats:
-    """Variance of a separated signal, by noise and attribution, where the irradiance is known.
+    """Variance of a demixed signal, by noise and attribution, for a known irradiance.
 
     Parameters
     ----------
@@ -342,20 +345,20 @@ def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: F
     return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
 
 
-def sample_bounds(calibration: Calibration, sample: DemixedFrame) -> Bounds:
-    """Bounds of a frame's irradiance, with the calibration's own uncertainties as model error."""
+def demixed_interval(calibration: Calibration, demixed: DemixedFrame) -> IrradianceInterval:
+    """Irradiance intervals of a frame, with the calibration's own uncertainties as model error."""
     leaked = calibration.response.leak * calibration.coded_slots
-    # Pixels that are alike are rounded alike: that is no noise that averages out.
-    alike = np.minimum(sample.attribution + 1 / (12 * calibration.responsivity_dn**2), sample.variance)
-    return bounds(
-        sample.signal,
-        sample.exposure,
-        sample.variance,
-        alike.astype(np.float32),
+    # Equal pixels are rounded equally: rounding does not average out.
+    common = np.minimum(demixed.attribution + 1 / (12 * calibration.responsivity_dn**2), demixed.variance)
+    return irradiance_interval(
+        demixed.signal,
+        demixed.exposure,
+        demixed.variance,
+        common.astype(np.float32),
         (calibration.dn_per_e / calibration.responsivity_dn).astype(np.float32),
-        sample.saturated,
-        sample.tainted,
-        sample.valid,
+        demixed.saturated,
+        demixed.tainted,
+        demixed.valid,
         gain_uncertainty=calibration.gain_uncertainty,
         exposure_uncertainty=calibration.leak_uncertainty * leaked,
         map_residual_px=calibration.map_residual_px,

@@ -1,4 +1,4 @@
-"""From the images of a bench to a Calibration: the order of the steps."""
+"""Estimate a Calibration from bench images; this module sets the order of the steps."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MARGIN = 1  # CCD pixels at the border that are not used: their light may be cu
 
 
 def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
-    """Estimate everything a scheme or decoder needs, from images and stated settings alone.
+    """Estimate a calibration from images and stated settings alone.
 
     Parameters
     ----------
     bench : Bench
-        Measured on a real bench, or by the virtual laboratory.
+        From a real bench, or from the virtual laboratory.
     reading_px : int
-        CCD pixels to a side of the square that is read for a panel pixel, odd.
+        Side of the readout window, CCD pixels, odd.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     Raises
     ------
     BenchError
-        When the images cannot identify a parameter; it says which, and what to take.
+        When the images cannot identify a parameter; it names the parameter and the images to take.
     """
     black_dn = bench.darks.mean(axis=0, dtype=np.float32)
     pixel_map = map_pixels(bench, black_dn)
@@ -70,11 +70,11 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     )
     flat = shading(bench, reader, inside)
     valid = flat.valid
-    # Pixels without meaning get the typical value, so that nobody divides by zero or meets a NaN.
+    # Pixels that are not valid get the median, so that no later division gives infinity or NaN.
     responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
     saturation_dn = np.where(valid, reader.saturation_dn, np.median(reader.saturation_dn[valid]))
     response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad)
-    # Each needs the others; fields that differ by 5 % are settled after two rounds.
+    # These estimates depend on each other; fields that differ by 5 % converge after two rounds.
     for _ in range(2 if bench.fields else 1):
         exponent = drive_exponent(bench.greys, reader, flat, response, bench.slot_s)
         if exponent is not None:

@@ -1,4 +1,4 @@
-"""Light that lands far from where it belongs."""
+"""Stray light beyond the crosstalk kernel: PSF tails, the relay's ghost, and veiling glare."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from optsim.optics.ghost import mirrored
 from optsim.optics.psf import Blur, make_blur
 
 RINGS_PX = (0.0, 7.0, 14.0, 28.0, 56.0)
-"""Borders of the rings in which wings have a strength each, panel pixels from the middle."""
+"""Radii of the rings with one strength of PSF tails each, panel pixels."""
 
 
 @dataclass(frozen=True)
 class Glare:
-    """Shares of the light that leave the crosstalk kernel.
+    """Shares of the light that land beyond the crosstalk kernel.
 
     Parameters
     ----------
     veil : float
         Spread evenly over the CCD: veiling glare (ISO 9358).
     ghost : float
-        Come back mirrored through the middle of the panel.
+        Mirrored through the centre of the panel.
     ghost_blur_px : float
         Standard deviation of the ghost's blur, panel pixels.
     wings : tuple of float
-        Strength of the PSF's wings in each ring of :data:`RINGS_PX`: of a pixel's light, a pick r panel
-        pixels away gets strength / r^3. It would be lambda N / (pi^3 pitch) in all rings for the mean over
-        an Airy pattern's rings (Born and Wolf, *Principles of Optics*, 8.5.2).
+        Strength of the PSF tails in each ring of :data:`RINGS_PX`. A reading r panel pixels away gets the
+        share strength / r^3 of a pixel's light. For the mean of an Airy pattern it is lambda N / (pi^3 pitch)
+        in all rings (Born and Wolf, *Principles of Optics*, 8.5.2).
 
     Raises
     ------
@@ -60,18 +60,18 @@ class Glare:
             )
 
     def share(self, reach: int) -> float:
-        """Share of the light of a pixel far from the edges, with wings that begin beyond ``reach``."""
+        """Share of a pixel's light in glare, far from the edges, with tails that begin beyond ``reach``."""
         return self.veil + self.ghost + float(_kernel(self.wings, reach).sum())
 
     def light(self, arrived: Floats | Doubles, reach: int) -> Doubles:
-        """Find what each pixel gets of it.
+        """Compute the glare at each pixel.
 
         Parameters
         ----------
         arrived : ndarray of shape (v, u)
-            All light where it belongs, in a unit of the CCD such as DN; dark beyond the panel.
+            All light at its own pixel, in a unit of the CCD such as DN; dark beyond the panel.
         reach : int
-            Half width of the crosstalk kernel, panel pixels, where wings begin.
+            Half width of the crosstalk kernel, panel pixels, where the tails begin.
 
         Returns
         -------
@@ -81,7 +81,7 @@ class Glare:
         if self.ghost > 0:
             stray += self.ghost * mirrored(arrived, self.ghost_blur_px)
         if any(self.wings):
-            stray += wings_blur(self.wings, reach, (arrived.shape[0], arrived.shape[1])).apply(arrived)
+            stray += tails_blur(self.wings, reach, (arrived.shape[0], arrived.shape[1])).apply(arrived)
         return stray
 
 
@@ -89,7 +89,7 @@ NO_GLARE = Glare()
 
 
 def ring_strengths(answer: Doubles, row: int, col: int) -> tuple[float, ...]:
-    """Strength of wings in each ring, from what all picks see of one lit pixel beyond its kernel.
+    """Strength of the PSF tails in each ring, from all readings of one lit pixel beyond its kernel.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def ring_strengths(answer: Doubles, row: int, col: int) -> tuple[float, ...]:
 
 
 def _falling(dy: Doubles, dx: Doubles, reach: int) -> list[Doubles]:
-    """Wings of strength 1 in each ring: 1 / r^3 beyond ``reach``, 0 elsewhere; by the way from the middle."""
+    """Tails of strength 1 in each ring, by distance from the centre: 1 / r^3 beyond ``reach``, else 0."""
     distance = np.hypot(dy, dx)
     beyond = np.maximum(np.abs(dy), np.abs(dx)) > reach
     cubed = np.maximum(distance, 1) ** 3
@@ -120,7 +120,7 @@ def _falling(dy: Doubles, dx: Doubles, reach: int) -> list[Doubles]:
 
 @lru_cache(maxsize=16)
 def _kernel(strengths: tuple[float, ...], reach: int) -> Doubles:
-    """Shares of those around it that a pixel sees, as wide as the last ring that has any."""
+    """Shares of the surrounding pixels' light, out to the last ring of nonzero strength."""
     half = max([reach, *(int(outer) for outer, lit in zip(RINGS_PX[1:], strengths, strict=True) if lit)])
     place: Doubles = np.arange(-half, half + 1, dtype=np.float64)
     rings = zip(strengths, _falling(place[:, None], place, reach), strict=True)
@@ -128,6 +128,6 @@ def _kernel(strengths: tuple[float, ...], reach: int) -> Doubles:
 
 
 @lru_cache(maxsize=16)
-def wings_blur(strengths: tuple[float, ...], reach: int, shape: tuple[int, int]) -> Blur:
-    """Prepare wings of these strengths, beyond ``reach`` panel pixels, for images of a shape."""
+def tails_blur(strengths: tuple[float, ...], reach: int, shape: tuple[int, int]) -> Blur:
+    """Prepare PSF tails of these strengths, beyond ``reach`` panel pixels, for images of a shape."""
     return make_blur(_kernel(strengths, reach), shape)

@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Where light goes beside its own pixel: glare by images of bright patches, crosstalk by those of dots."""
+"""Estimate glare from images of bright patches, and crosstalk from images of dot lattices."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from typing import cast
 import numpy as np
 
 from optsim.calibration.bench import Patches
-from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, wings_blur
+from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, tails_blur
 from optsim.calibration.shading import PixelReader, Shading
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.optics.crosstalk import REACH, Dots, crosstalk_kernels
 from optsim.optics.ghost import mirrored
 
-# A ghost is believed if it explains more of what dark places see than so many standard deviations of noise.
+# A ghost counts as found if it improves the fit in dark places by this many standard deviations.
 _GHOST_SIGMAS = 10.0
-# Blurs of the ghost that are looked for, panel pixels, and how finely.
+# Search range of the ghost's blur, panel pixels, and its relative step.
 _GHOST_BLURS_PX, _BLUR_STEP = (4.0, 100.0), 0.02
-# Of the panel's shorter side: wider rings look like the veil, and count as that.
+# Share of the panel's shorter side: tails in wider rings look like veiling glare and count as such.
 _WIDEST_RING = 1 / 2
-# More than half cannot be told from light that belongs there.
+# A larger share cannot be distinguished from direct light.
 _MOST = 0.5
 
 
 def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shading) -> Glare:
-    """Estimate glare from what dark places see of a bright patch; none without images.
+    """Estimate glare from the light of a bright patch in dark places; none without images.
 
-    Light there exceeds the panel's own leak by what :meth:`Glare.light` says of the pattern: linear in all
-    shares, none of which is negative. They are found by least squares, weighted by the noise.
+    The light there beyond the panel's leak is :meth:`Glare.light` of the pattern. It is linear in all shares,
+    and none is negative. Least squares weighted by the noise gives the shares.
 
     Raises
     ------
@@ -52,12 +52,12 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
         return np.concatenate(images) / sigma
 
     n_rings = sum(outer <= _WIDEST_RING * min(shape) for outer in RINGS_PX[1:])
-    blurs = [wings_blur(tuple(ring), REACH, shape) for ring in np.eye(len(RINGS_PX) - 1)[:n_rings]]
+    blurs = [tails_blur(tuple(ring), REACH, shape) for ring in np.eye(len(RINGS_PX) - 1)[:n_rings]]
     plain = [term(lambda light: np.full(shape, light.mean())), *(term(blur.apply) for blur in blurs)]
 
     def fit(terms: list[Doubles]) -> tuple[float, list[float]]:
-        """Sum of squares that is left, and shares."""
-        # An orthogonal transformation keeps both, and leaves as many rows as columns.
+        """Residual sum of squares, and shares."""
+        # An orthogonal transformation keeps both, and reduces the rows to the number of columns.
         triangle = np.asarray(np.linalg.qr(np.stack([*terms, excess / sigma], axis=1), mode="r"))
         shares, left = cast("tuple[Doubles, float]", nnls(triangle[:, :-1], triangle[:, -1]))
         return left**2, np.minimum(shares, _MOST).tolist()
@@ -69,21 +69,21 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
         return with_ghost(log_blur)[0]
 
     log_blur = cast("float", fminbound(left_with_ghost, *np.log(_GHOST_BLURS_PX), xtol=_BLUR_STEP))
-    left, (veil, *wings) = fit(plain)
+    left, (veil, *tails) = fit(plain)
     ghost, blur_px = 0.0, Glare.ghost_blur_px
-    left_with, (veil_with, *wings_with, ghost_with) = with_ghost(log_blur)
+    left_with, (veil_with, *tails_with, ghost_with) = with_ghost(log_blur)
     if left - left_with > _GHOST_SIGMAS**2:
-        veil, wings, ghost, blur_px = veil_with, wings_with, ghost_with, float(np.exp(log_blur))
-    wings += [0.0] * (len(RINGS_PX) - 1 - n_rings)
-    return Glare(veil, ghost, blur_px, tuple(wings))
+        veil, tails, ghost, blur_px = veil_with, tails_with, ghost_with, float(np.exp(log_blur))
+    tails += [0.0] * (len(RINGS_PX) - 1 - n_rings)
+    return Glare(veil, ghost, blur_px, tuple(tails))
 
 
 def _dark_places(
     patterns: Sequence[Patches], reader: PixelReader, flat: Shading
 ) -> tuple[list[Doubles], list[Bools], Doubles, Doubles]:
-    """Light of each pattern, where its kernel does not reach, what is seen there and its standard error.
+    """For each pattern: its light, the places beyond its kernel, the light there, and its standard error.
 
-    Both light and what is seen are what exceeds the panel all off: the rest is the leak's.
+    The panel's leak is subtracted everywhere: all light is the excess over the panel all off.
     """
     from scipy.ndimage import binary_dilation
 
@@ -115,12 +115,12 @@ def crosstalk(
     ----------
     dots : sequence of Patches
         Lattices of single bright pixels.
-    picker, flat : Picker, Shading
-        What is known by now.
+    reader, flat : PixelReader, Shading
+        Estimates so far.
     offset_px : ndarray of shape (v, u, 2), float64
-        Centre of each picked CCD pixel less that of its panel pixel, panel pixels.
+        Centre of each CCD pixel of the pixel map minus that of its panel pixel, panel pixels.
     glare : Glare
-        What arrives from farther dots.
+        Light from more distant dots.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Where each panel pixel falls on the CCD: anchors give an affine guess, dots a cubic map.
+"""The pixel map, panel to CCD: anchors give an affine guess, dots a cubic map.
 
-A polynomial of third order in (v, u) holds shift, rotation, magnification, shear, keystone to third order
-and radial distortion about any centre near the axis; what it cannot hold shows in the residual. No
-nominal geometry is needed: the anchors also settle mirror images and quarter turns.
+A polynomial of third order in (v, u) represents shift, rotation, magnification, shear, keystone to third
+order and radial distortion about any centre near the axis. The residual shows the rest. No nominal geometry
+is needed: the anchors also settle mirror images and quarter turns.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ class PixelMap:
         return pick[:, 0].reshape(self.panel_shape), pick[:, 1].reshape(self.panel_shape)
 
     def offsets_px(self, row: Ints, col: Ints) -> Doubles:
-        """Centre of each picked CCD pixel less that of its panel pixel, along v and u: array (v, u, 2).
+        """Centre of each CCD pixel of the map minus that of its panel pixel, along v and u: array (v, u, 2).
 
-        In panel pixels, through the inverse of the map's slope there: right for mirrored and turned cameras.
+        In panel pixels, by the inverse of the map's local slope: right for mirrored and rotated cameras too.
         """
         centres = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
         apart = np.stack([row.ravel() + 0.5, col.ravel() + 0.5], axis=1) - self.on_ccd(centres)
@@ -98,7 +98,7 @@ def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
 
 
 def _terms(panel: Doubles, panel_shape: tuple[int, int], order: int) -> Doubles:
-    """Monomials of panel points (n, 2) scaled to -1..1: array of shape (n, terms), constant first."""
+    """Monomials of panel points (n, 2) scaled to -1..1, constant first: array of shape (n, terms)."""
     a, b = 2 * panel[:, 0] / panel_shape[0] - 1, 2 * panel[:, 1] / panel_shape[1] - 1
     terms = [a ** (n - i) * b**i for n in range(order + 1) for i in range(n + 1)]
     return np.stack(terms, axis=-1)
@@ -137,7 +137,7 @@ def _dots(
         panel = np.stack([rows.ravel(), cols.ravel()], axis=-1) + np.float64(pattern.size / 2)
         gap = float(min(np.diff(rows[:, 0]).min(initial=99), np.diff(cols[0]).min(initial=99)))
         guess = (_terms(panel, panel_shape, 1) @ affine).astype(np.float64)
-        # First anywhere nearer to this dot than to the next, since the affine guess knows no distortion.
+        # The first window reaches halfway to the next dot, since the affine guess ignores distortion.
         near, _ = _centroids(picture, guess, radius=max(2, round(0.45 * gap * scale)))
         centres, light = _centroids(picture, near, radius=max(2, round((1.5 + pattern.size / 2) * scale)))
         found.append((panel, centres, light))
@@ -153,8 +153,8 @@ def _dots(
 def _centroids(picture: Floats, centres: Doubles, radius: int) -> tuple[Doubles, Doubles]:
     """Centre of light and light in square windows about CCD points; NaN where a window leaves the CCD.
 
-    The window moves to the brightest pixel's neighbourhood by itself over three rounds; the border's
-    median is taken off as background.
+    The window moves to the brightest pixel's neighbourhood over three rounds. The border's median is
+    subtracted as background.
     """
     span = np.arange(-radius, radius + 1)
     result = centres.astype(np.float64)

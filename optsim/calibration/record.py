@@ -1,4 +1,4 @@
-"""Reading the record of a bench folder, with messages that name the file, the key and the cure."""
+"""Read the record of a bench folder; its error messages name the file, the key and the cure."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Read noise, gain and saturation of the CCD, from darks, repeated flats and clipped flats.
 
-The photon transfer of EMVA Standard 1288 release 4.0, section 6: the temporal variance of a pixel rises
-with its mean by the gain, since photon noise is Poisson; differences of two frames of the same light
-leave no fixed pattern in it. Non-linearity is not modelled, and variance feels it twelve times as much as
-the signal where it grows with the fifth power: so the flats stay below half of full well.
+The method is the photon transfer of EMVA Standard 1288 release 4.0, section 6. Photon noise is Poisson, so a
+pixel's temporal variance rises with its mean by the gain. The difference of two frames in the same light
+removes the fixed pattern. Non-linearity is not modelled. If it grows with the fifth power, the variance
+changes twelve times as much as the signal. So the flats stay below half of full well.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from optsim.calibration.bench import Bench
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Floats, Words
 
-# One clipped sample in 30 000 (Gaussian) falls below the threshold and passes as good.
+# One clipped reading in 30 000 (Gaussian) falls below the threshold and counts as measured.
 _SATURATION_SIGMAS = 4.0
-# No source, a sensible default: frames that fill the wells several times are smeared by a little more than
-# those to come, so the clip is taken to be lower by this share.
+# No source, a sensible default: bench frames that fill the wells several times have more smear than later
+# frames. So the clip level is lowered by this share.
 _SMEAR_MARGIN = 1e-3
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """What darks and flats say of the CCD.
+    """Read noise and gain of the CCD, from darks and flats.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SensorNoise:
     dn_per_e: float
 
     def of_mean(self, n_pixels: int) -> SensorNoise:
-        """Noise of the mean of some pixels, which is to the sum of their electrons as one's is to its own."""
+        """Noise of the mean of some pixels, treated as one pixel that collects the sum of their electrons."""
         return SensorNoise(self.read_noise_dn / np.sqrt(n_pixels), self.dn_per_e / n_pixels)
 
 
@@ -75,21 +75,21 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
     if signal <= 0 or excess <= 0.1 * read_variance:
         raise BenchError(
             f"bench flats: their temporal variance exceeds that of the darks by {excess:.3g} DN^2 only, so "
-            "the gain cannot be told; take flats up to half of full well"
+            "the gain cannot be measured; take flats up to half of full well"
         )
-    # Darks that are all alike still were rounded.
+    # Identical darks still have rounding noise.
     return SensorNoise(float(np.sqrt(max(read_variance, 1 / 12))), excess / signal)
 
 
 def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise) -> Floats:
-    """Least raw DN that counts as saturated: the clipped mean of each pixel less four standard deviations.
+    """Raw DN from which a pixel is saturated: its mean clip level minus four standard deviations.
 
-    And less a thousandth of itself, for smear.
+    A thousandth of it is subtracted too, for smear.
 
     Parameters
     ----------
     clipped : ndarray of shape (frame, v, u), uint16
-        Frames that should be saturated, at the pixels wanted.
+        Frames that should be saturated, at the pixels of the map.
     black_dn : ndarray of shape (v, u), float32
         Black level there.
     inside : ndarray of shape (v, u), bool
@@ -100,7 +100,7 @@ def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise:
     Raises
     ------
     BenchError
-        When the frames still follow the light.
+        When the frames are not saturated.
     """
     mean = clipped.mean(axis=0, dtype=np.float64)
     variance = temporal_variance(clipped[:, inside])

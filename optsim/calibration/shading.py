@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""What flats say of every panel pixel: responsivity, leak and grey curve.
+"""Responsivity, leak and grey curve of every panel pixel, from flats.
 
-A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response; so one
-map holds it. The leak is one number, the ratio of the light with the panel all off and all on.
+A flat identifies only the product of objective, splitter, panel, relay and CCD-pixel response. So one map
+holds it. The leak is one number, the ratio of the light with the panel all off and all on.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.optics.panel import PanelResponse, slot_weights
 from optsim.optics.readings import brightest, mean_reading
 
-# No source, sensible defaults: a pixel is dead below this share of the median around it (stuck off, it
-# still reads its neighbours' 0.2 to 0.4), and stuck on above this share of its own light when told off.
+# No source, sensible defaults. A pixel is dead below this share of the median around it: stuck off, it still
+# reads 0.2 to 0.4 from its neighbours. It is stuck on if this share of its light remains when commanded off.
 _DEAD, _STUCK = 0.5, 0.5
-# Grey curves are looked for between these exponents.
+# Search range of the grey curve's exponent.
 _EXPONENTS = (0.02, 50.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PixelReader:
-    """Reads light rates: of the picked CCD pixels, or of squares around them.
+    """Reads light rates at the CCD pixels of the pixel map, or in readout windows around them.
 
     Parameters
     ----------
     row, col : ndarray of shape (v, u), int64
-        Picked CCD pixels.
+        CCD pixels of the pixel map.
     black_dn : ndarray of shape (v, u), float32
-        Black level of what is read.
+        Black level of the readout window.
     black_variance : float
-        Variance of that black level, DN^2.
+        Variance of this black level, DN^2.
     saturation_dn : ndarray of shape (v, u), float32
-        Least raw DN at which a CCD pixel of it counts as saturated.
+        Raw DN from which a CCD pixel of the window is saturated.
     coded_slots : int
         Slots with the shutter open.
     noise : SensorNoise
-        Gain and read noise of what is read.
+        Gain and read noise of the readout window.
     side : int
-        CCD pixels to a side of the squares, odd.
+        Side of the readout window, CCD pixels, odd.
     """
 
     row: Ints
@@ -78,7 +78,7 @@ class PixelReader:
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """What flats say of the panel pixels.
+    """Responsivity and leak of the panel pixels.
 
     Parameters
     ----------
@@ -87,11 +87,12 @@ class Shading:
     off_dn : ndarray of shape (v, u), float64
         The same, all off.
     valid : ndarray of shape (v, u), bool
-        Alive and obeying.
+        Neither dead nor stuck.
     gain_uncertainty : float
         Relative standard error of a pixel's responsivity, rms.
     leak, leak_uncertainty : float
-        Off over on; its relative uncertainty, which holds the spread over the field that one number cannot.
+        Off over on, and its relative uncertainty. The uncertainty includes the spread over the field, since
+        the leak is a single number.
     """
 
     responsivity_dn: Doubles
@@ -128,7 +129,7 @@ def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
             "off, and never saturated; check the levels shown, and take the flats below half of full well"
         )
     gain_uncertainty = float(np.sqrt(np.mean(on_variance[valid] / on[valid] ** 2)))
-    # A pixel stuck on sends its neighbours more light than their own leak.
+    # Light from a pixel stuck on exceeds its neighbours' leak.
     suspect = np.asarray(binary_dilation(inside & ~valid, np.ones((3, 3), np.bool_)), np.bool_)
     clean = valid & ~suspect if np.any(valid & ~suspect) else valid
     leak = max(float(off[clean].sum() / on[clean].sum()), 0.0)
@@ -144,8 +145,8 @@ def drive_exponent(
 ) -> float | None:
     """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
 
-    Flats are means over slots, whose fields may be driven differently: a level that is held follows them
-    with the response's lag.
+    Flats are means over slots whose fields may be driven differently: a held level follows them with the
+    response's lag.
     """
     from scipy.optimize import root_scalar
 
@@ -171,7 +172,7 @@ def drive_exponent(
             )
 
         if open_share >= 1:
-            # Past a half wave some greys are brighter than white, each brightness at two retardances.
+            # Above a half wave some greys exceed white, and each transmission occurs at two retardances.
             continue
 
         def off(exponent: float, level: int = grey.level, seen: float = open_share) -> float:

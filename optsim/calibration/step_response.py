@@ -1,10 +1,10 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingTypeStubs=false
-"""When and how fast the panel answers, from flashes around a change of its level.
+"""Delay and time constants of the panel, from flashes around a change of its level.
 
-Under constant light a frame shows little but the difference of the two time constants; so the bench
-looks inside a slot, with flashes much shorter than it. Rows are written one after the other, so bands of
-rows are looked at by themselves.
+Under constant light a frame shows little more than the difference of the two time constants. So the bench
+samples a slot with flashes much shorter than it. Rows are written one after the other, so bands of rows are
+fitted separately.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from optsim.optics.panel import (
     slot_weights,
 )
 
-# Bounds and start of the fit as shares of a slot; below the lower one a panel counts as instantaneous.
+# Bounds and start of the fit, as shares of a slot; a panel below the lower bound counts as instantaneous.
 _LEAST, _FIRST, _MOST = 1e-4, 0.15, 5.0
-# Flashes look for a panel that is early from half a slot before a step on.
+# The flashes start half a slot before a step, so that they also find an early panel.
 _EARLIEST = 0.45
 _LIT = 0.5
 _BANDS = 48
@@ -45,9 +45,9 @@ def step_weights(
     steps : sequence of Step
         Flashes, with the panel settled at the first level before it changes.
     response : PanelResponse
-        Of the panel; its own row delays are not used.
+        Response of the panel; its own row delays are not used.
     row_delays_s : ndarray of shape (row,), float64
-        When each row turns to a slot's level, s.
+        Delay at which each row is driven to a slot's level, s.
     slot_s : float
         Duration of a slot, s.
 
@@ -58,7 +58,7 @@ def step_weights(
     ends = np.array([[s.before, s.after] for s in steps], np.uint8)
     held = settled_retardance(ends, response).astype(np.float64)
     flash_s = np.array([[s.flash_s] for s in steps])
-    # Times since the row's turn; the change comes with the second slot of a frame, hence the second field.
+    # Times since the row was driven; the change is at a frame's second slot, hence the second field.
     begin = np.array([[s.delay_s] for s in steps]) - row_delays_s
     drive = response.field_drive
     gamma = np.broadcast_to(held[:, :1] * drive[0], begin.shape)
@@ -77,28 +77,28 @@ def step_weights(
 def response_times(
     steps: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, known: PanelResponse
 ) -> PanelResponse:
-    """Fit time constants and the turns of the rows to the signals of bands of rows, by least squares.
+    """Fit time constants and row delays to the signals of bands of rows, by least squares.
 
-    The flash's energy is free in each band: it need not light all alike, nor all of them; if it lights a
-    quarter of the rows or less, all rows count as written at once.
+    The flash's energy is free in each band, so its light need not be uniform nor cover all bands. If it
+    lights a quarter of the rows or less, all rows count as written at once.
 
     Parameters
     ----------
     steps : tuple of Step
         Flashes around changes in both directions.
-    picker : Picker
-        Where to read.
+    reader : PixelReader
+        Reads the frames.
     valid : ndarray of shape (v, u), bool
         Panel pixels to average over.
     slot_s : float
         Duration of a slot, s.
     known : PanelResponse
-        Its leak, grey curve and fields are taken as they are.
+        Its leak, grey curve and fields are kept.
 
     Returns
     -------
     PanelResponse
-        With the rest as estimated.
+        With the estimated delays and time constants.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def response_times(
     sigma = np.sqrt((noise.dn_per_e * np.maximum(signal, 0) + noise.read_noise_dn**2) / samples) / peak
     signal = signal / peak
 
-    # Few rows cannot tell how the others are scanned.
+    # A few rows do not determine the scan of the others.
     tells_scan = float(np.ptp(places) > _LEAST_SPAN)
 
     def response(guess: Doubles) -> PanelResponse:
@@ -145,20 +145,21 @@ def field_drive(
     Parameters
     ----------
     fields : tuple of Step
-        Of one grey level and of a level fully on, at delays of whole slots; empty: all slots count as alike.
-    picker : Picker
-        Where to read.
+        Flashes at one grey level and at full drive, at delays of whole slots. Empty: all slots count as
+        equal.
+    reader : PixelReader
+        Reads the frames.
     valid : ndarray of shape (v, u), bool
         Panel pixels to average over.
     slot_s : float
         Duration of a slot, s.
     response : PanelResponse
-        As known otherwise.
+        Other parameters of the panel.
 
     Returns
     -------
     PanelResponse
-        With the drives of the fields, their mean 1: flashes do not tell by how much all of them are off.
+        With the drives of the fields. Their mean is set to 1: flashes cannot determine a common factor.
 
     Raises
     ------
@@ -194,14 +195,14 @@ def field_drive(
         measured = dark / bright
         return np.append(ratio / ratio.mean() - measured / measured.mean(), drive.mean() - 1)
 
-    # Steps of float32's root, since weights are float32.
+    # Steps near the square root of float32's precision, since weights are float32.
     fit = least_squares(misfit, np.ones(n), diff_step=1e-3)
     drives = fit.x / fit.x.mean()
     return response.model_copy(update={"field_drive": tuple(float(d) for d in drives)})
 
 
 def _lit(steps: tuple[Step, ...], reader: PixelReader, valid: Bools) -> Bools:
-    """Panel pixels that the flash lights; where it is weak there is nothing to learn."""
+    """Panel pixels that the flash lights well enough to fit."""
     row, col, black = reader.row[valid], reader.col[valid], reader.black_dn[valid]
     brightest = max(steps, key=lambda s: float(np.mean(s.dn[:, row, col])))
     light = brightest.dn[:, row, col].mean(axis=0) - black

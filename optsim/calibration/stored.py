@@ -1,9 +1,9 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""A calibration as arrays, in a file that says what each of them is: the only way in and out.
+"""Calibration files: read and write a calibration as described arrays in an .npz.
 
-Beside what a :class:`Calibration` is made of the file holds two tables for readers that have numpy alone:
-``slot_weight``, what a panel pixel lets through in a slot after it was held at another level, and
-``direct_share``, what of even light is no glare.
+Beside the fields of a :class:`Calibration` the file has two tables for readers with numpy alone.
+``slot_weight`` is a panel pixel's transmission in a slot after it was held at another level. ``direct_share``
+is the share of even light that is not glare.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "ccd_shape": ("(rows, columns)", "CCD pixels", "size of a frame"),
     "pick_row": ("v, u", "CCD pixel", "row of a frame that is read for a panel pixel, from 0"),
     "pick_col": ("v, u", "CCD pixel", "column of a frame that is read for a panel pixel, from 0"),
-    "reading_px": ("", "CCD pixels", "side of the square around the pick whose mean is read"),
+    "reading_px": ("", "CCD pixels", "side of the readout window, whose mean is read"),
     "valid": ("v, u", "mask", "false: off the CCD, a dead CCD pixel, a stuck panel pixel"),
     "responsivity_dn": (
         "v, u",
         "DN / (W m^-2 slot)",
         "signal of even light at weight 1, shading included; irradiance is that on the modulator, on axis",
     ),
-    "black_dn": ("v, u", "DN", "black level of what is read"),
+    "black_dn": ("v, u", "DN", "black level of the readout window"),
     "saturation_dn": ("v, u", "DN", "a pixel of a frame at or above it is saturated"),
-    "read_noise_dn": ("", "DN", "noise of what is read in the dark, standard deviation"),
+    "read_noise_dn": ("", "DN", "noise of the readout window in the dark, standard deviation"),
     "dn_per_e": ("", "DN / electron", "its shot noise has the variance dn_per_e (DN above black)"),
     "crosstalk": (
         "v, u, dv, du",
@@ -72,7 +72,7 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "glare_veil": ("", "1", "share of the light that is spread evenly"),
     "glare_ghost": ("", "1", "share of the light that comes back mirrored through the panel's middle"),
     "glare_ghost_blur_px": ("", "panel pixels", "standard deviation of the ghost's blur"),
-    "glare_wings": ("ring", "1", "a pick r panel pixels away gets strength / r^3 of a pixel's light"),
+    "glare_wings": ("ring", "1", "PSF tails: a reading r panel pixels away gets strength / r^3"),
     "slot_weight": (
         "field, end, before, level",
         "1",
@@ -105,7 +105,7 @@ def calibration_arrays(calibration: Calibration) -> dict[str, NDArray[Any]]:
 
 
 def calibration_of(arrays: Mapping[str, NDArray[Any]], where: object) -> Calibration:
-    """Make a calibration of what :func:`calibration_arrays` named.
+    """Make a calibration from the arrays of :func:`calibration_arrays`.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def calibration_of(arrays: Mapping[str, NDArray[Any]], where: object) -> Calibra
     Raises
     ------
     StorageError
-        When an array is missing or is not what it should be, or the format is another.
+        When an array is missing or wrong, or the format is another.
     """
     about = _said(arrays, where)
     if missing := sorted(_MEANING.keys() - arrays.keys()):
@@ -167,7 +167,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read what :func:`write_calibration` wrote, and check all of it.
+    """Read and check a file of :func:`write_calibration`.
 
     Raises
     ------
@@ -178,14 +178,14 @@ def read_calibration(path: Path) -> Calibration:
         with ZipFile(stream) as archive:
             check_memory(path, sum(each.file_size for each in archive.infolist()), "a calibration")
         stream.seek(0)
-        # Each member's checksum is compared where it is read to its end.
+        # Reading each member to its end verifies its checksum.
         with np.load(stream, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name]) for name in stored.files}
     return calibration_of(arrays, path)
 
 
 def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
-    """Read what the file says of itself."""
+    """Read the file's own description."""
     try:
         about: object = json.loads(str(arrays[_ABOUT].item()))
     except (KeyError, ValueError):
@@ -199,13 +199,13 @@ def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
 
 
 def _own_names() -> list[str]:
-    """Names of the arrays that are fields of a calibration by themselves."""
+    """Names of the arrays that are fields of a calibration directly."""
     inside = {*PanelResponse.model_fields, *_DERIVED}
     return [name for name in _MEANING if name not in inside and not name.startswith(_GLARE)]
 
 
 def _value(arrays: Mapping[str, NDArray[Any]], name: str) -> Any:
-    """Return an image, or the number or the few numbers that an array stands for."""
+    """Convert an array to an image, a number or a few numbers."""
     axes, array = _MEANING[name][0], arrays[name]
     if "v, u" in axes:
         return np.ascontiguousarray(array)
@@ -222,7 +222,7 @@ def _slot_weights(calibration: Calibration) -> Floats:
     for end, delay_s in enumerate(delays_s):
         row = response.model_copy(update={"delay_s": float(delay_s), "scan_s": 0.0})
         for field in range(n_fields):
-            # As if the level before had been held under the drive of its own field.
+            # Assumes that the level before was held under the drive of its own field.
             turned = (*response.field_drive[field:], *response.field_drive[:field])
             before = settled_panel(levels.T, row.model_copy(update={"field_drive": turned}))
             now = row.model_copy(update={"field_drive": turned})

@@ -1,1 +1,1 @@
-"""The camera with its true parameters: parts, effects, skip rules, ledger, hardware, laboratory."""
+"""The camera with its true parameters: parts, effects, skip table, ledger, hardware, laboratory."""

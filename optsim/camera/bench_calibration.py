@@ -1,4 +1,4 @@
-"""What the bench finds of a camera, kept in the cache: measuring it again gives the same to the bit."""
+"""Bench calibration of a camera, kept in the cache: a repeated measurement gives the same bits."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _LIBRARIES = ("numpy", "scipy", "numba")
 def bench_calibration(
     camera: CodedCamera, seed: int, reading_px: int, measure: Callable[[], Bench]
 ) -> Calibration:
-    """Recall a calibration, or make it and keep it.
+    """Read a calibration from the cache, or make and store it.
 
     Parameters
     ----------
     camera : CodedCamera
-        On the bench: as planned, without neutral density.
+        Camera on the bench: as planned, without neutral density.
     seed : int
-        Of the laboratory's noise.
+        Seed of the laboratory's noise.
     reading_px : int
-        CCD pixels to a side of the square that is read for a panel pixel.
+        Side of the readout window, CCD pixels.
     measure : callable
-        Takes the bench's images; called only when nothing is kept.
+        Takes the bench's images; called only when the cache has no entry.
     """
     libraries = [platform.python_version(), platform.machine(), *map(version, _LIBRARIES)]
-    # Which code decides it changes more often than one remembers to list it: all of it.
+    # Hash all code: a list of the modules that matter would soon be out of date.
     code = hash_files(["optsim/**/*.py"])
     key = hash_of("calibration", camera.model_dump(mode="json"), seed, reading_px, code, libraries)
     kept = Cache().get(key, lambda: calibration_arrays(calibrate_from(measure(), reading_px)))

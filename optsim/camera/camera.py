@@ -40,20 +40,20 @@ class CodedCamera(Part):
     Parameters
     ----------
     objective, splitter, modulator, relay, sensor
-        The parts, with their true numbers; ``hardware`` of a camera's table fills in those not written.
+        The parts, with their true numbers; ``hardware`` of the ``[camera]`` table gives the defaults.
     panel_rows, panel_cols : int
-        Panel pixels used, from the middle of the panel.
+        Panel pixels used, around the centre of the panel.
     slots_per_frame : int
-        Slots in the period of coded frames: one lasts 1 / modulator.field_rate_hz.
+        Slots in the period of coded frames; a slot lasts 1 / modulator.field_rate_hz.
     latency_frames : int
         Code f may use frames up to f - latency_frames. The paper's prototype has 3.
     overlap : bool
-        Whether the CCD is read out during the next exposure; otherwise the last slots of each period, as
-        many as the readout takes, are uncoded: panel black and shutter closed.
+        Whether the CCD is read out during the next exposure. If not, the last slots of each period are
+        uncoded, panel black and shutter closed, for as long as the readout takes.
     serial_number : int
-        Seed of the fixed patterns of this very camera.
+        Seed of this camera's fixed patterns.
     wavelength_m : float
-        Wavelength of the light that it is used in, m: that of the scene's band, where the scene has any.
+        Wavelength of the light, m; a scene with a band sets it.
     """
 
     objective: Objective
@@ -87,7 +87,7 @@ class CodedCamera(Part):
 
     @property
     def view(self) -> View:
-        """Fine grid on which scenes are rendered for this camera, and the lens that they are seen through."""
+        """Fine grid on which scenes are rendered for this camera, and the lens before it."""
         lens, half_width_m = self.objective, self.panel_cols * self.modulator.pitch_m / 2
         return View(
             rows=self.panel_rows * SAMPLES_PER_PITCH,
@@ -102,7 +102,7 @@ class CodedCamera(Part):
 
     @property
     def wavelength_nm(self) -> float:
-        """Of the light, nm."""
+        """Wavelength of the light, nm."""
         return round(self.wavelength_m * 1e9, 6)
 
     @property
@@ -112,21 +112,21 @@ class CodedCamera(Part):
 
     @property
     def coded_slots(self) -> int:
-        """Slots of a period in which the shutter is open: whole slots that the readout leaves free."""
+        """Whole slots of a period in which the shutter is open; the readout takes the rest."""
         if self.overlap:
             return self.slots_per_frame
         return self.slots_per_frame - int(np.ceil(self.sensor.frame_readout_s / self.slot_s - 1e-9))
 
     @property
     def exposure_s(self) -> float:
-        """Time in which the shutter is open, s."""
+        """Time for which the shutter is open, s."""
         return self.coded_slots * self.slot_s
 
     @property
     def contrast(self) -> float:
         """Transmission of splitter, polarisers and panel fully on over fully off, on axis: an output.
 
-        Infinite for parts without any leak.
+        Infinite for parts without leak.
         """
         dark = self._leaks(np.zeros(1))[0]
         return 1 / float(dark) if dark > 0 else float("inf")
@@ -134,7 +134,7 @@ class CodedCamera(Part):
     @property
     def panel_response(self) -> PanelResponse:
         """True response of the panel between its polarisers, with the leak on axis."""
-        # Without any contrast rounding may put it a little above 1.
+        # Without contrast, rounding may give slightly more than 1.
         return self.modulator.response(
             min(float(self._leaks(np.zeros(1))[0]), 1.0), self.panel_rows, self.wavelength_m
         )
@@ -146,7 +146,7 @@ class CodedCamera(Part):
 
     @property
     def ratio(self) -> float:
-        """CCD pixels to a panel pixel."""
+        """CCD pixels per panel pixel."""
         return self.modulator.pitch_m * self.relay.magnification / self.sensor.pitch_m
 
     def timing(self, n_frames: int) -> Timing:
@@ -177,7 +177,7 @@ class CodedCamera(Part):
     # -- what it does -------------------------------------------------------------------------------------
 
     def form_image(self, radiance: RadianceVideo) -> IrradianceVideo:
-        """Irradiance on the modulator; lazy, and keeps the segments of the last coded frame.
+        """Irradiance on the modulator; lazy, with the segments of the last coded frame kept.
 
         Raises
         ------
@@ -207,18 +207,19 @@ class CodedCamera(Part):
         truth : IrradianceVideo
             Light on the modulator.
         index : int
-            Coded frame; it uses slots ``index * slots_per_frame`` and on.
+            Coded frame; it starts at slot ``index * slots_per_frame``.
         code : ExposureCode
-            What to show, all slots of the period.
+            Commanded code, all slots of the period.
         panel : PanelState or None
-            The panel when the frame begins; None when an experiment does: it has shown a cycle of this code.
+            The panel when the frame begins. None at the start of an experiment: it has then shown a cycle of
+            this code.
         rng : Generator
-            Of this frame's shot and read noise.
+            Generator of this frame's shot and read noise.
 
         Returns
         -------
         frame : CodedFrame
-            What the CCD says, with its code.
+            The raw frame with its code.
         panel : PanelState
             The panel when the next frame begins.
 
@@ -234,7 +235,7 @@ class CodedCamera(Part):
     def expected_electrons(
         self, truth: IrradianceVideo, index: int, code: ExposureCode, panel: PanelState | None
     ) -> tuple[Doubles, PanelState]:
-        """Electrons a frame collects on average, before any clip, (y, x); arguments as in :meth:`expose`."""
+        """Compute the mean electrons of a frame before any clip, (y, x); arguments as in :meth:`expose`."""
         self._check(truth)
         shutter, after = self.shutter(code, panel, truth.instants_per_slot, truth.samples_per_pitch)
         energy = self.panel_energy(truth, index, shutter)
@@ -243,7 +244,7 @@ class CodedCamera(Part):
     def shutter(
         self, code: ExposureCode, panel: PanelState | None, n_sub: int, pitch: int = SAMPLES_PER_PITCH
     ) -> tuple[Shutter, PanelState]:
-        """Return what the panel lets through in a frame, fully on as 1, and the panel after it."""
+        """Return the transmission of the panel in a frame, fully on as 1, and the panel after it."""
         levels, panel, response = self._shown(code, panel)
         answer = response, self.slot_s, n_sub, self.column_leaks
         weights, after = slot_weights(levels, panel, *answer)
@@ -258,11 +259,11 @@ class CodedCamera(Part):
         return energy * whole_cells(self.panel_gain, truth.samples_per_pitch)
 
     def electrons_of(self, image: Doubles) -> Doubles:
-        """Electrons that a radiant exposure of the CCD frees on average, dark ones included, (y, x)."""
+        """Mean electrons of a radiant exposure of the CCD, dark electrons included, (y, x)."""
         return self.photon_electrons(image) + self.dark_e
 
     def reference(self, truth: IrradianceVideo, index: int) -> Floats:
-        """Return a perfect decoder's answer, (slot, v, u), W m^-2: means over pitch cells, shading undone."""
+        """Return a perfect decoder's answer, (slot, v, u), W m^-2: means over pitch cells without shading."""
         means = slot_means(truth, index * self.slots_per_frame, self.slots_per_frame)
         return means / truth.shading
 
@@ -331,13 +332,12 @@ class CodedCamera(Part):
     ) -> tuple[Floats, PanelState]:
         """Effective weights of a code's instants, (t, v, u), panel all on as 1, and the panel after it.
 
-        Pixels that stand still and slots that cannot be coded are not as the code commands; whether the
-        shutter is open, the weights don't say.
+        Stuck pixels and uncoded slots differ from the commanded code. The weights ignore the shutter.
         """
         return slot_weights(*self._shown(code, panel), self.slot_s, n_sub, self.column_leaks)
 
     def _shown(self, code: ExposureCode, panel: PanelState | None) -> tuple[Bytes, PanelState, PanelResponse]:
-        """Levels that the panel is really driven with, the panel before, and how it answers in this frame."""
+        """Levels that drive the panel, the panel before, and its response in this frame."""
         expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
         if code.levels.shape != expected:
             raise ValueCheckError(f"code: got levels of shape {code.levels.shape}, expected {expected}")
@@ -375,7 +375,7 @@ class CodedCamera(Part):
 
     @property
     def stuck_pixels(self) -> tuple[Bools, Bytes]:
-        """Panel pixels that stand still, (v, u), and the level of each."""
+        """Stuck panel pixels, (v, u), and the level of each."""
         return self.modulator.stuck(self.panel_rows, self.panel_cols, self.serial_number)
 
     @property
@@ -384,13 +384,13 @@ class CodedCamera(Part):
         return self.sensor.dark_rate_e_s * self.exposure_s
 
     def photon_electrons(self, energy_j_m2: Doubles) -> Doubles:
-        """Electrons that a radiant exposure of the CCD frees on average, (y, x)."""
+        """Mean electrons of a radiant exposure of the CCD, (y, x)."""
         per_j_m2 = self.sensor.pixel_area_m2 * photons_per_joule(self.wavelength_m)
         per_j_m2 *= self.sensor.efficiency_at(self.wavelength_m)
         return energy_j_m2 * (per_j_m2 * self.sensor.pixel_response(self.serial_number))
 
     def relay_geometry(self, samples_per_pitch: int = SAMPLES_PER_PITCH) -> RelayGeometry:
-        """Where the fine grid lands on the CCD."""
+        """Geometry of the fine grid's image on the CCD."""
         return self.relay.geometry(
             cells=(self.panel_rows * samples_per_pitch, self.panel_cols * samples_per_pitch),
             ccd=(self.sensor.rows, self.sensor.cols),

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
-"""How much each imperfection changes a frame, predicted on a small probe before anything is rendered."""
+"""Size of each imperfection in a frame, predicted on a small probe camera before anything is rendered."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optsim.camera.effects import ALL, Changes, Effect, switched
 from optsim.camera.probe import NOTHING, PLAIN, Probe, compared_with
 from optsim.core.threads import one_thread
 
-# A scene out of focus by more looks no different to a probe, whose patches are four panel pixels wide.
+# More defocus makes no difference to a probe, whose patches are four panel pixels wide.
 _LARGEST_BLUR_PX = 8.0
 Drift = Mapping[str, Changes | None]
 NO_DRIFT: Drift = {}
@@ -22,19 +22,18 @@ NO_DRIFT: Drift = {}
 
 @dataclass(frozen=True)
 class EffectSize:
-    """What an effect does to a frame of the probe.
+    """Size of an effect in a frame of the probe.
 
     Parameters
     ----------
     effect, what : str
         Name, or a key of a drift after ``drift.``, and a few words.
     size : float or None
-        Rms change of the frame by the effect as this camera has it, relative to the noise, by the full model
-        of what it asks for even where numerics are set by hand; None where only rendering would tell, no
-        probe shows a drift, or every pixel of the probe clips.
+        Rms change of the frame by the effect as this camera has it, relative to the noise. It is computed
+        with the full model, even where numerics are set by hand. None where it needs rendering, no probe
+        shows a drift, or every pixel of the probe clips.
     scheme : str or None
-        Name of that of the experiment whose frame it changes so much: others change less. None where it
-        changes none.
+        Scheme of the experiment with the largest change; None where no frame changes.
     """
 
     effect: str
@@ -50,9 +49,9 @@ def effect_sizes(probe: Probe, drift: Drift = NO_DRIFT) -> list[EffectSize]:
     Parameters
     ----------
     probe : Probe
-        Of the camera as it was calibrated.
+        Probe of the camera as calibrated.
     drift : mapping
-        Key -> what of the probe's camera has changed since, or None where no probe tells.
+        Key -> later changes of the probe's camera, or None where no probe shows them.
     """
     together: dict[str, dict[str, Any]] = {}
     for changes in filter(None, drift.values()):
@@ -63,7 +62,7 @@ def effect_sizes(probe: Probe, drift: Drift = NO_DRIFT) -> list[EffectSize]:
 
 
 def size_of(name: str, probe: Probe, drift: Changes = NOTHING) -> EffectSize:
-    """Predict the size of one effect that is not in the scene, of a drift of the probe's camera."""
+    """Predict the size of one effect outside the scene, for a drift of the probe's camera."""
     effect = ALL[name]
     if effect.drifts:
         return largest(name, probe.sizes(_drifting(effect, drift), PLAIN))
@@ -72,13 +71,13 @@ def size_of(name: str, probe: Probe, drift: Changes = NOTHING) -> EffectSize:
 
 
 def largest(effect: str, sizes: Iterable[tuple[float, str]], what: str = "") -> EffectSize:
-    """Largest of an effect's sizes in the frames of some schemes, of those that don't clip everywhere."""
+    """Largest size of an effect over the frames of some schemes; frames that clip everywhere are left out."""
     size, scheme = max((each for each in sizes if math.isfinite(each[0])), default=(None, None))
     return EffectSize(effect, what or ALL[effect].what, size, scheme if size else None)
 
 
 def _drifting(effect: Effect, drift: Changes) -> Changes:
-    """Return what of a drift is an effect's."""
+    """Return the part of a drift that belongs to an effect."""
     return {
         part: {
             key: value
@@ -90,12 +89,12 @@ def _drifting(effect: Effect, drift: Changes) -> Changes:
 
 
 def _size_of_drift(key: str, probe: Probe, changes: Changes | None) -> EffectSize:
-    """Predict the size of one key of a drift; unknown where a probe's frame stays as it is."""
+    """Predict the size of one key of a drift; unknown where a probe's frame does not change."""
     part, _, name = key.rpartition(".")
     what = "change since the calibration, by itself"
     if changes is None:
         return EffectSize(f"drift.{key}", what, None)
-    # Of an effect that changes the same field it is known whether no change is an answer.
+    # The effect that changes the same field tells whether "no change" is a valid answer.
     same = next((e for e, effect in ALL.items() if name in effect.pessimistic.get(part, {})), "")
     found = largest(f"drift.{key}", probe.sizes(changes, PLAIN), what)
     shown = found.size or (ALL[same].drifts if same else False)
@@ -103,10 +102,10 @@ def _size_of_drift(key: str, probe: Probe, changes: Changes | None) -> EffectSiz
 
 
 def size_of_defocus(probe: Probe, blur_px: float) -> EffectSize:
-    """Say how much a disc of confusion, of a diameter in panel pixels, changes, were all of the scene so.
+    """Size of defocus if the whole scene had a disc of confusion of this diameter, panel pixels.
 
-    A Gaussian of the disc's variance stands for it, as part of the objective's own. The PSF is taken as the
-    same all over the field: what interpolating it misplaces depends on the blur, and would count as defocus.
+    A Gaussian of the disc's variance models it, added to the objective's own. The PSF is the same over the
+    field: the error of interpolating it depends on the blur, and would count as defocus.
     """
     lens, diameter_px = probe.camera.objective, min(blur_px, _LARGEST_BLUR_PX)
     sigma_m = diameter_px / 4 * probe.camera.modulator.pitch_m

@@ -1,10 +1,10 @@
-"""Every imperfection of the camera by name: how to switch it off, and how bad it could be.
+"""Every imperfection of the camera by name: its ideal, nominal and pessimistic state.
 
-The nominal state is the hardware as its data-sheet instance has it. A switch changes fields of parts, so
-whatever is set by hand in the same table wins over it. Pessimistic values have no source unless the part
-or the hardware says otherwise: they are this project's judgement of what a bad specimen would do.
+Nominal is the hardware as in its data sheet. A switch changes fields of parts; values set by hand in the same
+table override it. Pessimistic values have no source unless the part or the hardware states one: they are this
+project's judgement of a bad specimen.
 
-Shot noise has no switch: it is the light's own, no camera is without it, and only more light lowers it.
+Shot noise has no switch: it belongs to the light, and only more light reduces it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from optsim.core.errors import ConfigError, unknown_name
 _SHARP = {"spherical_waves": 0.0, "coma_waves": 0.0, "astigmatism_waves": 0.0, "curvature_waves": 0.0}
 _TWICE = {"spherical_waves": 0.14, "coma_waves": 0.278, "astigmatism_waves": 0.278, "curvature_waves": 0.278}
 STATES = ("ideal", "nominal", "pessimistic")
-# Words for a switch that others use.
+# Common words for a switch, accepted as hints.
 _OFF = {"off", "none", "no", "false", "0", "disabled", "perfect", "skip", "skipped"}
 _ON = {"on", "yes", "true", "1", "enabled", "default", "normal", "real"}
 Changes = Mapping[str, Mapping[str, Any]]
@@ -35,15 +35,15 @@ class Effect:
     Parameters
     ----------
     what : str
-        In a few words.
+        Short description.
     ideal, pessimistic : mapping
         Part -> field -> value; :data:`ITSELF` is the part of the camera's own fields.
     in_scene : bool
-        Whether it acts where light is rendered, so that only the scene tells its size
+        Whether it acts where light is rendered, so that its size depends on the scene
         (``experiment/focus.py``, ``experiment/truth.py``).
     drifts : bool
-        Whether it comes after the calibration, so that no decoder knows (``Experiment.drift``): the values
-        are then added to the camera's. Ideal and nominal cameras stay as they were calibrated.
+        Whether it arises after the calibration, unknown to decoders (``Experiment.drift``). The values are
+        then added to the camera's. Ideal and nominal cameras stay as calibrated.
     counts : mapping
         Part -> fields whose drift counts as this effect, beside those of ``pessimistic``.
     """
@@ -67,12 +67,12 @@ ALL: dict[str, Effect] = {
         {"modulator": {"depolarised_share": 0.09, "gap_reflectivity": 0.1}},
     ),
     "response": Effect(
-        "time that the liquid crystal takes, with its history",
+        "response time of the liquid crystal, with its history",
         {"modulator": {"tau_on_s": 0.0, "tau_off_s": 0.0}},
         {"modulator": {"tau_on_s": 1.0e-3, "tau_off_s": 1.4e-3}},
     ),
-    # Of the drive: in white, at the top of its sine, half a percent of light at most. Ripple of the light is
-    # not modelled, neither from slot to slot nor within one.
+    # Differences of the drive change white, at the top of its sine, by half a percent of the light at most.
+    # Ripple of the light is not modelled, neither from slot to slot nor within one.
     "fields": Effect(
         "colour fields and polarities that are driven differently",
         {"modulator": {"field_drive": (1.0, 1.0, 1.0), "polarity_drive": 0.0}},
@@ -122,7 +122,7 @@ ALL: dict[str, Effect] = {
     ),
     # 0.1 dioptres, 7 m taken for 4 m, is a focus set by eye; 3 % is a cheap wide-angle lens: no source.
     "depth_of_field": Effect(
-        "what is not in focus, by a thin lens",
+        "defocus by depth, of a thin lens",
         {"objective": {"focus_m": "everywhere"}},
         {"objective": {"defocus_per_m": 0.1}},
         in_scene=True,
@@ -163,10 +163,10 @@ ALL: dict[str, Effect] = {
         {"relay": {"distortion": 0.0, "keystone_y": 0.0, "keystone_x": 0.0}},
         {"relay": {"distortion": -0.01, "keystone_y": 0.002}},
     ),
-    # Known to the bench, which maps the panel as it stands; what moves after that is an experiment's drift.
-    # No source for any: a CCD pixel each way, as far as picking the centre of three allows, a millimetre in a
-    # metre, lenses within 0.3 % of their focal length, and a blur of a CCD pixel at f/8. Smaller rather than
-    # larger, since the prototype's image just fits its CCD.
+    # The bench measures it with the pixel map; later motion is an experiment's drift. No source for any: a
+    # CCD pixel each way, the most that reading the centre of three allows, a millimetre in a metre, lenses
+    # within 0.3 % of their focal length, and a blur of a CCD pixel at f/8. Smaller rather than larger, since
+    # the prototype's image just fits its CCD.
     "alignment": Effect(
         "panel imaged onto the CCD shifted, turned, at another scale and out of focus",
         {
@@ -188,7 +188,7 @@ ALL: dict[str, Effect] = {
             }
         },
     ),
-    # What a bench leaves of it is in every calibration; this is what moves later. 0.4 CCD pixels: no source.
+    # The bench's own map error is in every calibration; this is later motion. 0.4 CCD pixels: no source.
     "misregistration": Effect(
         "panel that moved, turned or went out of focus on the CCD since it was calibrated",
         {},
@@ -214,7 +214,7 @@ ALL: dict[str, Effect] = {
         drifts=True,
     ),
     "lost_fields": Effect(
-        "slots that pass while the CCD is read out, if it cannot be read during the next exposure",
+        "slots lost to the CCD's readout, if it cannot overlap the next exposure",
         {ITSELF: {"overlap": True}},
         {ITSELF: {"overlap": False}},
     ),
@@ -234,7 +234,7 @@ ALL: dict[str, Effect] = {
         {"sensor": {"smear_share": 1e-2}},
     ),
     "dark_current": Effect(
-        "electrons that no light freed",
+        "dark current: electrons without light",
         {"sensor": {"dark_current_e_s": 0.0}},
         {"sensor": {"dark_current_e_s": 10.0}},
     ),
@@ -253,7 +253,7 @@ ALL: dict[str, Effect] = {
     # the published simulation of the ICX674, 10 in a camera with the IMX174 (Grasshopper3 Technical
     # Reference).
     "quantisation": Effect(
-        "digital numbers that are whole; ideal: of 16 bits",
+        "rounding to whole digital numbers; ideal: 16 bits",
         {"sensor": {"finer_bits": 8}},
         {"sensor": {"finer_bits": -2}},
     ),
@@ -261,7 +261,7 @@ ALL: dict[str, Effect] = {
 
 
 def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
-    """Fields of the parts that a table of switches changes.
+    """Fields of parts changed by a table of switches.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
 
 
 def drifted(camera: CodedCamera, switches: Mapping[str, object]) -> Table:
-    """Return what of a camera changes after its calibration, as ``drift``; switches as checked before."""
+    """Return the changes after the calibration, as ``drift``; switches as checked before."""
     drift: dict[str, dict[str, Any]] = {}
     for name, effect in ALL.items():
         if effect.drifts and switches.get(name, switches.get("all")) == "pessimistic":
@@ -315,7 +315,7 @@ def changed(camera: CodedCamera, changes: Changes) -> CodedCamera:
 
 
 def _updated(part: Part, fields: Mapping[str, Any]) -> Part:
-    """Return a part with other fields; a table changes the part that is there."""
+    """Return a part with other fields; a table changes the existing part."""
     values = {
         name: _updated(getattr(part, name), cast("Mapping[str, Any]", value))
         if isinstance(value, Mapping)

@@ -1,4 +1,4 @@
-"""Do the parts fit together: the panel's image on the CCD, and the loop in time."""
+"""Check that the parts fit together: the panel's image on the CCD, and the loop in time."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ from optsim.core.errors import GeometryError
 # One frame of the DVI link at 60 Hz: patterns are packed three to a frame (DDWG, DVI 1.0, 1999; the panel's
 # field rate of 180 Hz is the paper's).
 DVI_FRAME_S = 1 / 60
-# No source: what USB 3.0 cameras commonly sustain.
+# No source: common sustained rate of USB 3.0 cameras.
 LINK_BYTES_S = 350e6
 
 
 @dataclass(frozen=True)
 class GeometryReport:
-    """Where the panel's image lies on the CCD; lengths in CCD pixels unless named otherwise.
+    """Position of the panel's image on the CCD; lengths in CCD pixels unless named otherwise.
 
     Parameters
     ----------
     panel_rows, panel_cols : int
         Panel pixels used.
     modulator_rows, modulator_cols : int
-        Panel pixels that there are.
+        Panel pixels of the whole panel.
     ccd_rows, ccd_cols : int
         CCD pixels read out.
     ratio : float
-        CCD pixels to a panel pixel.
+        CCD pixels per panel pixel.
     footprint_rows_px, footprint_cols_px : float
         Extent of the panel's image, rotation, keystone and distortion included.
     margin_rows_px, margin_cols_px : float
-        CCD left over on the narrower side; negative where the image falls off.
+        Margin of the CCD on the narrower side; negative where the image falls off.
     moire_period_px : float or None
-        Panel pixels after which the pick error repeats; None for an integer ratio.
+        Panel pixels after which the offset between panel and CCD pixel centres repeats; None for an integer
+        ratio.
     largest_panel_rows, largest_panel_cols : int
-        Most panel pixels that would fit at this ratio, were it aligned and undistorted.
+        Most panel pixels that fit at this ratio if aligned and undistorted.
     relay_accepts : float
         Share of the light cone from the panel that passes the relay's stop.
     """
@@ -62,12 +63,12 @@ class GeometryReport:
         return not self._problems()
 
     def check(self) -> None:
-        """Raise an error that names the keys to change, if anything doesn't fit.
+        """Refuse parts that don't fit, with the keys to change.
 
         Raises
         ------
         GeometryError
-            With what was got, what fits and the cure.
+            With the value got, the value that fits, and the cure.
         """
         problems = self._problems()
         if problems:
@@ -103,7 +104,7 @@ def geometry_report(
     extent_px: tuple[float, float, float, float],
     relay_accepts: float,
 ) -> GeometryReport:
-    """Compute where the panel's image lies; pairs are (rows, columns), ``extent_px`` its four sides."""
+    """Compute the position of the panel's image; pairs are (rows, columns), ``extent_px`` its four sides."""
     # A billionth of a pixel is rounding: 2.88 x 500 is 1440, without margin and without overlap.
     top, bottom, left, right = (round(side, 9) for side in extent_px)
     off = abs(ratio - round(ratio))
@@ -125,14 +126,14 @@ def geometry_report(
 
 @dataclass(frozen=True)
 class LatencyReport:
-    """Smallest latency that the loop can have: code f may use frames up to f - ``frames``.
+    """Smallest possible latency of the loop: code f may use frames up to f - ``frames``.
 
     Parameters
     ----------
     frames : int
         Coded frames.
     readout_s, transfer_s, computation_s, display_s : float
-        From the end of an exposure to the panel's next pattern.
+        Times from the end of an exposure to the panel's next pattern.
     slack_s : float
         Time between the end of the exposure and the end of the period.
     period_s : float
@@ -140,7 +141,7 @@ class LatencyReport:
     keeps_up : bool
         Whether a frame is read before the next exposure ends: readout is no longer than a period.
     sources : str
-        Where the times come from.
+        Sources of the times.
     """
 
     frames: int

@@ -1,15 +1,14 @@
-"""The virtual laboratory: a camera goes in, the raw images that a real bench would give come out.
+"""The virtual laboratory: takes the images of a calibration bench with a simulated camera.
 
-Everything is measured with the camera's true parameters and its photon noise. The source for flats is
-an integrating sphere that fills the field; its radiance is known, so is the f-number, hence the nominal
-irradiance on the modulator. A second source is a pulsed LED, synchronised to the panel, that lights a strip
-down the middle of the modulator for a tenth of a slot or a whole one: so the panel can be seen inside a slot
-although the shutter only knows whole frames.
+All images have the camera's true parameters and its photon noise. The source for flats is an integrating
+sphere that fills the field. Its radiance and the f-number are known, hence the nominal irradiance on the
+modulator. A second source is a pulsed LED, synchronised to the panel. It lights a strip down the middle of
+the modulator for a tenth of a slot or a whole one. So the panel is sampled within a slot, although the
+shutter opens for whole frames only.
 
-What a real bench has and this one has not: an error of the source's scale or uniformity, drift, dust,
-vibration between the frames. Its irradiance scale is exact: all light that decoders tell is as wrong as a
-real one's. Of the panel it is told one number that it cannot measure, the retardance of white, by the data
-sheet (``modulator.stated_half_wave_m``), which may be wrong.
+Unlike a real bench it has no error of the source's scale or uniformity, no drift, no dust, and no vibration
+between frames. Its irradiance scale is exact. One number is given to it because it cannot be measured: the
+retardance of white. It comes from the data sheet (``modulator.stated_half_wave_m``), which may be wrong.
 """
 
 from __future__ import annotations
@@ -35,8 +34,9 @@ from optsim.core.quantities import (
 )
 from optsim.optics.panel import settled_panel
 
-# Shares of the least of full well and converter range that a fully lit pixel reaches. Interline CCDs bend
-# above half of it; off frames get ten times the light of the brightest flat, dots and greys the same.
+# Signal of a fully lit pixel, as a share of full well or converter range, whichever is less. Interline CCDs
+# bend above half of it. Off frames get ten times the light of the brightest flat; dots and greys get the same
+# as it.
 _FLAT_SHARES = (0.15, 0.3, 0.45)
 _FLASH_SHARE = 0.45
 _SATURATED_SHARE = 4.0
@@ -45,7 +45,7 @@ _DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _GLARE_FRAMES, _SATURATED_
 _GREYS = (96, 160, 208)
 _DOT_SPACING = 10
 _FLASHES_PER_SLOT = 10
-# Delays of the flash from half a slot before the step to two slots after, in flashes.
+# Delays of the flash from half a slot before the step to two slots after, in flash lengths.
 _DELAYS = range(-5, 20)
 _STEP_SLOTS = 4
 _FIELDS, _FIELD_LEVEL = 6, 128
@@ -56,14 +56,14 @@ LEAST_PANEL_PX = 24
 
 
 def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
-    """Put a camera on the bench and take all images that its calibration needs.
+    """Take all images that a camera's calibration needs.
 
     Parameters
     ----------
     camera : CodedCamera
         The camera, with its true parameters; at least LEAST_PANEL_PX panel pixels each way.
     rng : Generator
-        Of all shot and read noise on the bench.
+        Generator of all shot and read noise on the bench.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
             for v in shifts
             for u in shifts
         ),
-        # On a small panel no place is far enough from a patch to tell its veil from its blur.
+        # On a small panel no place is far enough from a patch to separate veiling glare from blur.
         glare=tuple(
             lab.patches((v,), (u,), half, brightest, _GLARE_FRAMES)
             for v, u in ((0, 0), (rows - half, cols - half))
@@ -123,7 +123,7 @@ def check_panel(camera: CodedCamera) -> None:
 
 
 class _Laboratory:
-    """A camera, its light sources and the noise of the day."""
+    """A camera, its light sources and its noise."""
 
     def __init__(self, camera: CodedCamera, rng: Generator) -> None:
         self.camera, self.rng = camera, rng
@@ -132,7 +132,7 @@ class _Laboratory:
         sensor = camera.sensor
         well_e = sensor.most_e
         electrons_a_slot = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
-        # Any starting value would do: a bench turns the lamp until the histogram is right.
+        # Any starting value works: on a bench the lamp is adjusted until the histogram is right.
         self._fills_well_w_m2_slot = well_e / electrons_a_slot * camera.irradiance_per_radiance
 
     def irradiance(self, share: float, slots: float | None = None) -> float:
@@ -172,9 +172,9 @@ class _Laboratory:
         return self._take(camera, camera.form_image(sphere), levels, levels, n_frames)
 
     def step(self, before: int, after: int, delay: int) -> Step:
-        """LED flashes ``delay`` flash lengths after the panel, held at one level, got another.
+        """LED flash, ``delay`` flash lengths after the panel changes from one held level to another.
 
-        The shutter is open for four slots around the flash; the panel changes when the second begins.
+        The shutter is open for four slots around the flash; the panel changes at the start of the second.
         """
         slot, instant = divmod(_FLASHES_PER_SLOT + delay, _FLASHES_PER_SLOT)
         pulse = np.zeros(_FLASHES_PER_SLOT, np.float32)
@@ -191,7 +191,7 @@ class _Laboratory:
         return Step(level, level, slot * slot_s, slot_s, self._flashed(level, level, pulse, slot, _FIELDS))
 
     def _flashed(self, before: int, after: int, pulse: Floats, slot: int, n_slots: int) -> Words:
-        """One frame of some slots, one of which the LED lights as ``pulse`` says, instant by instant."""
+        """Take a frame of some slots; in one of them the LED's light is ``pulse``, instant by instant."""
         camera = self.camera.model_copy(update={"slots_per_frame": n_slots, "overlap": True})
         view = camera.view
         width = min(_STRIP_PX * view.samples_per_pitch, view.cols)
@@ -214,11 +214,11 @@ class _Laboratory:
     def _take(
         self, camera: CodedCamera, light: IrradianceVideo, first: Bytes, then: Bytes, n_frames: int
     ) -> Words:
-        """Frames of a panel held at ``first`` until the second slot begins, and then told ``then``."""
+        """Take frames of a panel held at ``first`` until the second slot begins, then at ``then``."""
         levels = np.repeat(then[None], camera.slots_per_frame, axis=0)
         levels[0] = first
         code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
-        # Each image comes at a time of its own, as late as the panel's jitter makes it.
+        # Each image has its own delay by the panel's jitter.
         held = replace(settled_panel(first, camera.panel_response), slots_shown=self.shown)
         self.shown += _FIELDS
         expected_e, _ = camera.expected_electrons(light, 0, code, held)

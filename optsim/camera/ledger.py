@@ -1,4 +1,4 @@
-"""The photon ledger: where the light of one radiance goes, stage by stage, every loss listed once."""
+"""The photon ledger: the light of one radiance stage by stage, with every loss listed once."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class LedgerRow:
     Parameters
     ----------
     stage : str
-        What the light has passed, or what is counted.
+        Stage that the light has passed, or the quantity counted.
     factor : float or None
-        Value over the value of the row above, where they share a unit.
+        Value over that of the row above, if they share a unit.
     value : float
-        What is left.
+        Remaining light, or the quantity counted.
     unit : str
-        Of the value.
+        Unit of the value.
     """
 
     stage: str
@@ -44,7 +44,7 @@ def photon_ledger(
     coded_slots: int,
     wavelength_m: float,
 ) -> tuple[LedgerRow, ...]:
-    """Follow a uniform radiance on axis through a camera that is all on; glare and fixed patterns left out.
+    """Follow a uniform radiance on axis through an all-on camera, without glare and fixed patterns.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def photon_ledger(
     coded_slots : int
         Slots with the shutter open.
     wavelength_m : float
-        Of the light, m.
+        Wavelength of the light, m.
 
     Returns
     -------

@@ -1,11 +1,11 @@
-"""What a scene may leave out, a row each: when, at which error, and what that saves.
+"""Skip table: effects that may be left out for a scene, with the rule, the error bound and the saving.
 
-The full model is the camera with every effect on, before a scene rendered instant by instant. A row states
-how much a frame changes without it: rms over pixels that don't saturate, in units of the frame's noise. Most
-rows are exact: they leave out what isn't there. Bounds of the others add up, and a row is taken only while
-all of them together stay within the tolerance. What saves no time is always modelled.
+The full model is the camera with every effect on and a scene rendered instant by instant. A row bounds the
+change of a frame without it: rms over pixels that don't saturate, in units of the frame's noise. Most rows
+are exact: they leave out effects that are absent. The other bounds add up, and their sum stays within the
+tolerance. An effect that costs no time is always modelled.
 
-``optsim run --check-skips`` takes a frame both ways. ``validation/skipping`` holds the bound against the full
+``optsim run --check-skips`` takes a frame both ways. ``validation/skipping`` compares the bound with the full
 model over cameras, lights, codes and tolerances.
 """
 
@@ -18,35 +18,35 @@ from typing import Literal
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import Changes, changed
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.camera.probe import FINEST_FIELD, Illumination, share_beyond_window
 from optsim.core.config import Part
 
-# A mover may hide all of a light that covers less than this share of the picture.
+# A mover may hide a whole light that covers less than this share of the picture.
 _MOST_HIDDEN = 0.06
-# Bounds of straight lines in time, over what validation/skipping measured: 0.0001 of a frame's noise in even
-# light, at most 0.046 before a window that is too large to be hidden, and beside small lamps 0.3 to 4.7 times
-# the electrons that the far part of their PSFs brings, over the noise.
+# Bounds of straight lines in time, above the values measured in validation/skipping. In even light that was
+# 0.0001 of a frame's noise, before a window too large to be hidden at most 0.046. Beside small lamps it was
+# 0.3 to 4.7 times the electrons in their PSF tails, over the noise.
 _EVEN, _LARGE_LIGHT, _HIDDEN_LIGHT = 1e-3, 0.06, 7.0
-_FINEST_WINGS = 1e-4  # share of the light beyond a PSF's window
+_FINEST_TAILS = 1e-4  # share of the light beyond a PSF's window
 _NEVER = math.inf
 
 
 @dataclass(frozen=True)
 class Given:
-    """What rules go by; nothing of it needs a render.
+    """Inputs of the rules; none needs a render.
 
     Parameters
     ----------
     camera : CodedCamera
-        With all its effects.
+        Camera with all its effects.
     light : Illumination
-        White, light rule, and bright lights in the picture.
+        Declared white, light rule, and bright lights in the picture.
     change : {"static", "lamps", "movers", "camera"} or None
-        What of the scene changes with time (``Scene.kind_of_change``); None of footage.
+        Kind of change in the scene (``Scene.kind_of_change``); None for footage.
     flickers, polarised, focused : bool
-        Whether lamps flicker, whether the scene is rendered with its polarisation, and whether all of it is
-        so sharp that a pinhole renders it (``experiment/focus.py``).
+        Whether lamps flicker, whether the scene is rendered with its polarisation, and whether it is sharp
+        enough to be rendered by a pinhole (``experiment/focus.py``).
     """
 
     camera: CodedCamera
@@ -59,16 +59,16 @@ class Given:
 
 @dataclass(frozen=True)
 class Skip:
-    """One thing that may be left out.
+    """One row of the skip table.
 
     Parameters
     ----------
     name, what, saves : str
-        What is left out, and what that saves as measured.
+        Name, the effect left out, and the measured saving.
     bound : callable
-        Error without it in units of a frame's noise: 0 where it is exact, infinite where it can't be.
+        Error bound without it in units of a frame's noise: 0 if exact, infinite if it must be modelled.
     full : Changes or None
-        What of the camera models it in full; None where the renderer decides by the same rule.
+        Changes of the camera that model it in full; None where the renderer decides by the same rule.
     """
 
     name: str
@@ -83,10 +83,10 @@ def _exact(skipped: bool) -> float:
 
 
 def straight_lines(given: Given) -> float:
-    """Bound the error of far light that follows straight lines in time within a segment.
+    """Bound the error of putting the light of PSF tails on straight lines in time within a segment.
 
-    Only a bright light that comes and goes leaves its line. At worst a small one is hidden as a whole: the
-    share :data:`MOVING_WING_SHARE` of its light then changes, much of it close by.
+    Only a bright light that appears or disappears deviates from its line. In the worst case a small one is
+    hidden as a whole: the share :data:`MOVING_TAIL_SHARE` of its light then changes, much of it close by.
     """
     camera, lights = given.camera, given.light.lights
     hidden = sum(each.light for each in lights if each.share < _MOST_HIDDEN)
@@ -94,10 +94,10 @@ def straight_lines(given: Given) -> float:
     white_e = {row.stage: row.value for row in camera.with_nd(1.0).ledger(given.light.white_w_m2_sr)}[
         "electrons a frame"
     ]
-    # The light rule: no more than this fills the well; half of it is a frame's mean.
+    # The light rule limits the signal to this share of the well; a frame's mean is half of it.
     frame_e = min(white_e, given.light.saturation_share * sensor.most_e) / 2
     noise_e = math.hypot(math.sqrt(frame_e), sensor.read_noise_e)
-    spread = _HIDDEN_LIGHT * MOVING_WING_SHARE * hidden * 2 * frame_e / noise_e
+    spread = _HIDDEN_LIGHT * MOVING_TAIL_SHARE * hidden * 2 * frame_e / noise_e
     return (_LARGE_LIGHT if len(lights) else _EVEN) + spread
 
 
@@ -110,7 +110,7 @@ ALL: tuple[Skip, ...] = (
     ),
     Skip(
         "still_light",
-        "light that stands still, in all slots but one: movers are rendered as differences from it",
+        "the light without movers, in all slots but one: movers are rendered as differences from it",
         "render.window_room of optsim bench: time against error beside rendering every slot",
         lambda given: _exact(given.change in ("static", "lamps", "movers")),
     ),
@@ -122,7 +122,7 @@ ALL: tuple[Skip, ...] = (
     ),
     Skip(
         "polarisation",
-        "polarised light paths: nothing polarises, or the camera is told not to look",
+        "polarised light paths: nothing polarises, or the camera is set to ignore it",
         "not measured",
         lambda given: _exact(given.change is not None and not given.polarised),
     ),
@@ -133,23 +133,23 @@ ALL: tuple[Skip, ...] = (
         lambda given: _exact(given.change is not None and given.focused),
     ),
     Skip(
-        "moving_wings",
+        "moving_tails",
         "far parts of the objective's PSF for moving light, instant by instant: straight lines instead",
         "12 to 0.75 s a frame of the prototype",
         straight_lines,
-        {"objective": {"moving_wing_share": 0.0}},
+        {"objective": {"moving_tail_share": 0.0}},
     ),
 )
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What became of a row.
+    """Decision for a row.
 
     Parameters
     ----------
     skip, what, saves : str
-        As the row says.
+        As in the row.
     skipped : bool
         Whether it is left out.
     bound : float
@@ -165,7 +165,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Skipping:
-    """What an experiment leaves out.
+    """Decisions of the skip table for an experiment.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Skipping:
     choices : tuple of Choice
         One a row.
     camera : CodedCamera
-        That models the rest.
+        Camera that models the rest.
     """
 
     tolerance: float
@@ -188,12 +188,12 @@ class Skipping:
 
 
 def leave_out(given: Given, tolerance: float) -> Skipping:
-    """Choose what is left out.
+    """Decide which effects are left out.
 
     Parameters
     ----------
     given : Given
-        Camera, light and scene. Numbers of the camera set by hand, to other values than their defaults, stay.
+        Camera, light and scene. Camera values other than the defaults are kept.
     tolerance : float
         Rms error allowed in a frame, relative to its noise; 0 leaves out only what isn't there.
     """
@@ -211,22 +211,22 @@ def leave_out(given: Given, tolerance: float) -> Skipping:
 
 
 def _finest(camera: CodedCamera) -> CodedCamera:
-    """Numerics as fine as they come: coarser ones save no time.
+    """Set the finest numerics: coarser ones save no time.
 
-    PSFs reach no farther than twice the length of the panel: there is nothing beyond.
+    PSF windows are limited to twice the length of the panel: no light is collected beyond.
     """
     length = 2 * max(camera.view.rows, camera.view.cols)
     changes: dict[str, dict[str, float]] = {"objective": {}, "relay": {}}
     for part, fields in changes.items():
         if _at_default(camera, {part: {"field_error": 0.0}}):
             fields["field_error"] = FINEST_FIELD
-        if _at_default(camera, {part: {"wing_share": 0.0}}):
-            fields["wing_share"] = max(_FINEST_WINGS, share_beyond_window(camera, part, length))
+        if _at_default(camera, {part: {"tail_share": 0.0}}):
+            fields["tail_share"] = max(_FINEST_TAILS, share_beyond_window(camera, part, length))
     return changed(camera, changes)
 
 
 def _at_default(camera: CodedCamera, changes: Changes) -> bool:
-    """Whether nobody set the fields that some changes are of."""
+    """Whether the changed fields still have their defaults."""
     for name, fields in changes.items():
         part: Part = getattr(camera, name)
         defaults = type(part).model_fields

@@ -1,4 +1,4 @@
-"""A ``[camera]`` table as it is written: over which data sheets it is laid, and what it lacks."""
+"""Read a ``[camera]`` table: lay it over the data sheets that it names, and refuse an incomplete one."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from optsim.core.errors import ConfigError, nearest_name, unknown_name
 
 
 def check_hardware(table: Table, camera: object, where: str, keys: Collection[str]) -> None:
-    """Refuse a camera that is none: no part of it can be guessed.
+    """Refuse a camera table without parts.
 
     Parameters
     ----------
     table : dict
-        Of the experiment, of which ``keys`` may be.
+        Table of the experiment.
     camera : object
-        What it has as its camera.
+        Its ``camera`` entry.
     where : str
         Name of the file, for messages.
     keys : collection of str
-        What an experiment has.
+        Valid keys of an experiment.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def check_hardware(table: Table, camera: object, where: str, keys: Collection[st
 
 
 def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str], where: str) -> None:
-    """Refuse a misspelt key of those that a table may have beside its part's own."""
+    """Refuse a misspelt key among those allowed beside a part's own."""
     for key in table:
         names = [*part.model_fields, *more]
         near = nearest_name(names, key, alike=0.7)
@@ -66,9 +66,9 @@ def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str
 def on_hardware(table: object) -> object:
     """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
 
-    So does its ``sensor`` table, or is the name itself.
-    The switches of its ``effects`` table come between: over the hardware, under what is set by hand. Those of
-    what drifts have no part in the camera (:func:`~optsim.camera.effects.drifted`).
+    The ``sensor`` table works likewise, or is itself a name. The switches of its ``effects`` table override
+    the hardware, and values set by hand override them. Switches of drifts do not change the camera
+    (:func:`~optsim.camera.effects.drifted`).
     """
     if not isinstance(table, dict):
         return table

@@ -1,4 +1,4 @@
-"""Calibrations that no bench of now measures: the true one, the paper's equations, those kept in files."""
+"""Calibrations without a new bench: true parameters, the paper's equations, or a stored file."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from optsim.optics.panel import PanelResponse
 from optsim.optics.readings import mean_reading
 from optsim.optics.relay import RelayOperator
 
-_SAME_TIME = 1e-6  # relative difference of slots that is rounding
+_SAME_TIME = 1e-6  # relative difference of slots within rounding
 
 
 def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = False) -> Calibration:
-    """Calibration copied from the parts; what it cannot hold is non-linearity.
+    """Calibration copied from the parts; it cannot represent non-linearity.
 
     Parameters
     ----------
     camera : CodedCamera
         The camera.
     reading_px : int
-        CCD pixels to a side of the square that is read for a panel pixel, odd.
+        Side of the readout window, CCD pixels, odd.
     alone : bool
-        Leave out what each panel pixel reads of others, as if it were nothing: it takes most of the time.
+        Leave out crosstalk and glare, as if there were none: they take most of the time.
     """
     geometry, sensor, modulator = camera.relay_geometry(), camera.sensor, camera.modulator
     row, col, on_ccd = geometry.ccd_pixels(SAMPLES_PER_PITCH, reading_px)
@@ -46,7 +46,7 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
     image = operator.apply(shading * gain * camera.slot_s)
     nothing = _no_crosstalk(camera), Glare()
     crosstalk, glare = nothing if alone else _of_others(camera, operator, image, square, on_ccd)
-    return _known(
+    return _from_electrons(
         "true",
         camera,
         response=camera.panel_response,
@@ -65,9 +65,9 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
 def _of_others(
     camera: CodedCamera, operator: RelayOperator, flat: Doubles, square: tuple[Ints, Ints, int], on_ccd: Bools
 ) -> tuple[Floats, Glare]:
-    """Find what each panel pixel reads of its neighbours, by a kernel, and of those farther away.
+    """Compute the crosstalk kernels and the glare.
 
-    ``flat`` is the CCD's image of even light, ``square`` the picks and the side of what is read at each.
+    ``flat`` is the CCD's image of even light, ``square`` the pixel map and the side of the readout window.
     """
     row, col, side = square
     rows, cols = camera.panel_rows, camera.panel_cols
@@ -84,7 +84,7 @@ def _of_others(
     lit = 0 * panel
     lit[middle] = 1
     glare = Glare(
-        # The relay spreads a share of the CCD's mean; a calibration counts in means over the panel.
+        # The relay spreads a share of the CCD's mean; a calibration uses the mean over the panel.
         veil=camera.relay.glare_share * float(flat.mean() / mean_reading(flat, *square).mean()),
         ghost=camera.relay.ghost_share,
         ghost_blur_px=camera.relay.ghost_blur_px,
@@ -98,7 +98,7 @@ def _no_crosstalk(camera: CodedCamera) -> Floats:
 
 
 def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
-    """Hold the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil.
+    """Calibration of the paper's equations: an instantaneous, aligned panel without leak, crosstalk or veil.
 
     Arguments as of :func:`true_calibration`.
     """
@@ -109,7 +109,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     shape = (camera.panel_rows, camera.panel_cols)
     exponent = camera.modulator.drive_exponent
     white_rad = camera.modulator.stated_white_rad(camera.wavelength_m)
-    return _known(
+    return _from_electrons(
         "ideal",
         camera,
         response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
@@ -123,7 +123,7 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     )
 
 
-def _known(
+def _from_electrons(
     source: Literal["true", "ideal"],
     camera: CodedCamera,
     *,
@@ -136,12 +136,12 @@ def _known(
     crosstalk: Floats,
     glare: Glare,
 ) -> Calibration:
-    """Make a calibration from electrons, (v, u), rather than from images; the well after the bend."""
+    """Make a calibration from electrons, (v, u), instead of images; the well is that after the bend."""
     sensor = camera.sensor
     noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
     of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
-    # Four sigma below the clip: of saturated pixels one in 30 000 is missed.
+    # Four sigma below the clip: one saturated pixel in 30 000 is missed.
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
     row, col, valid = ccd_pixels
     return Calibration(
@@ -169,27 +169,27 @@ def _known(
 
 
 def check_kept(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
-    """Refuse, before long work, what is kept of another camera or is no calibration: :func:`read_kept`."""
+    """Refuse, before long work, stored calibrations of another camera or invalid ones: :func:`read_kept`."""
     for known in calibration_choices:
         if known.file is not None:
             read_kept(known, camera)
 
 
 def kept_calibration(known: CalibrationChoice, camera: CodedCamera) -> Calibration:
-    """Calibration that a file holds, or that a bench folder's images give; errors of :func:`read_kept`."""
+    """Calibration from a file, or from a bench folder's images; errors of :func:`read_kept`."""
     found = read_kept(known, camera)
     return calibrate_from(found, known.reading_px) if isinstance(found, Bench) else found
 
 
 def read_kept(known: CalibrationChoice, camera: CodedCamera) -> Calibration | Bench:
-    """Read what is kept of a camera, whole, and refuse that of another one.
+    """Read a stored calibration or bench whole, and refuse that of another camera.
 
     Raises
     ------
     StorageError, BenchError
         When the file is missing, damaged, or is no calibration.
     ConfigError
-        When it is of another panel, CCD, timing or reading than the experiment's.
+        When its panel, CCD, timing or readout window is not the experiment's.
     """
     file = kept_file(Path(known.operator))
     if file.name == BENCH_FILE:

@@ -1,4 +1,4 @@
-"""Schemes: which code to show next, from the frames that have arrived. One scheme a file."""
+"""Schemes: each chooses the next code from the frames that have arrived. One scheme a file."""
 
 from typing import Annotated
 

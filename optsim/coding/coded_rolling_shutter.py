@@ -1,4 +1,4 @@
-"""Rows that open one after the other in groups (Gu et al.)."""
+"""Coded rolling shutter (Gu et al.): groups of rows open one after the other."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, check_fits, turns
+from optsim.coding.periodic import PeriodicScheme, check_fits, turns
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class CodedRollingShutter(TiledScheme):
+class CodedRollingShutter(PeriodicScheme):
     """Rows k, k + K, k + 2 K ... are one sub-image; the K sub-images are exposed one after the other.
 
     The interlaced readout of Gu, Hitomi, Mitsunaga and Nayar, "Coded rolling shutter photography: flexible
-    space-time sampling", ICCP 2010. Their rows also follow each other within a sub-image, over the height of
-    the sensor; behind a panel all rows of a sub-image open together, without that skew.
+    space-time sampling", ICCP 2010. On their sensor the rows of a sub-image also open one after the other.
+    Behind a panel they open together, without that skew.
 
     Parameters
     ----------
     group_rows : int
         Rows of a group, K; 4 is a sensible default (no source).
     open_slots : int or None
-        Slots for which each row is open; more than its share make rows overlap. None is its share of the
+        Slots for which each row is open; with more than its share rows overlap. None is its share of the
         coded slots, rounded up.
     """
 

@@ -1,4 +1,4 @@
-"""One shutter for all pixels that flutters open and closed (Raskar et al.)."""
+"""Flutter shutter (Raskar et al.): all pixels open and close together by one binary code."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from optsim.coding.tiles import OPEN, TiledScheme
+from optsim.coding.periodic import OPEN, PeriodicScheme
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, Bytes
 
 # With fewer slots the spectrum of every code has a zero.
 _FEWEST = 6
-# Length of the padded code, in codes: between two of its frequencies the spectrum falls by 1 % at most, from
-# 16 slots on.
+# Length of the padded code, in codes: from 16 slots on the spectrum falls by at most 1 % between two
+# frequencies.
 _PADDING = 32
-# Codes from which the search sets out: twice as many gain nothing at 28, 36 and 52 slots.
+# Starting codes of the search: twice as many gain nothing at 28, 36 and 52 slots.
 _STARTS = 64
-# Frequencies at which exchanges are tried first; it decides nothing but the time.
+# Frequencies at which exchanges are tried first; this affects only the run time.
 _WEAKEST = 96
 
 
-class FlutterShutter(TiledScheme):
-    """All pixels alike: half of the coded slots open, so that no frequency of a moving object's blur is lost.
+class FlutterShutter(PeriodicScheme):
+    """All pixels equal: half of the coded slots are open, so that motion blur loses no frequency.
 
     Raskar, Agrawal and Tumblin, "Coded exposure photography: motion deblurring using fluttered shutter", ACM
     Trans. Graph. 25(3), 795 (SIGGRAPH 2006, doi:10.1145/1141911.1141957). Their criterion: among codes with
     half of the chops open, the one whose spectrum, padded with zeros, has the largest minimum. They published
-    one of 52 chops from a random search; :func:`flutter_code` finds one for the coded slots, whatever the
-    seed. It is the same in every frame; the strobing of periodic motion by Veeraraghavan, Reddy and Raskar
-    (IEEE Trans. PAMI 33, 671, 2011) goes on from frame to frame instead.
+    one of 52 chops from a random search. :func:`flutter_code` finds one for the coded slots, independent of
+    the seed. It is the same in every frame. In the coded strobing of Veeraraghavan, Reddy and Raskar (IEEE
+    Trans. PAMI 33, 671, 2011) the code continues over frames instead.
     """
 
     TEMPORAL: ClassVar[bool] = True
@@ -59,8 +59,8 @@ class FlutterShutter(TiledScheme):
 def flutter_code(n: int) -> Bools:
     """Choose the code of n chops, n // 2 of them open, the first and last among them.
 
-    Each start opens the chops where a chirp is lowest (chirps have flat spectra); then an open and a closed
-    chop change places, those two that raise the least magnitude of the spectrum most, until none raise it.
+    Each start opens the chops where a chirp is lowest, since chirps have flat spectra. Then an open and a
+    closed chop are exchanged, the pair that raises the spectrum's minimum most, until none raises it.
 
     Returns
     -------
@@ -81,12 +81,12 @@ def flutter_code(n: int) -> Bools:
 
 
 def _ascended(code: Bools, waves: np.ndarray) -> tuple[float, Bools]:
-    """Least magnitude and code, after the exchanges that raise it most."""
+    """Minimum magnitude and code, after the exchanges that raise the minimum most."""
     while True:
         spectrum = waves[code].sum(axis=0)
         enough = np.abs(spectrum).min() * (1 + 1e-9)
         opened, closed = 1 + np.flatnonzero(code[1:-1]), np.flatnonzero(~code)
-        # Most exchanges leave one of the weakest frequencies weak; only the others need the whole spectrum.
+        # Most exchanges leave one of the weakest frequencies weak. Only the others need the whole spectrum.
         weak = np.abs(spectrum).argsort()[:_WEAKEST]
         there = spectrum[weak] - waves[opened][:, weak][:, None] + waves[closed][:, weak]
         i, j = np.nonzero(np.abs(there).min(axis=2) > enough)

@@ -1,7 +1,7 @@
-"""A motion mask that is late, carried on: each region grows to where its motion will have brought it.
+"""Extrapolate a late motion mask: each region is dilated along its own motion, ahead to the coded frame.
 
-Between the frames that a mask was made from and the frame that it codes lies the latency. By then what moves
-has gone on. The paper's mask stays behind; this growth is the project's own (no source).
+The mask is made from frames that arrived, which are late by the latency. The paper's mask stays behind the
+motion. This extrapolation is the project's own (no source).
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import numpy as np
 from optsim.core.quantities import Bools, Doubles, Ints
 from optsim.optics.neighbourhoods import regions
 
-# What jumps further than this many times its own length is taken for something else: a sensible default,
-# no source. Without a limit two false alarms far apart would be one thing that crosses the panel.
+# A jump of more than this many object lengths counts as another object: a sensible default, no source.
+# Without a limit two distant false alarms would be one object that crosses the panel.
 _FURTHEST_LENGTHS = 3.0
 
 
 def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
-    """Sweep each region along its own displacement, from here to ``frames_ahead`` times as far.
+    """Sweep each region along its displacement, up to ``frames_ahead`` times as far.
 
-    Straight on and at the same speed. A region without a measured displacement stays as it is; one that the
-    panel's edge cuts, or that has just merged or split, is displaced by what its centroid is.
+    The motion is continued straight at the same speed. A region without a measured displacement stays
+    unchanged. A region cut by the panel's edge, or just merged or split, follows its centroid.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
     Returns
     -------
     ndarray of shape (v, u), bool
-        The mask and what it sweeps, as far as that lies on the panel.
+        The mask and the swept area, within the panel.
     """
     places, displacements = region_displacements(mask, before)
     swept = mask.copy()
@@ -49,13 +49,13 @@ def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
 
 
 def region_displacements(mask: Bools, before: Bools) -> tuple[list[tuple[Ints, Ints]], Doubles]:
-    """Shift of each region's centroid from where it was in the mask before.
+    """Displacement of each region's centroid since the mask before.
 
-    Two masks in a row share the frame between them. So a region overlaps its predecessor unless it moves
-    further than its own length in a frame: then the mask has a region for each of its two frames, the shared
-    one stays, and the new one comes from it. Hence the predecessor is the region that is overlapped most, or
-    else the one whose centroid is nearest, if that is at most three lengths away (the larger side of the
-    region's bounding box).
+    Two successive masks share the frame between them. So a region overlaps its predecessor unless it moves by
+    more than its length in a frame. Otherwise a mask has one region for each of its two frames: that of the
+    shared frame stays, and the new one comes from it. So the predecessor is the region with the largest
+    overlap. Without overlap it is the region with the nearest centroid, within three lengths (the larger side
+    of the region's bounding box).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The paper's scheme: a random code where something moved, the HDR mosaic elsewhere (its section 3.1)."""
+"""The paper's scheme (section 3.1): a random code for moving pixels, the HDR mosaic elsewhere."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from pydantic import Field, model_validator
 
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import (
-    Brightness,
     Crosstalk,
     DemixedFrame,
+    SaturationPrior,
     check_crosstalk,
-    sample_bounds,
+    demixed_interval,
     take_next,
 )
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
+from optsim.coding.periodic import PeriodicCode
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.static_schemes import StaticScheme
-from optsim.coding.tiles import TiledCode
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode, PanelState
 from optsim.optics.motion import changed
-from optsim.optics.neighbourhoods import dilated, without_specks
+from optsim.optics.neighbourhoods import dilated, remove_specks
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
-    """What the adaptive scheme remembers between frames.
+class AdaptiveState:
+    """State of the adaptive scheme between frames.
 
     Parameters
     ----------
     calibration : Calibration
-        The camera as the bench knows it.
-    static, moving : TiledCode
+        The camera as measured on the bench.
+    static, moving : PeriodicCode
         The two codes it chooses from.
     panel : PanelState or None
         The panel after the last frame that arrived; None before there is one.
     n_seen : int
         Frames that have arrived.
-    last : Sample or None
+    last : DemixedFrame or None
         The last frame that arrived.
-    seen : Brightness
-        Of each pixel, from its last samples.
+    seen : SaturationPrior
+        Saturation prior of each pixel, from its last frames.
     label : ndarray of shape (v, u), bool
-        Pixels that count as moving since the last two frames, before clean-up.
+        Pixels that changed between the last two frames, before clean-up.
     label_before : ndarray of shape (v, u), bool
         The same before the last frame arrived.
     """
 
     calibration: Calibration
-    static: TiledCode
-    moving: TiledCode
+    static: PeriodicCode
+    moving: PeriodicCode
     panel: PanelState | None
     n_seen: int
     last: DemixedFrame | None
-    seen: Brightness
+    seen: SaturationPrior
     label: Bools
     label_before: Bools
 
@@ -67,41 +67,41 @@ class Watch:
 class MotionAdaptive(Part):
     """Choose the code of each pixel by whether it changed between the last two frames that have arrived.
 
-    Latency is whatever the caller's ``arrived`` leaves out. The mask for the decoder is the cleaned motion
-    mask; the moving code is shown a patch further, so that every patch touching the mask is purely coded.
+    The latency is set by the caller through ``arrived``. The decoder gets the cleaned motion mask. The moving
+    code extends one patch beyond it, so that every patch touching the mask has this code only.
 
     Parameters
     ----------
     static, moving : scheme
         Codes for pixels that stand still and for those that move.
     threshold_sigma : float
-        Change that counts as motion, in predicted standard deviations. The paper thresholds without giving
-        a value; 4 is a sensible default: by noise alone 1 pixel in 16 000,
-        up to three in the dark, where squares of pixels count too.
+        Change that counts as motion, in predicted standard deviations. The paper gives no value; 4 is a
+        sensible default. Noise alone then triggers 1 pixel in 16 000. In the dark, where squares of pixels
+        are tested too, it triggers up to three.
     least_change : float
-        Where single pixels are too noisy, what counts is a change of the mean over 3 x 3 or 5 x 5 of them, by
-        this share or more: of less, a random code, with its fewer photons, would lose more than it shows. 0.2
-        was chosen on ``window_room`` and ``half_moving`` at a sixteenth of their light.
+        Least relative change of the mean over 3 x 3 or 5 x 5 pixels, used where single pixels are too noisy.
+        For a smaller change a random code, with its fewer photons, would lose more than it shows. 0.2 was
+        chosen on ``window_room`` and ``half_moving`` at a sixteenth of their light.
     speck_px : int
         Changed regions of fewer panel pixels are dropped from the motion mask.
     dilation_px : int
         Reach of the dilation of the motion mask, pixels (the paper dilates, by an amount it does not give).
     patch_px : int
-        Side of the decoder's patches, panel pixels: all of one are shown the moving code.
+        Side of the decoder's patches, panel pixels: a whole patch gets the moving code.
     psf_px : int
         Extra reach for light that spreads between pixels.
     first_frames : {"moving", "static"}
-        What everything counts as until two frames have arrived.
+        Class of all pixels until two frames have arrived.
     crosstalk : {"undone", "row_summed"}
-        How the neighbours' light is accounted for before frames are compared.
+        Correction of the neighbours' light before frames are compared.
     release_sigma : float, optional
-        Hysteresis in time: a pixel that counts as moving does so as long as its change stays above this
-        lower threshold, so that what slows down or passes with little contrast keeps its code. Hysteresis
-        in space (J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8, 679 (1986)) would add what lies beside
-        a clear change; the dilation does that already. None is off; no source for a value.
+        Hysteresis in time: a moving pixel stays so while its change exceeds this lower threshold. Slow or
+        low-contrast motion then keeps its code. Hysteresis in space (J. Canny, IEEE Trans. Pattern Anal.
+        Mach. Intell. 8, 679 (1986)) would add the surroundings of a clear change; the dilation does that
+        already. None is off; no source for a value.
     growth : {"none", "displacement"}
-        "displacement" sweeps each region of the mask on, by its own measured displacement a frame times
-        the frames that the mask is late (:func:`~optsim.coding.growth.swept_ahead`).
+        "displacement" sweeps each region of the mask ahead (:func:`~optsim.coding.growth.swept_ahead`), by
+        its measured displacement a frame times the mask's delay in frames.
     """
 
     kind: Literal["motion_adaptive"] = "motion_adaptive"
@@ -127,8 +127,8 @@ class MotionAdaptive(Part):
             )
         return self
 
-    def init(self, calibration: Calibration, rng: np.random.Generator) -> Watch:
-        """Begin with nothing seen.
+    def init(self, calibration: Calibration, rng: np.random.Generator) -> AdaptiveState:
+        """Start before any frame.
 
         Raises
         ------
@@ -136,20 +136,22 @@ class MotionAdaptive(Part):
             When crosstalk is to be undone and cannot be.
         """
         check_crosstalk(calibration, self.crosstalk)
-        return Watch(
+        return AdaptiveState(
             calibration,
             self.static.init(calibration, rng),
             self.moving.init(calibration, rng),
             None,
             n_seen=0,
             last=None,
-            seen=Brightness.unknown(calibration.shape),
+            seen=SaturationPrior.unknown(calibration.shape),
             label=np.zeros(calibration.shape, np.bool_),
             label_before=np.zeros(calibration.shape, np.bool_),
         )
 
-    def next(self, index: int, arrived: Sequence[CodedFrame], state: Watch) -> tuple[ExposureCode, Watch]:
-        """Code of frame ``index`` from the frames that have arrived, all of them since the first."""
+    def next(
+        self, index: int, arrived: Sequence[CodedFrame], state: AdaptiveState
+    ) -> tuple[ExposureCode, AdaptiveState]:
+        """Code of frame ``index`` from all frames that have arrived."""
         for frame in arrived[state.n_seen :]:
             state = self._learn(frame, state)
         if state.n_seen < 2:
@@ -157,21 +159,22 @@ class MotionAdaptive(Part):
         else:
             decoded = self._cleaned(state.label)
             if self.growth == "displacement":
-                # The newest frame that arrived is n_seen - 1: the mask is that of a frame this far back.
+                # The newest frame that arrived is n_seen - 1: the mask is this many frames old.
                 decoded = swept_ahead(decoded, self._cleaned(state.label_before), index - (state.n_seen - 1))
         shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
         levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
         return ExposureCode(levels, decoded), state
 
     def _cleaned(self, label: Bools) -> Bools:
-        return dilated(without_specks(label, self.speck_px), self.dilation_px)
+        return dilated(remove_specks(label, self.speck_px), self.dilation_px)
 
-    def _learn(self, frame: CodedFrame, state: Watch) -> Watch:
-        # If nothing moves, saturated pixels give what they gave before: right where the test needs it.
-        sample, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
+    def _learn(self, frame: CodedFrame, state: AdaptiveState) -> AdaptiveState:
+        # Saturated pixels keep their earlier irradiance: right if nothing moves, which is what the test
+        # assumes.
+        demixed, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
         label = state.label
         if state.last is not None:
-            before, now = (sample_bounds(state.calibration, s) for s in (state.last, sample))
+            before, now = (demixed_interval(state.calibration, s) for s in (state.last, demixed))
             moved, undecided = changed(before, now, self.threshold_sigma, least_change=self.least_change)
             if self.release_sigma is not None:
                 lower = changed(before, now, self.release_sigma, least_change=self.least_change)[0]
@@ -181,7 +184,7 @@ class MotionAdaptive(Part):
             state,
             panel=panel,
             n_seen=state.n_seen + 1,
-            last=sample,
+            last=demixed,
             seen=seen,
             label=label,
             label_before=state.label,

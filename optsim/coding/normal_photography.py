@@ -7,18 +7,18 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, bump, check_fits
+from optsim.coding.periodic import PeriodicScheme, bump, check_fits
 from optsim.core.quantities import Bytes
 
 
-class NormalPhotography(TiledScheme):
+class NormalPhotography(PeriodicScheme):
     """All pixels open, in all coded slots or in the first few.
 
     Parameters
     ----------
     open_slots : int or None
-        Slots open from the start of the frame; None is all coded slots. The paper's comparison
-        (its figure 4) does not say which exposure it used.
+        Slots open from the start of the frame; None is all coded slots. The paper does not state the exposure
+        of its comparison (figure 4).
     """
 
     TEMPORAL: ClassVar[bool] = False

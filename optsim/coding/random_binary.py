@@ -1,4 +1,4 @@
-"""Each pixel open or closed at random in each slot."""
+"""Random binary code: each pixel open or closed at random in each slot."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import OPEN, TiledScheme, square
+from optsim.coding.periodic import OPEN, PeriodicScheme, square
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class RandomBinary(TiledScheme):
+class RandomBinary(PeriodicScheme):
     """Every pixel open or closed at random in every slot, independently of all others.
 
     The code of Reddy, Veeraraghavan and Chellappa, "P2C2: Programmable pixel compressive camera for high
     speed imaging", CVPR 2011 (doi:10.1109/CVPR.2011.5995542), here in one tile that repeats over panel and
-    frames.
-    A pixel that would never open is drawn anew, so a little more than the stated share is open where that is
-    small: ``open_share / (1 - (1 - open_share) ** coded_slots)``.
+    frames. A pixel that would never open is drawn anew. So the share actually open is a little larger if it
+    is small: ``open_share / (1 - (1 - open_share) ** coded_slots)``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One short exposure a pixel, at a time that differs from pixel to pixel (Hitomi et al.)."""
+"""Random exposure (Hitomi et al.): one short exposure a pixel, at a random time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, bumps, check_fits, even_starts, square
+from optsim.coding.periodic import PeriodicScheme, bumps, check_fits, even_starts, square
 from optsim.core.quantities import Bytes
 
 
-class RandomExposure(TiledScheme):
+class RandomExposure(PeriodicScheme):
     """A single bump a pixel; start times evenly spread over a tile, at random places in it.
 
     The single bump and the patch-wise decoder are those of Hitomi, Gu, Gupta, Mitsunaga and Nayar, "Video

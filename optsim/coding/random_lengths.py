@@ -1,4 +1,4 @@
-"""One exposure a pixel, of random length and at a random time (Portz et al.)."""
+"""Random lengths (Portz et al.): one exposure a pixel, of random length and at a random time."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from optsim.coding.tiles import TiledScheme, bumps, check_fits, square
+from optsim.coding.periodic import PeriodicScheme, bumps, check_fits, square
 from optsim.core.quantities import Bytes
 
 
-class RandomLengths(TiledScheme):
+class RandomLengths(PeriodicScheme):
     """A single bump a pixel; lengths evenly spread over a tile at random places, starts at random.
 
-    After Portz, Zhang and Jiang, "Random coded sampling for high-speed HDR video", ICCP 2013, whose sensor
-    reads each pixel at times of its own, so that the next exposure begins where the last ended and no light
-    is lost. A CCD behind a panel is read once a frame: here a pixel has one exposure in it and then waits.
+    After Portz, Zhang and Jiang, "Random coded sampling for high-speed HDR video", ICCP 2013. Their sensor
+    reads each pixel at its own times: one exposure follows the other and no light is lost. A CCD behind a
+    panel is read once a frame, so here a pixel has one exposure a frame and then waits.
 
     Parameters
     ----------
     shortest_slots, longest_slots : int
-        Range of the lengths in slots. Their exposures take four high-speed frames on average; 1 to 7 has that
-        mean (the range itself is a sensible default, no source).
+        Range of the lengths in slots. The authors' exposures take four high-speed frames on average, as do 1
+        to 7 (the range is a sensible default, no source).
     tile_px : int
         Side of the tile, panel pixels.
     """

@@ -1,4 +1,4 @@
-"""Pixels that open one after the other in small grids (Bub et al.; Gupta et al.)."""
+"""Shutter grid (Bub et al.; Gupta et al.): pixels of small grids open one after the other."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from optsim.coding.tiles import TiledScheme, square, turns
+from optsim.coding.periodic import PeriodicScheme, square, turns
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bytes
 
 
-class ShutterGrid(TiledScheme):
+class ShutterGrid(PeriodicScheme):
     """The pixels of a k x k grid open one after the other, row by row, each for its share of the frame.
 
     Bub, Tecza, Helmes, Lee and Kohl, "Temporal pixel multiplexing for simultaneous high-speed,
@@ -25,7 +25,7 @@ class ShutterGrid(TiledScheme):
     ----------
     grid_px : int
         Side of the grid, panel pixels; 4 is Bub's. All exposures have the same length, the share of the coded
-        slots rounded up: where that is no whole number, neighbours in time overlap by a slot at most.
+        slots rounded up. If the share is no whole number, successive exposures overlap by at most a slot.
     """
 
     TEMPORAL: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""The schemes that the adaptive one can be made of: all but itself, listed here and nowhere else."""
+"""Static (non-adaptive) schemes; the adaptive scheme combines two of them. This is their only list."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATIC_SCHEMES = (
     CodedRollingShutter,
     ShutterGrid,
 )
-# The same once more: a type checker reads no tuple.
+# The same list as a union: a type checker cannot read the tuple.
 AnyStaticScheme = (
     NormalPhotography
     | HdrMosaic

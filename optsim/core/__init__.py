@@ -1,1 +1,1 @@
-"""Values that cross rooms, errors, configuration and units, files, cache, progress; no physics."""
+"""Lowest room: values that cross rooms, errors, configuration, units, files, cache, progress. No physics."""

@@ -1,9 +1,9 @@
-"""Content-addressed cache on disk: an entry is a folder of .npy files, named by a hash of what made it.
+"""Cache on disk, addressed by content: rendered light is made once and found again by a hash of its inputs.
 
-An entry is written under a temporary name and renamed; it lists its files with their sizes and checksums. An
-entry that doesn't agree with its list counts as absent and is made again: an interrupted render resumes by
-finding what is whole. Reading is memory-mapped. When the cache grows over its cap, the entries not used for
-the longest time go first; entries that a live process uses stay, whatever the cap.
+An entry is a folder of .npy files with a list of their sizes and checksums. It is written under a temporary
+name and renamed. An entry that disagrees with its list counts as absent and is made again, so an interrupted
+render resumes. Reading is memory-mapped. A cache above its cap loses the entries unused for the longest time.
+Entries that a live process uses stay, whatever the cap.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def hash_of(*parts: object) -> str:
-    """Hash of anything JSON can say: 40 hex digits; equal parts give equal hashes in every process."""
+    """Hash anything JSON can express: 40 hex digits, equal for equal parts in every process."""
     text = json.dumps(parts, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:40]
 
@@ -44,7 +44,7 @@ def default_folder() -> Path:
     Raises
     ------
     ConfigError
-        When the user that it names has no home, or nobody has.
+        When there is no home folder: of the user that it names, or of this one.
     """
     chosen = os.environ.get("OPTSIM_CACHE")
     try:
@@ -105,7 +105,7 @@ class Cache:
         return self.read(key)
 
     def __contains__(self, key: str) -> bool:
-        # Whoever asks will use it; no other process may evict it from now on.
+        # The caller will use the entry: no other process may evict it from now on.
         self._use(key)
         return _files_of(self._entry(key)) is not None
 
@@ -132,7 +132,7 @@ class Cache:
         )
 
     def show(self) -> dict[str, Any]:
-        """Where the cache is, its whole entries, and its size and cap in bytes."""
+        """Report where the cache is, its whole entries, and its size and cap in bytes."""
         return {
             "folder": str(self.folder),
             "entries": len(self._entries()),
@@ -152,7 +152,7 @@ class Cache:
         shutil.rmtree(self.folder / "entries", ignore_errors=True)
         self._used.clear()
         self._size.clear()
-        # A run may make new ones at the same time.
+        # Only these are counted: another run may add entries meanwhile.
         if left := sum(_size(entry) for entry in entries):
             raise StorageError(
                 f"{self.folder}: {left / 1e6:.1f} MB can't be removed; cure: make its entries writable"
@@ -183,7 +183,7 @@ class Cache:
             temporary.chmod(0o755)
             if key not in self:
                 shutil.rmtree(entry, ignore_errors=True)
-            # Another process may have made the same entry meanwhile: then ours is the spare.
+            # Another process may have made the same entry meanwhile: then this copy is not needed.
             with contextlib.suppress(OSError):
                 temporary.rename(entry)
             if key not in self:
@@ -198,11 +198,11 @@ class Cache:
         self._evict(_size(entry))
 
     def _use(self, key: str) -> None:
-        """Note that an entry is used now, and will be for as long as this process lives."""
+        """Note that this process uses an entry; the note holds until the process ends."""
         if key in self._used:
             return
         self._used.add(key)
-        # A cache that only others may write is as good to read.
+        # A cache that this user may only read still serves.
         with contextlib.suppress(OSError):
             os.write(_notes(self.folder, os.getpid()), f"{key}\n".encode())
             os.utime(self._entry(key))
@@ -238,7 +238,7 @@ def _files_of(entry: Path) -> list[Path] | None:
 
 @lru_cache(maxsize=1000)
 def _notes(folder: Path, process: int) -> int:
-    """Open file in which a process notes what it uses, locked for as long as it lives."""
+    """Open the file in which a process lists the entries it uses; it stays locked until the process ends."""
     (folder / "users").mkdir(parents=True, exist_ok=True)
     notes, _ = tempfile.mkstemp(prefix=f"{process}-", dir=folder / "users")
     fcntl.flock(notes, fcntl.LOCK_EX)
@@ -246,7 +246,7 @@ def _notes(folder: Path, process: int) -> int:
 
 
 def _used_by_the_living(folder: Path) -> set[str]:
-    """Entries that processes use which haven't ended, this one among them."""
+    """Entries in use by processes that still run, this one included."""
     used: set[str] = set()
     for path in folder.glob("users/*"):
         with contextlib.suppress(OSError), path.open(encoding="utf-8") as notes:

@@ -1,4 +1,4 @@
-"""Hashes of code: what was measured or kept holds as long as they stay."""
+"""Hashes of code: a measurement or cache entry is valid until the hash of the code behind it changes."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def hash_files(globs: Sequence[str]) -> str:
 
 
 def hash_code(globs: Sequence[str]) -> str:
-    """Hash the statements of some modules, wherever they stand.
+    """Hash the statements of modules, regardless of their position.
 
-    A statement that moves to another line or module, a new docstring, comment or import path changes
-    nothing. Other files count by their bytes.
+    Moving a statement, or changing a docstring, comment or import path, leaves the hash the same. Files other
+    than Python count by their bytes.
     """
     paths = {path for glob in globs for path in _PACKAGE.parent.glob(glob) if path.is_file()}
     if not paths:

@@ -1,8 +1,8 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 """Loops that numba compiles when they first run.
 
-To import numba and make it ready takes longer than a small camera's frame: so loops are only marked here, and
-what runs none of them, such as ``optsim explain``, never imports it.
+Importing numba and making it ready takes longer than a small camera's frame. So loops are only marked here. A
+command that runs none of them, such as ``optsim explain``, never imports numba.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from optsim.core.errors import ConfigError
 P = ParamSpec("P")
 R = TypeVar("R")
 _one_at_a_time = Lock()
-# Fewer numbers than these are worked through with whole arrays: that is done before a loop could be loaded.
+# Below this many numbers, whole-array numpy finishes before a compiled loop could be loaded.
 FEW = 100_000
 
 
@@ -46,15 +46,15 @@ with suppress(ConfigError):
 
 
 class Compiled(Generic[P, R]):
-    """A function in the part of Python that numba knows; compiled loops may call it, too.
+    """A function in the subset of Python that numba compiles; compiled loops may call it, too.
 
     Parameters
     ----------
     function : callable
-        What to compile.
+        Function to compile.
     options : mapping
-        Of ``numba.njit``, beside those that all loops have: ``nogil``, ``cache`` and numpy's error model,
-        without which a loop with a division, which might raise, is not vectorised.
+        Options of ``numba.njit`` beyond those of all loops, ``nogil`` and ``cache``. All loops also use
+        numpy's error model: otherwise a division might raise, and the loop would not be vectorised.
     """
 
     def __init__(self, function: Callable[P, R], options: dict[str, Any]) -> None:
@@ -73,7 +73,7 @@ class Compiled(Generic[P, R]):
             from numba.extending import typeof_impl
 
             with _one_at_a_time:
-                # How a loop that calls this one finds out what it is.
+                # Tells numba the type of this object inside another compiled loop.
                 if Compiled not in typeof_impl.registry:
                     typeof_impl.register(Compiled, _numba_type)
                 if self._dispatcher is None:
@@ -89,14 +89,14 @@ def _numba_type(loop: Compiled[..., Any], _: object) -> object:
 
 
 def compiled(*, makes_arrays: bool = True, **options: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
-    """Mark a loop as one that numba compiles when it is first called; it lets go of Python's lock.
+    """Mark a loop that numba compiles at its first call; it releases Python's lock while it runs.
 
     Parameters
     ----------
     makes_arrays : bool
-        Whether it makes any. One that doesn't need not count references to those it is given, which for a
-        tuple of arrays is an atomic count of each at every call.
+        Whether the loop allocates arrays. If not, numba need not count references to its arguments. For a
+        tuple of arrays that saves one atomic count an array and call.
     **options
-        Of ``numba.njit``, such as ``fastmath``.
+        Options of ``numba.njit``, such as ``fastmath``.
     """
     return lambda function: Compiled(function, options if makes_arrays else {**options, "_nrt": False})

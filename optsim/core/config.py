@@ -1,14 +1,15 @@
-"""Parts (everything configurable), the tables they are built from, and overrides of these."""
+"""Parts (everything configurable), the TOML tables they are built from, and overrides of their keys."""
 
 from __future__ import annotations
 
 import contextlib
 import re
 import tomllib
+import warnings
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, ClassVar, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -23,7 +24,12 @@ Table = dict[str, Any]
 
 
 class Part(BaseModel):
-    """Base of everything configurable: frozen, no unknown keys, quantity strings read by suffix."""
+    """Base of everything configurable: frozen, no unknown keys, quantity strings read by suffix.
+
+    ``OLD_KEYS`` maps former names of keys to those now; they work and warn.
+    """
+
+    OLD_KEYS: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -31,7 +37,7 @@ class Part(BaseModel):
     def __get_pydantic_json_schema__(
         cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Describe every key, by the docstring of its class."""
+        """Describe every key by the docstring of its class."""
         schema = handler(core_schema)
         keys = cast("dict[str, Table]", handler.resolve_ref_schema(schema).get("properties", {}))
         for key, about in keys.items():
@@ -41,10 +47,14 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _numbers(cls, values: object) -> object:
-        """Read the texts of numbers; what can't be read stays a text, which validation then refuses."""
+        """Read numbers given as text; unreadable text stays for validation to refuse."""
         if not isinstance(values, Mapping):
             return values
         table = dict(cast("Mapping[str, object]", values))
+        for old in table.keys() & cls.OLD_KEYS.keys():
+            # A table laid over a data sheet has both: the user's old key wins.
+            warnings.warn(f"{old} is {cls.OLD_KEYS[old]} now", FutureWarning, stacklevel=2)
+            table[cls.OLD_KEYS[old]] = table.pop(old)
         for key in table.keys() & cls.model_fields.keys():
             table[key] = _number(key, table[key], cls.model_fields[key].annotation)
         return table
@@ -53,7 +63,7 @@ class Part(BaseModel):
 def _number(key: str, value: object, annotation: object) -> object:
     allowed = {annotation} if isinstance(annotation, type) else set(get_args(annotation))
     if isinstance(value, bool) and allowed & {int, float} and bool not in allowed:
-        # Python counts true and false as 1 and 0; a user doesn't.
+        # Python counts true and false as 1 and 0; a user does not mean that.
         return str(value).lower()
     if isinstance(value, str) and float in allowed and not allowed - {float, type(None)}:
         with contextlib.suppress(ValueError):
@@ -79,7 +89,7 @@ def build(part: type[PartT], table: Mapping[str, object], *, where: str) -> Part
     Raises
     ------
     ConfigError
-        One line a problem: key, what was got, what was expected, nearest valid key.
+        One line a problem: key, value got, value expected, nearest valid key.
     """
     try:
         return part.model_validate(table)
@@ -112,22 +122,22 @@ def read_toml(path: Path) -> Table:
 
 
 def _too_much(error: ValueError | RecursionError) -> str:
-    """Say what Python's parser refuses by another error than one of TOML."""
+    """Explain an input that Python's parser refuses with an error other than one of TOML."""
     if isinstance(error, RecursionError):
         return "brackets are nested too deep; cure: fewer of them"
     return "a number has thousands of digits; cure: fewer of them"
 
 
 def _quoted(path: Path, message: str) -> str:
-    """Quote the line that a message tells the number of."""
-    told = re.search(r"at line (\d+)", message)
+    """Quote the line whose number a message gives."""
+    found = re.search(r"at line (\d+)", message)
     lines = path.read_text(encoding="utf-8").split("\n")
-    return f": {lines[int(told[1]) - 1].strip()!r}" if told and int(told[1]) <= len(lines) else ""
+    return f": {lines[int(found[1]) - 1].strip()!r}" if found and int(found[1]) <= len(lines) else ""
 
 
 @lru_cache(maxsize=64)
 def _parsed(text: bytes) -> Table:
-    """Parse TOML once: an experiment asks for its scene again and again, and parsing is slow."""
+    """Parse TOML once: an experiment reads its scene many times, and parsing is slow."""
     return tomllib.loads(text.decode("utf-8-sig"))
 
 
@@ -192,7 +202,7 @@ def flat(table: Mapping[str, object]) -> Table:
 
 
 def _inside(table: object, step: str, assignment: str) -> object:
-    """Return the table in a table by its key, or in a list by its place or its ``name``."""
+    """Find a table inside a table by its key, or inside a list by its index or ``name``."""
     if isinstance(table, dict):
         return cast("Table", table).setdefault(step, {})
     if not isinstance(table, list):

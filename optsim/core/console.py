@@ -1,4 +1,4 @@
-"""What people see on a terminal: results on stdout, progress bars and remarks on stderr."""
+"""Terminal output: results go to stdout, progress bars and remarks to stderr."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EVERY_S = 10.0  # seconds between lines of a log
 def progress_bars(quiet: bool = False) -> Generator[Progress, None, None]:
     """Yield a progress callable that draws one bar a stage with elapsed and remaining time.
 
-    Where nobody watches, a log for example, it writes a line now and then.
+    Without a terminal, in a log for example, it writes a line every ten seconds.
     """
     if not (quiet or people.is_terminal):
         yield _lines()
@@ -61,7 +61,7 @@ def _lines() -> Progress:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Table:
-    """Make a table; numbers are set right, words left."""
+    """Make a table with numbers aligned right and words aligned left."""
     made = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
     for index, column in enumerate(columns):
         numeric = any(isinstance(row[index], int | float) for row in rows)

@@ -1,4 +1,4 @@
-"""What the keys of parts mean, taken from where it is written for readers of the code: the docstrings."""
+"""Descriptions of configuration keys for the JSON schema, read from the docstrings of their parts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def describe(part: type, key: str) -> str:
     part : type
         A class with a ``Parameters`` section in its docstring, or in that of a class that it inherits from.
     key : str
-        One of its fields; ``kind`` is told by the first sentence about the class.
+        One of its fields; ``kind`` is described by the first line about the class.
     """
     if key == "kind":
         return inspect.cleandoc(part.__doc__ or "").partition("\n")[0]
@@ -29,7 +29,7 @@ def describe(part: type, key: str) -> str:
 
 
 def _entries(part: type) -> dict[str, str]:
-    """Texts of a ``Parameters`` section by key; one of several keys is that of each."""
+    """Read the texts of a ``Parameters`` section by key; keys listed together share one text."""
     found: dict[str, str] = {}
     _, _, section = inspect.cleandoc(part.__doc__ or "").partition("Parameters\n----------\n")
     keys: list[str] = []

@@ -1,4 +1,4 @@
-"""Every error a user can cause, and which one to raise when.
+"""Errors that a user can cause, and when to raise each.
 
 =====================  ==================================================================
 raise                  when
@@ -6,12 +6,12 @@ raise                  when
 ConfigError            a key, name, unit or range in an experiment or on the command line
 GeometryError          the parts are each valid but don't fit together
 ValueCheckError        an array crossing a room breaks its contract (rank, dtype, NaN, sign)
-BenchError             bench files are missing, or cannot identify what is asked of them
+BenchError             bench files are missing, or cannot identify a parameter
 BackendError           no usable renderer backend
 StorageError           disk space, an unreadable file, an output folder of another run
 =====================  ==================================================================
 
-A message says what is wrong, what was got, what was expected and the cure, and names the key.
+A message names the key and says what is wrong: value got, value expected, and the cure.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class StorageError(OptsimError):
 
 
 def unknown_name(what: str, got: str, valid: Iterable[str], meant: str | None = None) -> ConfigError:
-    """Error for a name that is not in a list, with the one that was meant, or the nearest, as the cure."""
+    """Make the error for a name outside a list; its cure is the name meant, or else the nearest."""
     names = sorted(valid)
     near = meant or nearest_name(names, got)
     cure = f"did you mean {near!r}?" if near else "choose one of the names listed."
@@ -57,5 +57,5 @@ def unknown_name(what: str, got: str, valid: Iterable[str], meant: str | None = 
 
 
 def nearest_name(names: Sequence[str], got: str, alike: float = 0.4) -> str | None:
-    """Name that was probably meant; None if none is as much alike, from 0 to 1 for the same."""
+    """Find the name that was probably meant; None if none is as similar as ``alike`` (1 for identical)."""
     return next(iter(difflib.get_close_matches(got, names, n=1, cutoff=alike)), None)

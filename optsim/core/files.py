@@ -1,10 +1,10 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""The only way out to disk: guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers.
+"""Guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers. Every file is written through them.
 
-The OpenEXR binding writes wrong pixels, without an error, for arrays that are not C-contiguous
-(openexr#1929), and returns short channel groups padded with foreign memory; so every image goes
-through :func:`write_exr`, which owns order, dtype and channel count. All writers write to a temporary
-name in the same folder and rename, so an interrupted run never leaves half a file.
+The OpenEXR binding writes wrong pixels without an error for arrays that are not C-contiguous (openexr#1929).
+It also returns short channel groups padded with foreign memory. So every image goes through
+:func:`write_exr`, which controls order, dtype and channel count. All writers write to a temporary name in the
+same folder and rename: an interrupted run never leaves half a file.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ CLAIM = ".claim"
 
 
 def writable_folder(place: Path, what: str, cure: str) -> Path:
-    """Folder that a file or folder could be made in: the place itself, or the first above it that exists.
+    """Find the folder in which a path can be made: the path itself, or its nearest existing parent.
 
     Raises
     ------
     StorageError
-        When it is a file or cannot be written to; before anything long is begun.
+        When it is a file or cannot be written to; raised before long work begins.
     """
     above = [place.absolute(), *place.absolute().parents]
     existing = next(each for each in above if each.exists() or each.is_symlink())
@@ -47,7 +47,7 @@ def writable_folder(place: Path, what: str, cure: str) -> Path:
         kind = "a file" if existing.is_file() else "a broken link"
         raise StorageError(f"{existing} is {kind}, expected a folder ({what}); {cure}")
     try:
-        # Permissions alone don't tell: root has them on a disk that takes nothing.
+        # Permissions alone prove nothing: root has them even on a read-only disk.
         Path(tempfile.mkdtemp(prefix=".optsim-", dir=existing)).rmdir()
     except OSError as error:
         raise StorageError(
@@ -57,12 +57,12 @@ def writable_folder(place: Path, what: str, cure: str) -> Path:
 
 
 def holds_nothing(folder: Path) -> bool:
-    """Whether there is nothing in a folder but a claim."""
+    """Whether a folder is empty except for a claim."""
     return all(each.name == CLAIM for each in folder.iterdir())
 
 
 def check_empty(folder: Path) -> None:
-    """Refuse an output folder that holds something, or that could not be made.
+    """Refuse an output folder that is not empty or could not be made.
 
     Raises
     ------
@@ -99,12 +99,12 @@ def atomic(path: Path) -> Generator[Path, None, None]:
 def write_text(path: Path, text: str) -> None:
     """Write text atomically, UTF-8."""
     with atomic(path) as temporary:
-        # Names of files needn't be UTF-8.
+        # File names in the text need not be UTF-8.
         temporary.write_bytes(text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_new_text(path: Path, text: str) -> None:
-    """Write text into a file that isn't there yet; a StorageError if it is."""
+    """Write text into a file that does not exist yet; a StorageError if it does."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch(exist_ok=False)
@@ -144,7 +144,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read a JSON object; errors as of :func:`read_json`, and one for JSON that is something else."""
+    """Read a JSON object; errors as of :func:`read_json`, and one for any other JSON value."""
     record = read_json(path)
     if not isinstance(record, dict):
         raise StorageError(f"{path}: got {type(record).__name__}, expected a JSON object")
@@ -152,7 +152,7 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def sum_of(path: Path) -> tuple[int, int]:
-    """Size and CRC-32 of a file's content, worked out once for each of its states."""
+    """Size and CRC-32 of a file's content, computed once for each state of the file."""
     state = path.stat()
     return state.st_size, _crc_of(path, state.st_ino, state.st_size, state.st_mtime_ns)
 
@@ -178,12 +178,12 @@ def write_exr(
     Parameters
     ----------
     path : Path
-        Where to.
+        File to write.
     channels : Mapping
         Name -> array of shape (y, x), float32 or uint32; any memory order.
     attributes : Mapping
-        What the numbers mean (unit, axes, ...); stored as one JSON text, since EXR header numbers
-        lose precision.
+        Meaning of the numbers (unit, axes, ...). Stored as one JSON text, since EXR header numbers lose
+        precision.
     half : bool or collection of str
         Store floats as 16 bit, all or these channels only; refused where a value would overflow.
 
@@ -219,7 +219,7 @@ def write_exr(
     }
     content = io.BytesIO()
     with atomic(path) as temporary, OpenEXR.File(header, cast("Any", out)) as stream:
-        # Into memory: the binding takes UTF-8 paths only, and has errors of its own for a full disk.
+        # Written to memory first: the binding takes UTF-8 paths only and hides a full disk's error.
         stream.write(cast("Any", content))
         temporary.write_bytes(content.getbuffer())
 
@@ -243,7 +243,7 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     try:
         attributes = json.loads(part.header.get("optsim", "{}"))
     except (ValueError, TypeError, RecursionError):
-        # Somebody else's attribute of that name.
+        # Another program's attribute of the same name.
         attributes = {}
     return part.pixels(path), cast("dict[str, Any]", attributes) if isinstance(attributes, dict) else {}
 
@@ -261,7 +261,7 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
 
 
 def write_png8(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an 8-bit picture for people: (y, x) grey or (y, x, 3) sRGB."""
+    """Write an 8-bit picture for viewing: (y, x) grey or (y, x, 3) sRGB."""
     from PIL import Image
 
     with atomic(path) as temporary:

@@ -1,7 +1,7 @@
-"""Who writes into a folder or a file: one process at a time, which claims it before its work.
+"""Claims: one process at a time writes into a folder or file, and claims it before its work.
 
-A claim is a lock of the system on a hidden file. It ends with its process, however that ends, so a run that
-was killed stands in nobody's way. On a file system without locks the process that the file names decides.
+A claim is a system lock on a hidden file. It ends with its process, so a killed run blocks no other. On a
+file system without locks the process named in the file decides.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 
 @contextlib.contextmanager
 def claimed(folder: Path) -> Generator[None, None, None]:
-    """Make a folder and hold it for this process; it is gone again at the end if nothing is in it.
+    """Make a folder and hold it for this process; at the end it is removed if empty.
 
     Parameters
     ----------
     folder : Path
-        New or not; what is in it is the caller's business.
+        New or existing; its content is not checked.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def claimed_file(path: Path) -> Generator[None, None, None]:
 
 
 def free_folder(name: str) -> Path:
-    """Folder among the runs that isn't there yet, named by what will be in it and the time (UTC)."""
+    """Choose an unused folder name among the runs, from a label and the time (UTC)."""
     first = RUNS / f"{name}-{datetime.now(UTC).strftime('%Y%m%dT%H%M%SZ')}"
     others = (first.with_name(f"{first.name}-{number}") for number in itertools.count(2))
     return next(folder for folder in itertools.chain([first], others) if not os.path.lexists(folder))
@@ -65,14 +65,14 @@ def free_folder(name: str) -> Path:
 
 @contextlib.contextmanager
 def output_folder(out: Path | None, name: str) -> Generator[Path, None, None]:
-    """Yield the folder asked for, or make a new one among the runs, which no other process gets.
+    """Yield the requested folder, or make a new one among the runs that no other process gets.
 
     Parameters
     ----------
     out : Path or None
-        What was asked for; it is not touched here.
+        The requested folder; it is not touched here.
     name : str
-        What will be in a new one (:func:`free_folder`); it is gone again at the end if nothing is in it.
+        Label of a new one (:func:`free_folder`); at the end it is removed if empty.
     """
     if out is not None:
         yield out
@@ -97,7 +97,7 @@ def output_folder(out: Path | None, name: str) -> Generator[Path, None, None]:
 
 @contextlib.contextmanager
 def _made(folder: Path) -> Generator[None, None, None]:
-    """Make a folder; at the end remove again what this made of it and of those above, if it is empty."""
+    """Make a folder; at the end remove it, and the parents made for it, if they are empty."""
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -154,7 +154,7 @@ def _locked(lock: int, owner: str) -> bool:
 
 
 def _alive(owner: str) -> bool:
-    """Whether the process that a claim names may still run: on another host nobody knows."""
+    """Whether the process named in a claim may still run; on another host this is unknown."""
     number, _, host = owner.removeprefix("process ").partition(" on ")
     return bool(owner) and (host != socket.gethostname() or Path("/proc", number).exists())
 

@@ -1,4 +1,4 @@
-"""Modules that had another name are found by it, with a warning."""
+"""Old module names: an import by one still works, with a warning."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ _RENAMED = {
     "optics.bands": "optsim.core.threads",
     "origins": "optsim.experiment.signal_breakdown",
     "own_f_number": "optsim.study.own_f_number",
+    "optics.wings": "optsim.optics.psf_tails",
+    "coding.tiles": "optsim.coding.periodic",
     "passes": "optsim.dataset",
     "reconstruct": "optsim.decoding",
     "reconstruct.branches": "optsim.decoding.partial_decoders",

@@ -1,4 +1,4 @@
-"""What is wrong with a table, in a user's words: the key, what was got, what was expected, and the cure."""
+"""Messages for a table that is not valid: the key, the value got, the value expected, and the cure."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pydantic.fields import FieldInfo
 from optsim.core.errors import nearest_name
 from optsim.core.units import parse_quantity, units_of
 
-# Beyond this many places where a name is a right one, a list of them helps nobody.
+# If a name is valid in more places than this, they are not listed.
 _PLACES = 3
-# What pydantic calls a field's type, and what somebody who writes TOML calls it.
+# Pydantic's name for a field's type -> the word for a user who writes TOML.
 _WORDS = {
     "bool": "true or false",
     "dict": "a table",
@@ -25,41 +25,41 @@ _WORDS = {
 
 
 def problems(part: type[BaseModel], table: Mapping[str, object], error: ValidationError) -> list[str]:
-    """One line for each thing that is wrong with a table.
+    """List the problems of a table, one line each.
 
     Parameters
     ----------
     part : type
-        What the table was to become.
+        Part that the table was to become.
     table : Mapping
-        As it was read.
+        The table as read.
     error : pydantic.ValidationError
-        What validation said.
+        Result of its validation.
     """
     items = cast("list[dict[str, Any]]", error.errors())
-    # A list whose items are wrong is also called too short: that is no problem of its own.
+    # Pydantic also calls a list of wrong items too short: that is not a second problem.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}
     lines: list[str] = []
-    told: dict[tuple[int | str, ...], int] = {}
+    reported: dict[tuple[int | str, ...], int] = {}
     for item in items:
         if item["type"] == "too_short" and item["loc"] in inside:
             continue
         place = _place(part, table, item["loc"])
         line = _line(part, item, place)
         _, also, expected = line.partition(", expected ")
-        if also and place.steps in told:
-            # A number or a word is refused as both: one problem, of a value that might have been either.
-            lines[told[place.steps]] += f", or {expected}"
+        if also and place.steps in reported:
+            # A key that takes a number or a word reports two errors: they are merged into one problem.
+            lines[reported[place.steps]] += f", or {expected}"
         else:
-            told[place.steps] = len(lines)
+            reported[place.steps] = len(lines)
             lines.append(line)
     return lines
 
 
 class _Place(NamedTuple):
-    """Where in a table something is wrong: its key, the parts it may belong to, and what they say of it.
+    """Place of a problem: its key, the parts it may belong to, and the field they declare.
 
-    The path is the key without places in lists, for which the key has names where they have any.
+    The path is the key without list indices; the key has names instead of indices where items have names.
     """
 
     key: str
@@ -78,7 +78,7 @@ def _line(part: type[BaseModel], item: dict[str, Any], place: _Place) -> str:
     if kind == "missing":
         return f"{place.key}: missing, and it has no default"
     if kind == "value_error" and isinstance(got, dict):
-        # The message names the key inside the table and what it got; the whole table only hides it.
+        # The message already names the inner key and value; printing the whole table would hide them.
         return f"{place.key}: {message}" if place.key else message
     if kind.startswith("union_tag"):
         tag, written = (
@@ -132,13 +132,13 @@ def _found(value: object) -> str:
 
 
 def _unit(key: str) -> str:
-    """Say what a plain number at a key counts, and that a text may say it otherwise."""
+    """State the unit of a plain number at a key, and that a text may give another unit."""
     units = list(units_of(key))
     return f" (in {units[0]}; a text such as '1 {units[1]}' works too)" if len(units) > 1 else ""
 
 
 def _range(field: FieldInfo | None, context: dict[str, Any]) -> str:
-    """Both ends of the range that a field's own limits, or else those of its items, leave."""
+    """Describe the range that a field's own limits allow, or else those of its items."""
     limits: dict[str, Any] = {}
     for limit in field.metadata if field else ():
         limits |= {end: getattr(limit, end) for end in ("ge", "gt", "le", "lt") if hasattr(limit, end)}
@@ -148,16 +148,16 @@ def _range(field: FieldInfo | None, context: dict[str, Any]) -> str:
 
 
 def _right_key(part: type[BaseModel], place: _Place) -> str:
-    """Nearest key, or the whole key of a right name in the wrong table; else what the table may hold."""
+    """Suggest the nearest key, or a right name's whole key in another table; else list the valid keys."""
     name, own = place.key.rsplit(".", 1)[-1], [key for p in place.owners for key in p.model_fields]
-    # A key that another kind would have here isn't what this one should have.
+    # A key of another kind of part is not valid here.
     table = place.path[: place.path.rfind(".") + 1]
     paths = {key: found for key, found in _field_paths(part).items() if table + key not in found}
-    # Nearer ones first: a key of this very table before one elsewhere, unless that has the very same name.
+    # Keys of this table come before keys elsewhere, unless one elsewhere has exactly this name.
     begun = min((key for key in own if key.startswith(name)), key=len, default=None)
-    # Elsewhere only a name that is all but the same.
+    # Elsewhere only a name that is almost identical.
     near = begun or nearest_name(own, name, alike=0.7) or nearest_name(sorted(paths), name, alike=0.85)
-    # Of a name elsewhere the whole key.
+    # A name from elsewhere is given as its whole key.
     meant = [] if near is None else [near] if near in own else paths[near]
     same = [] if begun or len(paths.get(name, [])) > _PLACES else paths.get(name, [])
     meant = list(dict.fromkeys([*same, *meant]))
@@ -174,30 +174,30 @@ def _place(part: type[BaseModel], table: object, location: Sequence[int | str]) 
     steps: list[int | str] = []
     value = table
     for step in location:
-        # The kind that was chosen, which the table need not hold where one is chosen unless it says so.
+        # The chosen kind; the table need not contain it where a default kind exists.
         chosen = [p for p in inside if "kind" in p.model_fields and p.model_fields["kind"].default == step]
         if chosen and _inside(value, step) is None:
             inside = chosen
             continue
-        # What pydantic calls one of the types that a plain value may have is no key.
+        # Pydantic's location may contain the name of a type, which is no key.
         known = any(step in p.model_fields for p in inside) or _inside(value, step) is not None
         if field and not known and isinstance(step, str) and not inside:
             continue
         steps.append(step)
         value = _inside(value, step)
-        # What is wrong with a name is told by its place.
+        # A wrong name is reported by its index.
         name = None if isinstance(step, str) or location[-1] == "name" else _inside(value, "name")
         keys.append(str(name or step))
         path += [step] if isinstance(step, str) else []
         if field and get_origin(field.annotation) is dict:
-            field = None  # a name that somebody gave a part, not a key of one
+            field = None  # the name of a part, not a key of one
         elif isinstance(step, str):
             owners = inside
             fields = [p.model_fields[step] for p in owners if step in p.model_fields]
             field = fields[0] if fields else None
             inside = [p for info in fields for p in _parts(info.annotation)]
         inside = _of_its_kind(inside, value)
-    # What is wrong with a table is the table's; what is wrong with a number is its owner's.
+    # A problem of a table belongs to the table, a problem of a number to its owner.
     return _Place(".".join(keys), ".".join(path), tuple(steps), inside or owners, field)
 
 
@@ -205,18 +205,18 @@ def _inside(value: Any, step: int | str) -> Any:
     try:
         return value[step]
     except (LookupError, TypeError):
-        # The place of something that is missing.
+        # Index of a missing item.
         return None
 
 
 def _of_its_kind(parts: list[type[BaseModel]], value: object) -> list[type[BaseModel]]:
-    """Those of several parts that a table's ``kind`` chooses; all of them if it chooses none."""
+    """Select the parts that a table's ``kind`` chooses; all if it chooses none."""
     kind = _inside(value, "kind")
     return [p for p in parts if "kind" in p.model_fields and p.model_fields["kind"].default == kind] or parts
 
 
 def _parts(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Parts that an annotation holds, through unions, tuples and the like, but not inside other parts."""
+    """Yield the parts in an annotation, through unions, tuples and the like, but not inside other parts."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inside in get_args(annotation):
@@ -224,7 +224,7 @@ def _parts(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _field_paths(part: type[BaseModel]) -> dict[str, list[str]]:
-    """Whole keys by field name, of a part and the parts inside it, for hints."""
+    """Whole keys by field name, for a part and the parts inside it; used in hints."""
     paths: dict[str, list[str]] = {}
     todo, seen = [("", part)], set[tuple[str, type[BaseModel]]]()
     while todo:

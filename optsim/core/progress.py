@@ -1,4 +1,4 @@
-"""How long work reports where it is: a callable, so that no room knows a terminal."""
+"""Progress reports of long work: a callable, so that no room depends on a terminal."""
 
 from __future__ import annotations
 

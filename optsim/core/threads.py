@@ -1,7 +1,7 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""Threads: how many this run may use, and work done side by side in them.
+"""Threads: how many this run may use, and parallel work in them.
 
-Compiled loops and FFTs let go of Python's lock, so threads are enough. Results never depend on their number.
+Compiled loops and FFTs release Python's lock, so threads are enough. Results never depend on their number.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
 
 CORES = usable_cores()
 _alone: ContextVar[bool] = ContextVar("_alone", default=False)
-# For fewer rows starting threads takes longer than the work.
+# Below this many rows starting threads takes longer than the work.
 _FEW = 64
 
 
@@ -78,10 +78,10 @@ def in_bands(rows: int, work: Callable[[int, int], None], few: int = _FEW) -> No
     rows : int
         Rows to cover.
     work : callable
-        Must let go of Python's lock to gain anything, and write to its own rows only: then results do
-        not depend on the number of cores.
+        Must release Python's lock to gain speed, and write to its own rows only. Then results do not depend
+        on the number of cores.
     few : int
-        Fewer rows than these stay together.
+        Fewer rows than these are not divided.
     """
     if rows < few:
         work(0, rows)
@@ -92,9 +92,9 @@ def in_bands(rows: int, work: Callable[[int, int], None], few: int = _FEW) -> No
 
 
 def side_by_side(pieces: Iterable[Callable[[], T]]) -> list[T]:
-    """Do pieces of work that don't wait for each other, as many at a time as there are cores.
+    """Run independent pieces of work, as many at a time as there are cores.
 
-    A piece that itself has pieces does them one after the other.
+    Nested pieces run one after the other.
     """
     work = list(pieces)
     if len(work) == 1 or n_threads() == 1:

@@ -1,4 +1,4 @@
-"""Quantity strings such as ``"12.5 mm"``, read by the unit that a key's name ends in."""
+"""Quantity strings such as ``"12.5 mm"``, read by the unit suffix of a key's name."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _UNITS: dict[str, dict[str, float]] = {
     "_e": {"e": 1.0, "ke-": 1e3, "e-": 1.0},
     "_c": {"°C": 1.0, "C": 1.0},
 }
-# Units that are only told: what such a key counts needs no other.
-_TOLD = {
+# Units that are only shown: such a key accepts plain numbers only.
+_SHOWN_ONLY = {
     "_w_m2_sr": "W m^-2 sr^-1",
     "_px": "pixels",
     "_dn": "digital numbers",
@@ -34,14 +34,16 @@ _QUANTITY = re.compile(r"^\s*([-+0-9.eE]+?)\s*([A-Za-zµ°%][-A-Za-zµ°/]*)\s*$
 
 
 def units_of(key: str) -> dict[str, float]:
-    """Units accepted at a key and what they are in SI; none for a key without a unit."""
+    """Units accepted at a key with their SI factors; none for a key without a unit."""
     suffix = next((s for s in _UNITS if key.endswith(s)), None)
     return _UNITS[suffix] if suffix else {}
 
 
 def unit_of(key: str) -> str:
     """Name a key's unit, with an example of another one that is accepted; empty where it has none."""
-    own, *others = units_of(key) or [next((unit for end, unit in _TOLD.items() if key.endswith(end)), "")]
+    own, *others = units_of(key) or [
+        next((unit for end, unit in _SHOWN_ONLY.items() if key.endswith(end)), "")
+    ]
     return f"{own} (a text such as '1 {others[0]}' works too)" if others else own
 
 
@@ -63,8 +65,8 @@ def parse_quantity(key: str, text: str) -> float:
     Raises
     ------
     ValueError
-        When the text is no quantity or its unit is unknown or of another dimension; without the key, which
-        whoever asked knows in full.
+        When the text is no quantity, or its unit is unknown or of another dimension. The message leaves the
+        whole key to the caller.
     """
     units = units_of(key)
     if not units:
@@ -75,7 +77,7 @@ def parse_quantity(key: str, text: str) -> float:
     if not match:
         raise ValueError(f"expected a number with a unit; {cure}")
     number, unit = match.groups()
-    # As SI writes them: a capital makes a milli a mega.
+    # Case matters in SI: a capital turns milli into mega.
     if unit not in units:
         known = any(unit in other for other in _UNITS.values())
         raise ValueError(

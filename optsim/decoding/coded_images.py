@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import LEAST_EXPOSURE, Crosstalk, nearest, sampled
+from optsim.calibration.demixed import LEAST_EXPOSURE, Crosstalk, demixed_frames, nearest
 from optsim.core.quantities import Bools, CodedFrame, Floats
 from optsim.decoding.partial import Partial, positive_mean
 
@@ -54,8 +54,8 @@ class CodedImage:
 def coded_images(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
-    """Frames with their pixels separated, as :func:`~optsim.calibration.demixed.sampled` takes them."""
-    for frame, sample in sampled(frames, calibration, crosstalk):
+    """Demixed frames, as of :func:`~optsim.calibration.demixed.demixed_frames`."""
+    for frame, sample in demixed_frames(frames, calibration, crosstalk):
         usable = sample.valid & (sample.exposure > LEAST_EXPOSURE)
         yield (
             frame,

@@ -11,9 +11,9 @@ import numpy as np
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import (
     LEAST_EXPOSURE,
-    Brightness,
     Crosstalk,
     DemixedFrame,
+    SaturationPrior,
     noise_variance,
     predicted_variance,
     separate,
@@ -138,7 +138,7 @@ def _pass(
     light = np.maximum(mean, 0)
     if crosstalk == "undone":
         # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
-        known = Brightness(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
+        known = SaturationPrior(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
         samples = [separate(calibration, s, known) for s in samples]
     pairs = list(zip(samples, _variances(calibration, samples, light, crosstalk), strict=True))
     certainty = _sum([s.exposure**2 / variance for s, variance in pairs], usable)

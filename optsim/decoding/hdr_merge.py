@@ -16,17 +16,17 @@ from optsim.calibration.demixed import (
     LEAST_EXPOSURE,
     Crosstalk,
     DemixedFrame,
+    demixed_frames,
+    demixed_interval,
     nearest,
-    sample_bounds,
-    sampled,
 )
 from optsim.core.quantities import Bools, CodedFrame, Floats
 from optsim.decoding.frame_merge import Merged, merged
 from optsim.decoding.neighbour_pooling import pooled
 from optsim.decoding.partial import Partial, PartialDecoder, positive_mean
 from optsim.decoding.readout_window import missed
-from optsim.optics.motion import Bounds, changed
-from optsim.optics.neighbourhoods import without_specks
+from optsim.optics.motion import IrradianceInterval, changed
+from optsim.optics.neighbourhoods import remove_specks
 
 
 class HdrMerge(PartialDecoder):
@@ -91,8 +91,8 @@ class HdrMerge(PartialDecoder):
         recent: deque[_Kept] = deque(maxlen=self.n_frames)
         crosstalk: Crosstalk = "row_summed" if self.paper_literal else self.crosstalk
         everywhere = np.ones(calibration.shape, np.bool_)
-        for frame, sample in sampled(frames, calibration, crosstalk):
-            recent.appendleft(_Kept(sample, sample_bounds(calibration, sample)))
+        for frame, sample in demixed_frames(frames, calibration, crosstalk):
+            recent.appendleft(_Kept(sample, demixed_interval(calibration, sample)))
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
                 alive = [kept.sample.valid for kept in recent]
@@ -139,17 +139,17 @@ class HdrMerge(PartialDecoder):
 @dataclass(frozen=True, eq=False)
 class _Kept:
     sample: DemixedFrame
-    bounds: Bounds
+    bounds: IrradianceInterval
 
 
-def _unchanged(recent: Sequence[Bounds], threshold_sigma: float, speck_px: int) -> list[Bools]:
+def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, speck_px: int) -> list[Bools]:
     """Which pixels of each frame, newest first, agree with all that is known of them since."""
     newest = recent[0]
     alive = np.ones_like(newest.valid)
     result = [alive]
     for older in recent[1:]:
         moved, _ = changed(newest, older, threshold_sigma)
-        alive = alive & ~without_specks(moved, speck_px)
+        alive = alive & ~remove_specks(moved, speck_px)
         result.append(alive)
         # Where the newest is only a bound, the newest real sample is the better judge of older ones.
         newest = newest.replaced(alive & older.measured & ~newest.measured, older)

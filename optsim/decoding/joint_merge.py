@@ -53,7 +53,7 @@ def solved_together(
     irradiance : ndarray of shape (v, u), float32
         W m^-2; right where it is not unknown.
     least : ndarray of shape (v, u), float32
-        What saturated samples say (:attr:`~optsim.calibration.demixed.Sample.least`), W m^-2: taken for the
+        From saturated frames (:attr:`~optsim.calibration.demixed.DemixedFrame.least`), W m^-2: taken for the
         light of pixels that no frame measured, unless their neighbours know better.
     unknown : ndarray of shape (v, u), bool
         The pixels to find: measured in a frame, or saturated.

@@ -1,20 +1,20 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Point spread functions that vary over the field, from a lens's Zernike aberrations.
 
-A lens's wavefront error is taken as its third-order terms, each a Zernike polynomial in Noll's normalisation
-(R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976), so that a coefficient is an rms over the pupil: spherical
-aberration everywhere alike, coma that grows with the field radius, astigmatism and field curvature that grow
-with its square (M. Born and E. Wolf, *Principles of Optics*, 7th ed., section 5.3). Coma and astigmatism
-point along the radius. The tilt in coma is chosen so that the PSF's centroid stays where it is: whatever else
-would move it belongs to distortion. A PSF is the squared Fourier transform of the pupil, integrated over a
-cell; a plane out of focus adds its share to the wavefront, positive as positive curvature is.
+The wavefront error has the third-order terms. Each is a Zernike polynomial in Noll's normalisation (R. J.
+Noll, J. Opt. Soc. Am. 66, 207, 1976), so a coefficient is an rms over the pupil. Spherical aberration is the
+same everywhere, coma grows with the field radius, astigmatism and field curvature grow with its square (M.
+Born and E. Wolf, *Principles of Optics*, 7th ed., section 5.3). Coma and astigmatism point along the radius.
+The tilt in coma is chosen so that the PSF's centroid stays in place: other displacement belongs to
+distortion. A PSF is the squared Fourier transform of the pupil, integrated over a cell. Defocus adds a term
+to the wavefront, with the sign of positive field curvature.
 
-Between the nodes of a square grid over the field the PSF is interpolated bilinearly: so it is nowhere
-negative, and every point keeps its energy. As many nodes are taken as a stated error asks for. Far wings,
-which aberrations leave as they are, are the same everywhere.
+Between the nodes of a square grid over the field the PSF is interpolated bilinearly. So it is nowhere
+negative, and every point keeps its energy. A stated error sets the number of nodes. The PSF tails, which
+aberrations hardly change, are the same everywhere.
 
-Not modelled: terms beyond third order, mechanical vignetting of the pupil, dispersion: the path differences
-are those of 550 nm in every light.
+Not modelled: terms beyond third order, mechanical vignetting of the pupil, and dispersion: the path
+differences are those of 550 nm at every wavelength.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.psf import rounded
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-# Nodes along each side of the field to choose from, each grid within the next; the last one is not looked at
-# more closely, and misplaces 1e-3 of the light of a common lens.
+# Choices of nodes along each side of the field; each grid contains the one before. The last one is not
+# checked further, and misplaces 1e-3 of the light of a common lens.
 _NODES = (2, 3, 5, 9, 17)
 _MEAN_OF = 9  # places along each side that a uniform PSF is the mean of
 _PUPIL = 64  # samples across the pupil, at least
 _RIM = 4  # parts of a sample at the pupil's rim, along each axis
-# Beyond the rays' reach the window holds this many Airy radii and sigmas more.
+# Margin of the window beyond the rays' reach, in Airy radii and in sigmas.
 _MARGIN = 4.0
 
 
@@ -52,7 +52,8 @@ class Wavefront(Part):
         Spherical aberration, the same everywhere; positive has the sign of Noll's polynomial, as a positive
         defocus has.
     coma_waves : float
-        Coma at the corner, growing with the distance from the axis; positive has its tail away from the axis.
+        Coma at the corner, growing with the distance from the axis; if positive, its tail points away from
+        the axis.
     astigmatism_waves : float
         Astigmatism at the corner, growing with the square of the distance; positive has the sign of Noll's
         polynomial along the distance.
@@ -72,14 +73,14 @@ class Wavefront(Part):
         return Wavefront(**{name: value * waves for name, value in self})
 
     def at(self, field_y: float, field_x: float, pupil_y: Doubles, pupil_x: Doubles) -> Doubles:
-        """Wavefront error in the pupil, in the waves that its numbers count in.
+        """Wavefront error in the pupil, in the waves of its coefficients.
 
         Parameters
         ----------
         field_y, field_x : float
-            Place in the field, as a share of the distance from the centre to the corner.
+            Field position, as a share of the distance from the centre to the corner.
         pupil_y, pupil_x : ndarray, float64
-            Places in the pupil, whose radius is 1.
+            Pupil coordinates; the radius is 1.
         """
         square = pupil_y**2 + pupil_x**2
         # h rho cos(theta - phi), and h^2 rho^2 cos 2(theta - phi).
@@ -106,7 +107,7 @@ def field_psf(
     field_error: float,
     defocus_m: float = 0.0,
 ) -> FieldPsf:
-    """Put the PSFs of a lens's wavefront in the place of the middle of the kernel that it has without any.
+    """Replace the core of an aberration-free kernel by the PSFs of a lens's wavefront.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def field_psf(
     f_number, sigma_m, cell_m, wavelength_m : float
         As there.
     sides : tuple of int
-        Rows and columns of the field, whose corners have the stated aberrations.
+        Rows and columns of the field; its corners have the stated aberrations.
     field_error : float
         Share of a point's light that interpolation may misplace; 1 makes the PSF uniform.
     defocus_m : float
@@ -125,7 +126,7 @@ def field_psf(
     """
     if wavefront == Wavefront() and not defocus_m:
         return uniform(kernel)
-    # In cells two lenses that differ in scale alone are the same one, once rounding is out of the way.
+    # In cells, lenses that differ only in scale are the same one, after rounding.
     sigma = sigma_m / cell_m
     # The cell's own variance is taken out of the Gaussian, as in the kernel.
     optics = _Optics(rounded(wavelength_m * f_number / cell_m), rounded(max(sigma**2 - 1 / 12, 0.0) ** 0.5))
@@ -138,9 +139,9 @@ def field_psf(
     def cores(nodes: int) -> Doubles:
         """PSFs on an even grid over the whole field."""
         found = _quarter(wavefront, optics, sides, defocus, half, nodes)  # pyright: ignore[reportArgumentType]
-        # Light that leaves the window would be lost: it stays with its point.
+        # Light beyond the window would be lost: it is added back to the point.
         right = found * (whole[inner, inner].sum() / found.sum(axis=(2, 3), keepdims=True))
-        # A lens is symmetric about both its axes.
+        # A lens is symmetric about both axes.
         lower = np.concatenate([right[:, : -(nodes // 2) - 1 : -1, :, ::-1], right], axis=1)
         return np.concatenate([lower[: -(nodes // 2) - 1 : -1, :, ::-1], lower])
 
@@ -151,7 +152,7 @@ def field_psf(
     return FieldPsf(whole, _enough_nodes(cores, field_error))
 
 
-# Kept: a plan asks for the same lens with other errors and wings.
+# Cached: a plan asks for the same lens with other errors and tails.
 @lru_cache(maxsize=32)
 def _quarter(
     wavefront: Wavefront, optics: _Optics, sides: tuple[int, int], defocus: float, half: int, nodes: int
@@ -159,7 +160,7 @@ def _quarter(
     """PSFs over cells on the quarter of an even grid with no negative field coordinate, (n, n, y, x)."""
     numbers = (wavefront, optics, sides, defocus, half)
     if nodes < _MEAN_OF:
-        # These nodes are among those that a mean is taken of in any case; they are counted from the edge.
+        # These nodes are among those of the mean; they are counted from the edge.
         step = (_MEAN_OF - 1) // (nodes - 1)
         all_of_them = _quarter(*numbers, _MEAN_OF)  # pyright: ignore[reportArgumentType]
         return all_of_them[::-step, ::-step][::-1, ::-1]
@@ -175,7 +176,7 @@ def _quarter(
 
 
 def _enough_nodes(cores: Callable[[int], Doubles], field_error: float) -> Doubles:
-    """Cores on the coarsest grid that misplaces at most a share of the light in the middle of its cells."""
+    """Cores on the coarsest grid that misplaces at most a share of the light at the centres of its cells."""
     found = cores(_NODES[0])
     for finer in _NODES[1:]:
         between = cores(finer)
@@ -189,7 +190,7 @@ def _enough_nodes(cores: Callable[[int], Doubles], field_error: float) -> Double
 
 @dataclass(frozen=True, eq=False)
 class _Pupil:
-    """Samples of the pupil: places along an axis, their share that is open, path differences in waves."""
+    """Samples of the pupil: positions along an axis, the open share of each, path differences in waves."""
 
     axis: Doubles
     open: Doubles
@@ -217,7 +218,7 @@ def _pupil(wavefront: Wavefront, places: list[tuple[float, float]], defocus: flo
         y, x = axis[:, None] + 0 * axis, axis + 0 * axis[:, None]
         waves = np.stack([wavefront.at(*place, y, x) for place in places]) + defocus * (y**2 + x**2)
         within = y**2 + x**2 <= 1
-        # More than a quarter of a wave from sample to sample would not be a smooth phase any more.
+        # More than a quarter of a wave between samples would undersample the phase.
         steps = np.abs(np.diff(np.where(within, waves, np.nan), axis=2))
         if np.nanmax(steps) < 0.25 or samples >= 16 * _PUPIL:
             break
@@ -229,7 +230,7 @@ def _pupil(wavefront: Wavefront, places: list[tuple[float, float]], defocus: flo
 
 
 def _reach(pupil: _Pupil, spread: float, sigma: float) -> int:
-    """Cells that the rays reach from their point, and a margin for diffraction and the Gaussian."""
+    """Reach of the rays in cells, with a margin for diffraction and the Gaussian."""
     step = pupil.axis[1] - pupil.axis[0]
     slope_y, slope_x = np.gradient(pupil.waves, step, axis=(1, 2))
     steepest = float(np.hypot(slope_y, slope_x)[:, pupil.open == 1].max())
@@ -239,14 +240,14 @@ def _reach(pupil: _Pupil, spread: float, sigma: float) -> int:
 def _cells(pupil: _Pupil, optics: _Optics, half: int) -> Doubles:
     """PSFs of a pupil's wavefronts over cells, (place, 2 half + 1, 2 half + 1); the whole plane sums to 1."""
     spread = optics.spread
-    # The intensity has no finer detail than a wavelength times the f-number: two samples of that would tell
-    # it apart, but their sum over a cell would make too much of the finest; with four it is right to 1e-3.
+    # The intensity has no detail finer than a wavelength times the f-number. Two samples of that resolve it,
+    # but their sum over a cell overestimates the finest detail. With four it is right to 1e-3.
     parts = max(1, int(np.ceil(4 / spread)))
     size = (2 * half + 1) * parts
     place = (np.arange(size) - (size - 1) / 2) / parts
-    # A pupil's sample at p sends exp(2 pi i p x / (2 lambda N)) to x.
+    # The pupil sample at p contributes exp(2 pi i p x / (2 lambda N)) at x.
     kernel = np.exp(2j * np.pi * np.outer(place, pupil.axis) / (2 * spread)).astype(np.complex64)
-    # Whole waves make no difference, and would cost digits.
+    # Whole waves have no effect, and would cost precision.
     phase = (-2 * np.pi * (pupil.waves - np.rint(pupil.waves))).astype(np.float32)
     seen = np.empty(phase.shape, np.complex64)
     seen.real, seen.imag = pupil.open * np.cos(phase), pupil.open * np.sin(phase)
@@ -268,8 +269,8 @@ def _gaussian_rows(size: int, sigma: float) -> Doubles:
 
 
 def _along_both_axes(matrix: NDArray[Any], images: NDArray[Any]) -> NDArray[Any]:
-    """Apply a matrix to the columns and the rows of images, (k, y, x); what comes out is (k, x, y)."""
-    # Two large products: many small ones would wait for each other's threads.
+    """Apply a matrix to the columns and the rows of images, (k, y, x); the result is (k, x, y)."""
+    # Two large products: with many small ones threads would wait for each other.
     k, rows, cols = images.shape
     found = (images.reshape(-1, cols) @ matrix.T).reshape(k, rows, len(matrix))
     found = np.ascontiguousarray(found.transpose(0, 2, 1))

@@ -1,10 +1,10 @@
-"""What the picked CCD pixel of each panel pixel sees of the pixels around it.
+"""Crosstalk kernels: the share of neighbouring panel pixels' light in each pixel's reading on the CCD.
 
-A picked pixel lies up to half a CCD pixel beside the centre of its panel pixel, and at ratios such as 2.88
-by another amount at every panel pixel; its share of the neighbours' light varies with that by several times.
-It varies over the field, too, as lenses blur more in the corners. So there is a kernel for every panel
-pixel, a smooth function of the offset of its pick and of its place, fitted to isolated bright dots: by the
-laboratory's images in a calibration, by the true operator in the simulator.
+A panel pixel is read at the CCD pixel nearest to its centre (the pixel map). The centres differ by up to half
+a CCD pixel. At ratios such as 2.88 this offset is different at every panel pixel, and the neighbours' share
+varies with it by several times. It varies over the field too, as lenses blur more in the corners. So every
+panel pixel has its own kernel, a smooth function of its offset and its position. It is fitted to isolated
+bright dots: of the laboratory's images in a calibration, of the true operator in the simulator.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from optsim.optics.fringing import fine_image
 from optsim.optics.readings import mean_reading
 from optsim.optics.relay import RelayOperator
 
-# Farthest neighbours that a kernel holds, panel pixels: diffraction wings reach 1e-4 of the light there.
+# Half width of a kernel, panel pixels: there diffraction tails reach 1e-4 of the light.
 REACH = 3
-# Distance of the lit dots of the true operator: no kernel reaches from one to another.
+# Spacing of the lit dots of the true operator, wider than any kernel.
 _SPACING = 13
 # Polynomial in the offset, which is at most half a CCD pixel or a sixth of a panel pixel; scaled to about 1.
 # On the prototype a fifth order leaves 0.1 slots of a neighbourhood of 1 : 36 exposures, a third order 0.15.
 _ORDER = 5
 _SCALE = 6.0
-# In the place, from -1 to 1 over the panel, and in both together.
+# Orders in the position, from -1 to 1 over the panel, and in the product of both.
 _FIELD_ORDER, _JOINT_ORDER = 4, 2
 
 
@@ -39,10 +39,10 @@ _OFFSET = [(*offset, 0, 0) for offset in _powers(_ORDER)]
 _PLACE = [(0, 0, *place) for place in _powers(_FIELD_ORDER)[1:]]
 _BOTH = [(*offset, *place) for offset in _powers(_JOINT_ORDER)[1:] for place in _powers(_JOINT_ORDER)[1:]]
 _EVERY_POWER = _OFFSET + _PLACE + _BOTH
-# What a fit may hold, largest first, and how many dots a term it needs for that.
+# Sets of terms for a fit, largest first, and the dots it needs per term.
 _CHOICES = (_EVERY_POWER, _OFFSET + _PLACE, _OFFSET + _PLACE[:5], _OFFSET)
 _DOTS_A_TERM = 2
-# Dots a term of the fit, where the panel has room for so many.
+# Dots per term of the fit, if the panel has room for them.
 _ENOUGH = 20
 # Ridge, relative to the weight of the data: offsets that never occur (an integer ratio) stay out of the fit.
 _RIDGE = 1e-4
@@ -50,14 +50,14 @@ _RIDGE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Answer of all picked pixels to a lattice of single bright panel pixels.
+    """Readings of all panel pixels for a lattice of single bright ones.
 
     Parameters
     ----------
     rows, cols : ndarray of shape (n,), int64
         Lit rows and columns; the lattice is their product.
     seen : ndarray of shape (v, u), float64
-        Light at the picks over that of the whole panel lit, leak taken out.
+        Reading over that of the whole panel lit, leak subtracted.
     """
 
     rows: Ints
@@ -73,17 +73,17 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
     dots : sequence of Dots
         Lattices, wider than the kernel.
     offset_px : ndarray of shape (v, u, 2), float64
-        Centre of the picked CCD pixel less that of the panel pixel, along v and u, panel pixels.
+        Centre of the CCD pixel minus that of the panel pixel, along v and u, panel pixels.
     good : ndarray of shape (v, u), bool
-        Pixels whose picks can be believed.
+        Pixels with a valid reading.
     reach : int
-        Farthest neighbours; the kernel is 2 reach + 1 wide.
+        Half width of the kernel, which is 2 reach + 1 wide.
 
     Returns
     -------
     ndarray of shape (v, u, k, k), float32
-        Element (reach + dv, reach + du) of pixel (v, u) is its share of the light of (v + dv, u + du);
-        each kernel sums to 1, as the answer to a flat does.
+        Element (reach + dv, reach + du) of pixel (v, u) is its share of the light of (v + dv, u + du); each
+        kernel sums to 1, as the answer to a flat does.
 
     Raises
     ------
@@ -102,12 +102,12 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
                 v, u = (a.ravel() for a in np.meshgrid(lattice.rows - dv, lattice.cols - du, indexing="ij"))
                 inside = (v >= 0) & (v < rows) & (u >= 0) & (u < cols)
                 v, u = v[inside], u[inside]
-                believed = good[v, u] & good[v + dv, u + du]
-                v, u = v[believed], u[believed]
+                usable = good[v, u] & good[v + dv, u + du]
+                v, u = v[usable], u[usable]
                 left += terms[v, u].T @ terms[v, u]
                 right += terms[v, u].T @ lattice.seen[v, u]
             if left[0, 0] == 0:
-                raise ValueError(f"no dot shows the neighbour at ({dv}, {du}) of any believable pixel")
+                raise ValueError(f"no dot shows the neighbour at ({dv}, {du}) of any valid pixel")
             ridge = _RIDGE * left[0, 0] * np.eye(n)
             ridge[0, 0] = 0
             coefficients[:, reach + dv, reach + du] = np.linalg.solve(left + ridge, right)
@@ -119,7 +119,7 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
 def seen_by_ccd_pixels(
     panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, side: int = 1
 ) -> Doubles:
-    """Light of a pattern on the panel as each of its pixels reads it, without veil: array (v, u).
+    """Light of a panel pattern in each panel pixel's reading, without veil: array (v, u).
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def seen_by_ccd_pixels(
 def true_dots(
     operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, reach: int, side: int = 1
 ) -> list[Dots]:
-    """Answer of fringing and true operator, without veil, to lattices of dots: enough for a fit.
+    """Dot lattices seen through fringing and the true operator, without veil: enough for a fit.
 
     Parameters
     ----------
@@ -144,18 +144,18 @@ def true_dots(
     borders : ndarray of shape (fine cells to a panel pixel, 3), float64
         From :func:`optsim.optics.fringing.border_shares`.
     pick_row, pick_col : ndarray of shape (v, u), int64
-        Picked CCD pixels.
+        Pixel map: CCD row and column of each panel pixel.
     reach : int
-        Farthest neighbour that a dot must have on the panel.
+        Least distance of a dot from the panel's edge.
     side : int
-        CCD pixels to a side of the square around each pick that is read.
+        Side of the readout window, CCD pixels.
     """
     rows, cols = pick_row.shape
     ccd_pixels = pick_row, pick_col, side
     flat = np.maximum(seen_by_ccd_pixels(np.ones((rows, cols)), operator, borders, *ccd_pixels), 1e-30)
     found: list[Dots] = []
     n_dots = 0
-    # One lattice is plenty on a large panel; on a small one it has fewer dots than the fit has terms.
+    # One lattice suffices on a large panel; on a small one it has fewer dots than the fit has terms.
     for shift in range(_SPACING**2):
         v, u = _places(rows, reach, shift // _SPACING), _places(cols, reach, shift % _SPACING)
         if v.size and u.size:
@@ -179,6 +179,6 @@ def _terms(offset_px: Doubles, powers: Sequence[tuple[int, ...]]) -> Doubles:
 
 
 def _places(n: int, reach: int, shift: int) -> Ints:
-    """Places of the dots along an axis; the first lattice is as near to the middle as it comes."""
+    """Positions of the dots along an axis; the first lattice is as central as possible."""
     first = ((n - 2 * reach) % _SPACING // 2 + shift) % _SPACING
     return np.arange(reach + first, n - reach, _SPACING)

@@ -1,11 +1,11 @@
-"""Blur by a point spread function that varies over the field: each point of light spreads with its own.
+"""Blur by a PSF that varies over the field: each point of light spreads with its own.
 
-Between the nodes of an even grid over the field the PSF is interpolated bilinearly, so it is nowhere negative
-and every point keeps its energy. Only its middle varies. In each cell of the grid an image is weighted with
-the hat functions of the cell's four nodes, blurred by their cores, and added up, so finer grids take hardly
-longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998). Where the hats' slopes meet, a
-flat that is spread comes out up to 0.03 % too bright on the prototype's panel and 0.09 % on the demo's; one
-that is collected stays flat.
+Between the nodes of a regular grid over the field the PSF is interpolated bilinearly. So it is nowhere
+negative and every point keeps its energy. Only its core varies. In each cell of the grid an image is weighted
+with the hat functions (bilinear weights) of the cell's four nodes, blurred by their cores, and added up. So
+finer grids take hardly longer (J. G. Nagy and D. P. O'Leary, SIAM J. Sci. Comput. 19, 1063, 1998). At the
+kinks between hat functions a spread flat is up to 0.03 % too bright on the prototype's panel and 0.09 % on
+the demo's. A collected flat stays flat.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class FieldPsf:
     Parameters
     ----------
     kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
-        Symmetric about its centre, sums to 1. Valid outside of the cores, or everywhere without any.
+        Symmetric about its centre, sums to 1. Valid outside the cores, or everywhere if there are none.
     cores : ndarray of shape (n, n, 2 m + 1, 2 m + 1), float64
-        Middle of the PSF at the nodes, m <= h, all of the sum of the kernel's middle; empty for a PSF that
-        does not vary. Nodes lie evenly from edge to edge of the field.
+        PSF cores at the nodes, m <= h, each with the sum of the kernel's centre part; empty for a PSF that
+        does not vary. Nodes are spaced evenly from edge to edge of the field.
     """
 
     kernel: Doubles
@@ -61,7 +61,7 @@ class FieldPsf:
 
     @property
     def whole(self) -> Doubles:
-        """PSF of each node, (n, n, 2 h + 1, 2 h + 1); of one for all, where it does not vary."""
+        """PSF of each node, (n, n, 2 h + 1, 2 h + 1); a single one if it does not vary."""
         if not self.cores.size:
             return self.kernel[None, None]
         whole = np.tile(self.common, (*self.cores.shape[:2], 1, 1))
@@ -79,14 +79,14 @@ class FieldPsf:
         return psf
 
     def middle(self, half: int) -> FieldPsf:
-        """Return the middle alone, (2 half + 1)^2; not less than the cores, not more than there is."""
+        """Return the centre alone, (2 half + 1)^2; at least the cores, at most the whole PSF."""
         reach = min(max(half, self.core_half), self.half)
         inner = slice(self.half - reach, self.half + reach + 1)
         return FieldPsf(self.kernel[inner, inner].copy(), self.cores)
 
 
 def reversed_psf(psf: FieldPsf) -> FieldPsf:
-    """PSF turned by half a turn: with it a blur's adjoint collects what the blur itself would spread."""
+    """PSF rotated by half a turn: the adjoint of its blur collects light as the original PSF spreads it."""
     return FieldPsf(psf.kernel[::-1, ::-1], psf.cores[:, :, ::-1, ::-1])
 
 
@@ -96,7 +96,7 @@ def uniform(kernel: Doubles) -> FieldPsf:
 
 
 def hats(places: Doubles, nodes: int) -> Doubles:
-    """Bilinear weight of each node at field coordinates, (node, place); beyond the field its edge counts."""
+    """Bilinear weight of each node at field coordinates, (node, place); beyond the field that of its edge."""
     at = (places.clip(-1, 1) + 1) / 2 * (nodes - 1)
     return np.maximum(1 - np.abs(at - np.arange(nodes)[:, None]), 0)
 
@@ -116,7 +116,7 @@ class FieldBlur:
     padded : tuple of int
         Size of the cells' transforms.
     transfers : ndarray of shape (n, n, ...), complex128
-        Of the nodes' cores, whose first sample lies at the origin.
+        Transfer functions of the nodes' cores; their first sample lies at the origin.
     """
 
     shape: tuple[int, int]
@@ -136,18 +136,18 @@ class FieldBlur:
         def spread(i: Ints, j: Ints) -> Doubles:
             windows = np.stack([exact[y : y + height, x : x + width] for y, x in self._corners(i, j)])
             spectrum = np.zeros((len(i), self.padded[0], self.padded[1] // 2 + 1), np.complex128)
-            # Rows first: both nodes of a column share them, and none is transformed that only pads.
+            # Rows first: both nodes of a column share them, and padding rows are not transformed.
             for b in (0, 1):
                 lines = fft.rfft(windows * self.cols.hats[j, b, None, :], n=self.padded[1])
                 for a in (0, 1):
                     part = fft.fft(lines * self.rows.hats[i, a, :, None], n=self.padded[0], axis=1)
-                    # One by one: to gather transfer functions would take as long as to multiply with them.
+                    # One by one: gathering transfer functions would take as long as multiplying with them.
                     for node, light, total in zip(self._nodes(i, j, a, b), part, spectrum, strict=True):
                         light *= self.transfers[node]
                         total += light
             return fft.irfft2(spectrum, s=self.padded, overwrite_x=True)
 
-        # Added up one after the other: the sum must not depend on which is ready first.
+        # Summed in a fixed order: the result must not depend on thread timing.
         found = side_by_side(partial(spread, i, j) for i, j in self._batches())
         for (i, j), batch in zip(self._batches(), found, strict=True):
             for (y, x), light in zip(self._corners(i, j), batch, strict=True):
@@ -193,7 +193,7 @@ class FieldBlur:
         return list(zip(self.rows.starts[i].tolist(), self.cols.starts[j].tolist(), strict=True))
 
     def _batches(self) -> list[tuple[Ints, Ints]]:
-        """Rows and columns of cells that are transformed together: many small ones or few large ones."""
+        """Rows and columns of cells transformed together: many small ones or few large ones."""
         i, j = (each.ravel() for each in np.indices((len(self.rows.starts), len(self.cols.starts))))
         step = max(1, _BATCH_CELLS // (self.padded[0] * self.padded[1]))
         return [(i[k : k + step], j[k : k + step]) for k in range(0, len(i), step)]
@@ -212,18 +212,18 @@ def collect_windows(
     hats_x: Reals,
     found: Reals,
 ) -> None:
-    """Find what the middle of windows collects with the PSFs of nodes, each by its hats.
+    """Collect light into the centre of windows with the PSFs of nodes, weighted by hat functions.
 
     Parameters
     ----------
     windows : ndarray of shape (n, y + 2 h, x + 2 h), float32 or float64
-        Light in and around the places that collect.
+        Light in and around the collecting samples.
     padded : tuple of int
         Size of the transforms.
     transfers : sequence (j, i) of ndarray of shape (n or 1, ...)
         Conjugate transfer function of each node, column by column of nodes, for each window or for all.
     hats_y, hats_x : ndarray of shape (i, n or 1, y) and (j, n or 1, x), of the same type as the windows
-        Of the nodes' rows and columns.
+        Hat functions of the nodes' rows and columns.
     found : ndarray of shape (n, y, x), of the same type
         Filled.
     """
@@ -232,13 +232,13 @@ def collect_windows(
     product = np.empty_like(spectrum)
     found[:] = 0
     for of_column, hat_x in zip(transfers, hats_x, strict=True):
-        # Rows last: all nodes of a column share them. The first row of a window is where that of its middle
-        # begins to collect; the last ones aren't wanted.
+        # Rows last: all nodes of a column share them. The first row of a window is the first that its centre
+        # collects from; the last ones are not needed.
         lines = np.zeros((len(windows), rows, spectrum.shape[2]), spectrum.dtype)
         for of_node, hat_y in zip(of_column, hats_y, strict=True):
             np.multiply(spectrum, of_node, out=product)
             part = fft.ifft(product, axis=1, overwrite_x=True)[:, :rows]
-            # As real numbers: numpy would make hats complex.
+            # As real numbers: numpy would convert the weights to complex.
             weighted = part.view(windows.dtype)
             weighted *= hat_y[..., None]
             lines += part
@@ -254,9 +254,9 @@ class _Cells:
     Parameters
     ----------
     starts, nodes : ndarray of shape (cell,), int64
-        Where each window begins, and the first of its two nodes.
+        Start of each window, and the first of its two nodes.
     hats : ndarray of shape (cell, 2, side), float64
-        Hats of both nodes in the window, zero outside of the cell.
+        Hat functions of both nodes in the window, zero outside the cell.
     """
 
     starts: Ints
@@ -277,7 +277,7 @@ def make_field_blur(psf: FieldPsf, shape: tuple[int, int]) -> FieldBlur | Blur:
 
 
 def varying_blur(cores: Doubles, shape: tuple[int, int]) -> FieldBlur:
-    """Prepare the PSFs of nodes, (n, n, 2 m + 1, 2 m + 1), or middles of them."""
+    """Prepare the PSFs of nodes, (n, n, 2 m + 1, 2 m + 1), or their cores."""
     half = cores.shape[2] // 2
     rows, cols = (_cells(size, len(cores)) for size in shape)
     sides = [int(fft.next_fast_len(cells.side + 2 * half, real=True)) for cells in (rows, cols)]

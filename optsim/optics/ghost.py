@@ -1,4 +1,4 @@
-"""Light that lands mirrored through the axis and far out of focus, on the grid of panel pixels."""
+"""Ghost image: light mirrored through the axis and far out of focus, on the grid of panel pixels."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ def mirrored(image: NDArray[np.floating], sigma_px: float) -> Doubles:
 
 @lru_cache(maxsize=8)
 def _blur(sigma_px: float, shape: tuple[int, int]) -> Blur:
-    # The Gaussian alone, on a grid whose cells are panel pixels.
+    # Only the Gaussian, on a grid of panel pixels.
     return make_blur(psf_kernel(1.0, sigma_px, 1.0, 1.0, 0.1, diffraction=False), shape)

@@ -1,11 +1,11 @@
-"""A lens as rays see it: where distortion puts a point of the ideal image, and how far defocus spreads it.
+"""Geometry of a lens: displacement of image points by distortion, and their spread by defocus.
 
 Distances from the axis are in units of half the diagonal of the used field. A lens without distortion images
-a point at q, a real one at r = q (1 + k q^2), the third-order term (M. Born and E. Wolf, *Principles of
-Optics*, 7th ed., section 5.3; the first of D. C. Brown's radial terms, Photogramm. Eng. 32, 444, 1966): k is
-the relative displacement of what belongs into the corner, negative for a barrel.
+a point at q, a real one at r = q (1 + k q^2). This is the third-order term (M. Born and E. Wolf, *Principles
+of Optics*, 7th ed., section 5.3; the first of D. C. Brown's radial terms, Photogramm. Eng. 32, 444, 1966). k
+is the relative displacement at the corner, negative for a barrel.
 
-Functions of squared distances are plain arithmetic, so that they take NumPy's arrays and the renderer's.
+Functions of squared distances are plain arithmetic, so they accept NumPy's arrays and the renderer's.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from optsim.core.quantities import Doubles
 
-# Beyond this coefficient a fifth-order term matters, and a barrel soon folds back into the picture.
+# Beyond this coefficient a fifth-order term matters, and a barrel's image soon folds back.
 STRONGEST_DISTORTION = 0.1
 # Newton's steps: with the strongest barrel the corner is then within 1e-9.
 _STEPS = 5
@@ -25,7 +25,7 @@ _STEPS = 5
 def image_scale(squared_q: Doubles, k: float) -> Doubles:
     """Find r / q of points of the ideal image, from q^2.
 
-    Where a barrel's polynomial would turn back, far outside the picture, the scale stays.
+    Far outside the picture, where a barrel's polynomial would fold back, the scale stays constant.
     """
     turn = 1 / (3 * -k) if k < 0 else np.inf
     return np.asarray(1 + k * np.minimum(squared_q, turn))
@@ -53,9 +53,9 @@ def corner_tan(rows: float, cols: float, tan_half_width: float) -> float:
 def blur_tan(aperture_m: float, focus_m: float, depth_m: Doubles) -> Doubles:
     """Diameter of the circle of confusion of points in front of a thin lens, as a tangent of field angle.
 
-    A point at depth z fills the aperture D with a cone that is D |1/s - 1/z| wide, seen from the lens, where
-    the lens is focused at s (S. F. Ray, *Applied Photographic Optics*, 3rd ed., section 22.3, in the object
-    space). Times the image distance it is the diameter in the image.
+    With aperture D and focus at s, a point at depth z has a circle of D |1/s - 1/z|, as an angle from the
+    lens (S. F. Ray, *Applied Photographic Optics*, 3rd ed., section 22.3, in the object space). Times the
+    image distance it is the diameter in the image.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Has a pixel changed between two coded frames? Frame subtraction after the codes are divided out.
+"""Change detection: test whether a pixel's irradiance changed between two coded frames.
 
 The paper subtracts two frames compensated with their codes, thresholds and dilates (section 3.1). Two
-exposures of one pixel differ even where nothing moves: by noise, and by what the calibration does not
-know. So the difference is compared with its own standard deviation, and a saturated sample is what it
-is: a lower bound. In the dark a pixel's own noise hides all but the strongest change, and the mean over its
-surroundings, in which noise averages out, is compared too.
+exposures of a static pixel still differ, by noise and by calibration errors. So the difference is compared
+with its own standard deviation, and a saturated reading is treated as a lower bound. In the dark a pixel's
+noise hides all but the strongest change. So means over its surroundings, where noise averages out, are
+compared too.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from optsim.optics.stray_light import stray_light
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
-    """What one coded frame says of the mean irradiance of each pixel.
+class IrradianceInterval:
+    """Interval of each pixel's mean irradiance, from one coded frame.
 
     Parameters
     ----------
@@ -33,16 +33,16 @@ class Bounds:
     variance : ndarray of shape (v, u), float32
         Variance of a finite bound by noise and model error, (W m^-2)^2.
     shared : ndarray of shape (v, u), float32
-        Part of it that may be the same in neighbouring pixels, so that their mean has it too: model error.
+        Part of it that neighbouring pixels may share, so that it remains in their mean: model error.
     stray : ndarray of shape (v, u)
-        Variance, beside the other, by light that doesn't depend on the pixels' own codes. Squares count it; a
-        pixel's own change is so much greater where it is seen at all.
+        Additional variance by light that doesn't depend on the pixels' own codes. Only means over squares use
+        it: a detectable change of a single pixel is far greater.
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     shot : ndarray of shape (v, u), float32
         Growth of the variance with the irradiance, W m^-2.
     valid : ndarray of shape (v, u), bool
-        False where the frame says nothing.
+        False where the frame has no measurement.
     """
 
     low: Floats
@@ -56,22 +56,22 @@ class Bounds:
 
     @property
     def measured(self) -> Bools:
-        """Where there is a sample, and it is more than a bound."""
+        """Pixels that were measured on both sides, not only bounded."""
         return self.valid & np.isfinite(self.low) & np.isfinite(self.high)
 
-    def replaced(self, where: Bools, by: Bounds) -> Bounds:
-        """With what another frame says of some pixels."""
+    def replaced(self, where: Bools, by: IrradianceInterval) -> IrradianceInterval:
+        """Replace some pixels by those of another frame."""
         mixed: dict[str, Any] = {
             f.name: np.where(where, getattr(by, f.name), getattr(self, f.name)) for f in fields(self)
         }
-        return Bounds(**mixed)
+        return IrradianceInterval(**mixed)
 
 
-def bounds(
+def irradiance_interval(
     signal: Floats,
     exposure: Floats,
     variance: Floats,
-    alike: Floats,
+    common: Floats,
     electron: Floats,
     saturated: Bools,
     tainted: Bools,
@@ -80,11 +80,11 @@ def bounds(
     gain_uncertainty: float,
     exposure_uncertainty: float,
     map_residual_px: float,
-) -> Bounds:
-    """Divide a frame by its code and say how far the quotient can be trusted.
+) -> IrradianceInterval:
+    """Divide a frame by its exposure, with the error of the quotient.
 
-    Model error: ``gain_uncertainty E``, plus ``exposure_uncertainty E`` over the exposure, plus the change
-    of the signal over ``map_residual_px``; added in squares, as independent.
+    Model error: ``gain_uncertainty E``, plus ``exposure_uncertainty E`` over the exposure, plus the change of
+    the signal over ``map_residual_px``; added in squares, as independent.
 
     Parameters
     ----------
@@ -93,33 +93,33 @@ def bounds(
     exposure : ndarray of shape (v, u), float32
         Sum over the slots of the weights, slots.
     variance : ndarray of shape (v, u), float32
-        Variance of the signal by noise and what pixels have in common, its unit squared.
-    alike : ndarray of shape (v, u), float32
-        Part of it that pixels may have in common: rounding, and not knowing whose light crosstalk brings.
+        Variance of the signal by noise and errors that pixels share, its unit squared.
+    common : ndarray of shape (v, u), float32
+        Part of it that pixels may share: rounding, and the ambiguous origin of crosstalk.
     electron : ndarray of shape (v, u), float32
         Signal of one electron, W m^-2 slots: its shot noise per unit of signal.
     saturated, tainted, valid : ndarray of shape (v, u), bool
-        Signal is a lower bound; signal holds light of a saturated neighbour; signal means something.
+        Signal is a lower bound; signal includes light of a saturated neighbour; signal is valid.
     gain_uncertainty : float
         Relative standard uncertainty of a pixel's responsivity.
     exposure_uncertainty : float
-        Standard uncertainty of the exposure, slots (for example of what a dark panel leaks).
+        Standard uncertainty of the exposure, slots (for example by the leak of a dark panel).
     map_residual_px : float
-        Standard uncertainty of the pixel's place, panel pixels.
+        Standard uncertainty of the pixel's position, panel pixels.
     """
     usable = valid & (exposure > 1e-6)
     per_slot = np.where(usable, exposure, np.float32(1))
     mean = np.where(usable, signal / per_slot, 0).astype(np.float32)
-    shared = alike / per_slot**2
+    shared = common / per_slot**2
     shared += (gain_uncertainty * mean) ** 2 + (exposure_uncertainty * mean / per_slot) ** 2
     shared += (map_residual_px * _slope(signal) / per_slot) ** 2
-    whole = (variance - alike) / per_slot**2 + shared
+    whole = (variance - common) / per_slot**2 + shared
     infinite = np.float32(np.inf)
     low = np.where(tainted & ~saturated, -infinite, mean)
     high = np.where(saturated, infinite, mean)
     shot = (electron / per_slot).astype(np.float32)
     stray = stray_light(signal, exposure, variance, electron, usable & ~saturated & ~tainted) / per_slot
-    return Bounds(
+    return IrradianceInterval(
         low,
         high,
         whole.astype(np.float32),
@@ -132,9 +132,9 @@ def bounds(
 
 
 def _slope(image: Floats) -> Floats:
-    """Root mean square of the steps to the four neighbours, per axis combined, per pixel.
+    """Root mean square of the steps to the four neighbours, combined over the axes, per pixel.
 
-    One-sided steps: a central difference would not see a mosaic that alternates from pixel to pixel.
+    One-sided steps: a central difference would miss a mosaic that alternates from pixel to pixel.
     """
     squared = np.zeros_like(image)
     for axis in (0, 1):
@@ -146,40 +146,40 @@ def _slope(image: Floats) -> Floats:
 
 
 def changed(
-    first: Bounds,
-    second: Bounds,
+    first: IrradianceInterval,
+    second: IrradianceInterval,
     threshold_sigma: float,
     *,
     reaches_px: Sequence[int] = (1, 2),
     least_change: float = 0.0,
 ) -> tuple[Bools, Bools]:
-    """Compare two frames: motion only where their intervals lie apart, of pixels or of their surroundings.
+    """Compare two frames: a pixel changed if its intervals, or those of its surroundings, do not overlap.
 
-    If nothing moved, both frames saw the same light; so the shot noise of two measured samples is that of
-    their pooled estimate. That of each by itself is too small wherever noise made the sample small.
+    If nothing moved, both frames had the same light. So the shot noise of two measured values is that of
+    their pooled estimate. The estimate from each alone is too small wherever noise made the value small.
 
-    What is too dark for a single pixel's noise shows in the mean over its surroundings: of the differences
-    there, weighted by how well each is known. Noise averages out; model error doesn't (it counts as the
-    same in all of them).
+    A change hidden in a single pixel's noise shows in the mean difference over its surroundings, weighted by
+    precision. Noise averages out. Model error doesn't: it counts as equal in all of them.
 
     Parameters
     ----------
-    first, second : Bounds
+    first, second : IrradianceInterval
         Two frames.
     threshold_sigma : float
-        Gap that counts, in standard deviations of the difference. For two measured samples of a static
-        pixel with Gaussian noise the false-alarm rate of each test is ``erfc(threshold_sigma / sqrt 2)``.
+        Gap that counts as a change, in standard deviations of the difference. For two measured values of a
+        static pixel with Gaussian noise the false-alarm rate of each test is ``erfc(threshold_sigma / sqrt
+        2)``.
     reaches_px : sequence of int
-        Half sides of the squares around a pixel that are compared too.
+        Half sides of the squares around a pixel whose means are compared too.
     least_change : float
-        Change of such a square that counts, relative to its light. Of a single pixel every change counts.
+        Least relative change of such a square. For a single pixel every change counts.
 
     Returns
     -------
     changed : ndarray of shape (v, u), bool
-        The pixel is not the same.
+        The pixel has changed.
     undecided : ndarray of shape (v, u), bool
-        Nothing to compare: no sample, or both are bounds on the same side.
+        Nothing to compare: no measurement, or two bounds on the same side.
     """
     undecided = ~(first.valid & second.valid)
     undecided |= np.isinf(first.high) & np.isinf(second.high)
@@ -189,7 +189,7 @@ def changed(
     sigma = np.sqrt(np.maximum(pair.noise + pair.shared, 1e-30))
     moved = (gap > threshold_sigma * sigma) & ~undecided
     for reach_px in reaches_px:
-        # What is known to have changed would be seen again in all squares around it.
+        # A changed pixel would trigger all squares around it again.
         rest = replace(pair, measured=pair.measured & ~moved)
         together = _changed_together(rest, threshold_sigma, least_change, reach_px)
         moved |= together
@@ -199,16 +199,16 @@ def changed(
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two samples of each pixel, as far as both were measured.
+    """Two measurements of each pixel, where both exist.
 
     Parameters
     ----------
     measured : ndarray of shape (v, u), bool
-        Whether they were.
+        Whether both exist.
     difference : ndarray of shape (v, u)
-        First less second; 0 elsewhere.
+        First minus second; 0 elsewhere.
     mean : ndarray of shape (v, u)
-        Their pooled estimate, no less than dark.
+        Their pooled estimate, not negative.
     shared, stray : ndarray of shape (v, u)
         Variance of the difference by model error, and by stray light.
     read, shot : ndarray of shape (v, u)
@@ -225,11 +225,11 @@ class _Pair:
 
     @property
     def noise(self) -> Reals:
-        """Variance of the difference by noise, if both saw the mean."""
+        """Variance of the difference by noise, if both had the mean irradiance."""
         return self.read + self.shot * self.mean
 
 
-def _pair(first: Bounds, second: Bounds) -> _Pair:
+def _pair(first: IrradianceInterval, second: IrradianceInterval) -> _Pair:
     frames = (first, second)
     measured = first.measured & second.measured
     means = [np.where(measured, frame.high, 0) for frame in frames]
@@ -250,10 +250,11 @@ def _pair(first: Bounds, second: Bounds) -> _Pair:
 
 
 def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, reach_px: int) -> Bools:
-    """Whether the weighted mean difference of the pixels around is more than its error."""
+    """Whether the weighted mean difference over the surroundings exceeds its error."""
     around = partial(sum_around, reach_px=reach_px)
     light = around(pair.mean * pair.measured) / np.maximum(around(pair.measured.astype(np.float32)), 1)
-    # Weights know no pixel's own noise: it would pull the mean towards what chance made certain.
+    # The weights exclude each pixel's own noise: it would bias the mean towards values that chance made
+    # small.
     common = pair.shared + pair.stray
     even = (pair.read + pair.shot * light + common).astype(np.float64)
     weights = np.where(pair.measured, 1 / np.maximum(even, 1e-30), 0)

@@ -1,9 +1,8 @@
-"""Blur of moving light: near by on fine samples, further off on panel pixels, both in every instant.
+"""Blur of moving light: the near part on fine samples, the far part on panel pixels, in every instant.
 
-Moving light is a difference and has many instants: positivity is nothing to keep there, and time is dear. So
-the PSF is cut in two (:mod:`optsim.optics.moving_psf`). Its middle, with nearly all of its light, is small
-enough to be worked through tap by tap; the rest works on panel pixels. All in float32, in those instants in
-which there is any light.
+Moving light is a difference, so it need not stay positive, and it has many instants, so speed matters. The
+PSF is cut in two (:mod:`optsim.optics.moving_psf`). Its centre, with nearly all of its light, is small enough
+for a loop over taps. The rest works on panel pixels. All is in float32, and only in instants with light.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from optsim.optics.pixel_splines import draw, spread
 from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
 from optsim.optics.tile_blur import collect_tile
 
-# What is transformed is in tiles of so many half widths of the PSF: shorter ones transform more around them,
+# Side of transformed tiles in half widths of the PSF, and its minimum: shorter tiles transform more margin,
 # longer ones gain little.
 _SIDE_HALVES, _LEAST_SIDE = 5.0, 32
-# Rows and columns that are worked through tap by tap: what is around them stays in the cache.
+# Rows and columns of a block in the loop over taps: their surroundings fit into the cache.
 _ROWS, _COLS = 64, 128
 
 
 def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Floats) -> tuple[Block, ...]:
-    """Let each point collect moving blocks' light; blocks grow by the PSF's half width, within the field.
+    """Blur moving blocks; they grow by the PSF's half width, within the field.
 
     Parameters
     ----------
@@ -40,11 +39,12 @@ def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Fl
         Excess in rectangles; where one touches the border of the field it continues beyond, as
         :func:`optsim.optics.psf.extend` continues the base.
     psf : FieldPsf
-        What each point collects. Of much light it is divided (:func:`optsim.optics.moving_psf.divided`).
+        Weights with which each point collects. For much light it is cut in two
+        (:func:`optsim.optics.moving_psf.divided`).
     pitch : int
         Fine samples to a panel pixel; divides the sides of the field.
     factor : ndarray of shape (y, x), float32
-        What each point of the field makes of its light.
+        Factor of the light at each point of the field.
     """
     grid = Grid(factor.shape[0], factor.shape[1])
     few = sum(block.excess.size for block in blocks) < FEW
@@ -76,13 +76,14 @@ def blur_moving(blocks: tuple[Block, ...], psf: FieldPsf, pitch: int, factor: Fl
 
 
 def _further_off(lights: list[Patch], psf: FieldPsf, pitch: int, grid: Grid) -> list[Patch]:
-    """Collect from further off, on panel pixels."""
-    # Pixels around the field, too, from which light arrives, and where the outermost splines begin.
+    """Collect the far part, on panel pixels."""
+    # Includes a margin of pixels around the field: light arrives from there, and the outermost splines start
+    # there.
     margin, reach = psf.half + 3, psf.half + 1
     pixels = Grid(grid.rows // pitch + 2 * margin, grid.cols // pitch + 2 * margin, margin)
     rest = _by_taps(psf, pixels)
     spreads = side_by_side(partial(spread, light, pitch, pixels) for light in lights)
-    # One pixel more, which is dark: the splines of the last lit ones reach into it.
+    # One dark pixel more: the splines of the last lit ones reach into it.
     targets = [_empty(light, reach, 1, pixels) for light in spreads]
 
     def strip(light: Patch, target: Patch, first: int, end: int) -> None:
@@ -98,7 +99,7 @@ def _further_off(lights: list[Patch], psf: FieldPsf, pitch: int, grid: Grid) -> 
 
 
 def _empty(light: Patch, reach: int, pitch: int, grid: Grid) -> Patch:
-    """Room for light ``pitch`` times as fine that reaches so many samples further, within a grid."""
+    """Empty patch for light ``pitch`` times as fine, larger by ``reach`` samples, within a grid."""
     n, height, width = light.excess.shape
     top, left = max(light.row * pitch - reach, 0), max(light.col * pitch - reach, 0)
     bottom = min((light.row + height) * pitch + reach, grid.rows)
@@ -107,7 +108,7 @@ def _empty(light: Patch, reach: int, pitch: int, grid: Grid) -> Patch:
 
 
 class _Collector(NamedTuple):
-    """How points of a grid collect: rows of a target that are worked on together, and that work."""
+    """A way to collect: the strips of rows to work on together, and the work itself."""
 
     strips: Callable[[Patch], list[tuple[int, int]]]
     add: Callable[[Patch, Patch, int, int], None]
@@ -135,9 +136,9 @@ def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
     cells = max(len(psf.cores) - 1, 1)
 
     def tiles(size: int, first: int, end: int) -> list[tuple[int, int]]:
-        """Find tiles of cells of the nodes' grid, some together or parts of one."""
+        """Find tiles: several cells of the nodes' grid together, or parts of one."""
         parts = cells * max(1, round(size / cells / max(_LEAST_SIDE, _SIDE_HALVES * psf.half)))
-        # Far more than a tile of less than half a PSF's width would lie around it.
+        # A tile narrower than half a PSF would have far more margin than content.
         together = max(1, int(np.ceil(psf.half * cells / size)))
         return list(pairwise(_cut(_borders(size, 0, parts, together), first, end).tolist()))
 
@@ -155,9 +156,9 @@ def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
 
 
 def _one_after_the_other(even: FieldPsf, varying: FieldPsf, grid: Grid) -> _Collector:
-    """Collect by what is the same all over the field, and by the smaller middle that isn't.
+    """Collect with the uniform part of the PSF, and with the smaller core that varies.
 
-    Transforms of every node's whole PSF would take as many times as long as there are nodes.
+    Transforming every node's whole PSF would multiply the time by the number of nodes.
     """
     whole, middle = _by_transforms(even, grid), _by_transforms(varying, grid)
 
@@ -169,7 +170,7 @@ def _one_after_the_other(even: FieldPsf, varying: FieldPsf, grid: Grid) -> _Coll
 
 
 def _borders(size: int, margin: int, parts: int, together: int = 1) -> Ints:
-    """Cut a grid within its margin in even parts, and take so many of them together: where each begins."""
+    """Cut a grid within its margin into equal parts, group them, and return where each group begins."""
     at = np.append(np.arange(0, parts, together), parts) / parts
     borders = margin + np.rint(at * (size - 2 * margin)).astype(np.int64)
     borders[0], borders[-1] = 0, size

@@ -1,12 +1,11 @@
-"""A PSF cut in two for moving light: a small middle on fine samples, and a smooth rest on panel pixels.
+"""A PSF cut in two for moving light: a small core on fine samples, and a smooth rest on panel pixels.
 
-Far from its centre a PSF is smooth beside a panel pixel, so light further off is collected from pixels. Light
-is spread to them, and drawn between them, with quadratic B-splines; the kernel between pixels is the one that
-comes nearest, in least squares and over all places of light within a pixel, to the PSF outside of the middle,
-and to one kernel within it. What it does there is taken out of the middle, so both add up to the whole PSF.
-All that varies over the field is in the middle. That is how forces between many particles are divided (R. W.
-Hockney and J. W. Eastwood, *Computer Simulation Using Particles*, 1988, chapter 8: the optimal influence
-function).
+Far from its centre a PSF is smooth on the scale of a panel pixel, so distant light is collected from pixels.
+Quadratic B-splines carry light from samples to pixels and back. The kernel between pixels is a least-squares
+fit over all positions of light within a pixel. Outside the core it fits the PSF, within the core a single
+kernel. Its contribution there is subtracted from the core, so both add up to the whole PSF. All variation
+over the field is in the core. Forces between many particles are divided in the same way (R. W. Hockney and J.
+W. Eastwood, *Computer Simulation Using Particles*, 1988, chapter 8: the optimal influence function).
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ import numpy as np
 from optsim.core.quantities import Doubles
 from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.pixel_splines import splines
+from optsim.optics.psf_tails import near_half
 from optsim.optics.tap_blur import LARGEST_TAPS
-from optsim.optics.wings import near_half
 
-# Light that pixels collect at most, and the least that the middle reaches, panel pixels.
+# Largest share of light collected on pixels, and least half width of the core, panel pixels.
 _REST_SHARE, _LEAST_NEAR = 1e-2, 3
-# Most that the light of a point may be off anywhere, of all of it.
+# Largest error of a point's light anywhere, as a share of all of it.
 _LARGEST_ERROR = 2e-4
-# Beside the squares a solution's rounding: what hardly matters for them stays small.
+# Ridge of the least squares: poorly determined values stay small.
 _RIDGE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class MovingPsf:
-    """PSF over the field as moving light gets it, what each point collects.
+    """PSF over the field for moving light: the weights with which each point collects.
 
     Parameters
     ----------
@@ -46,12 +45,12 @@ class MovingPsf:
     rest: FieldPsf | None = None
 
 
-# Kept, since a camera's blocks are many.
+# Cached, since a camera has many blocks.
 @lru_cache(maxsize=2)
 def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
-    """Cut a PSF in two, if there is enough around its middle but not too much for a loop over taps.
+    """Cut a PSF in two, if the part around its core is large enough and the core fits a loop over taps.
 
-    It stays whole, too, if it is not smooth enough: where a point's light would be off by more than 2e-4.
+    It also stays whole if it is not smooth enough: if a point's light would be off by more than 2e-4.
 
     Parameters
     ----------
@@ -60,13 +59,14 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     pitch : int
         Fine samples to a panel pixel.
     """
-    # Between nodes samples and pixels would weigh what varies differently: a frame would be off by half of
-    # its noise where something moves before a window a thousand times as bright as the room.
+    # The varying part stays on fine samples: between nodes, samples and pixels would weigh it differently. A
+    # frame would be off by half of its noise for motion before a window a thousand times as bright as the
+    # room.
     least = max(min(_LEAST_NEAR * pitch, LARGEST_TAPS), psf.core_half)
     half, reach = near_half(psf.kernel, least, _REST_SHARE), -(-psf.half // pitch)
     if pitch == 1 or half + pitch > psf.half or max(half, reach) > LARGEST_TAPS:
         return MovingPsf(psf)
-    # As far as pixels collect: between the splines of the outermost ones.
+    # Reach of the pixels' collection, up to the splines of the outermost ones.
     margin = (reach + 3) * pitch - psf.half
     wanted = np.pad(psf.kernel, margin)
     inner = slice(psf.half + margin - half, psf.half + margin + half + 1)
@@ -79,7 +79,7 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     normal += _RIDGE * np.trace(normal) * np.eye(len(normal))
     right = mean.T @ wanted @ mean
     rest = np.asarray(np.linalg.solve(normal, right.ravel()), np.float64).reshape(right.shape)
-    # What the rest does in the middle is taken out of it, and what it does too much in all.
+    # The rest's contribution within the core is subtracted there, and its excess in total.
     taken = inside @ rest @ inside.T
     taken[half, half] += pitch**2 * rest.sum() - wanted.sum() - taken.sum()
     wanted[inner, inner] = taken
@@ -91,19 +91,19 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
 
 
 def _of_nodes(kernels: Doubles) -> FieldPsf:
-    """PSF of kernels at the nodes, (n, n, ...), all of which may vary, or of one."""
+    """PSF from kernels at the nodes, (n, n, ...), all of which may vary, or from a single one."""
     return uniform(kernels[0, 0]) if len(kernels) == 1 else FieldPsf(kernels[0, 0], kernels)
 
 
 def _along_both(matrix: Doubles) -> Doubles:
-    """Matrix of pictures, row by row, from that along an axis."""
+    """Matrix for whole images, row by row, from the matrix along one axis."""
     return np.einsum("ik,jl->ijkl", matrix, matrix).reshape(len(matrix) ** 2, -1)
 
 
 def _passed(pitch: int, reach: int, half: int) -> Doubles:
-    """Find what gets to places up to ``half`` from a sample, for each place of it in a pixel, along one axis.
+    """Light at samples up to ``half`` away, for each position of a source in its pixel, along one axis.
 
-    Array (pitch, 2 half + 1, 2 reach + 1): by way of each pixel, counted from one that light is spread to.
+    Array (pitch, 2 half + 1, 2 reach + 1), for the path through each pixel.
     """
     shares, place = splines(pitch), np.arange(-half, half + 1)
     passed = np.zeros((pitch, len(place), 2 * reach + 1))

@@ -1,9 +1,9 @@
-"""The little Mueller algebra that a splitter and a reflective panel need.
+"""Mueller algebra for a splitter and a reflective panel.
 
 Source: R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized Light and Optical Systems*, CRC Press 2018,
-chapters 5 and 6. Stokes vectors are (S0, S1, S2, S3) with S1 > 0 for p, S2 > 0 at 45 degrees; matrices
-are float64 of shape (..., 4, 4) and act on columns, so light meets the rightmost factor first. Arguments
-may be arrays: one matrix for each ray.
+chapters 5 and 6. Stokes vectors are (S0, S1, S2, S3) with S1 > 0 for p, S2 > 0 at 45 degrees. Matrices are
+float64 of shape (..., 4, 4) and act on columns, so light meets the rightmost factor first. Arguments may be
+arrays: one matrix for each ray.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def polariser(pass_p: ArrayLike, pass_s: ArrayLike) -> Doubles:
     Parameters
     ----------
     pass_p, pass_s : float or array
-        Share of the power of p and of s light that goes on, 0..1.
+        Share of the power of p and of s light that passes, 0..1.
     """
     p, s = np.broadcast_arrays(np.asarray(pass_p, np.float64), np.asarray(pass_s, np.float64))
     matrix = np.zeros((*p.shape, 4, 4))
@@ -33,7 +33,7 @@ def polariser(pass_p: ArrayLike, pass_s: ArrayLike) -> Doubles:
 
 
 def turned(matrix: Doubles, angle_rad: ArrayLike) -> Doubles:
-    """Return the matrix of an element turned by an angle about the ray, from p towards 45 degrees."""
+    """Return the matrix of an element rotated about the ray, from p towards 45 degrees."""
     angle = np.asarray(angle_rad, np.float64)
     c, s = np.cos(2 * angle), np.sin(2 * angle)
     turn = np.zeros((*angle.shape, 4, 4))
@@ -55,5 +55,5 @@ def depolariser(share: float) -> Doubles:
 
 
 def mirror() -> Doubles:
-    """Reflection at normal incidence: handedness and the sign of the 45-degree axis turn over."""
+    """Reflection at normal incidence: handedness and the 45-degree axis change sign."""
     return np.diag([1.0, 1.0, -1.0, -1.0])

@@ -17,7 +17,7 @@ Reals = NDArray[np.floating]
 def sum_around(image: Reals, reach_px: int) -> Reals:
     """Sum over the square within ``reach_px`` rows and columns of each pixel, dark beyond the border.
 
-    Sums are of what is there, one by one: a running sum would leave a lamp's rounding in the dark beside it.
+    Each sum is direct: a running sum would leave rounding errors in the dark beside a lamp.
     """
     from scipy import ndimage
 
@@ -27,7 +27,7 @@ def sum_around(image: Reals, reach_px: int) -> Reals:
     return image
 
 
-def without_specks(mask: Bools, least_px: int) -> Bools:
+def remove_specks(mask: Bools, least_px: int) -> Bools:
     """Remove connected regions (8 neighbours) of fewer than ``least_px`` pixels."""
     if least_px <= 1:
         return mask

@@ -1,26 +1,26 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""What a pixel of a liquid-crystal panel lets through in a slot, from its drive level and its history.
+"""Effective weights of a liquid-crystal panel: transmission of a pixel in a slot by drive level and history.
 
-A pixel is a reflective retarder between crossed polarisers: it passes ``sin^2(Gamma / 2)`` of the light,
-Gamma being its round-trip retardance (D.-K. Yang and S.-T. Wu, *Fundamentals of Liquid Crystal Devices*,
-2nd ed., Wiley 2014, ch. 2). Gamma relaxes exponentially towards the value that its drive level asks for,
-with one time constant towards larger and another towards smaller retardance. A field-sequential panel
-has a slot of a few such constants, so each slot carries some of the one before.
+A pixel is a reflective retarder between crossed polarisers. It passes ``sin^2(Gamma / 2)`` of the light, with
+round-trip retardance Gamma (D.-K. Yang and S.-T. Wu, *Fundamentals of Liquid Crystal Devices*, 2nd ed., Wiley
+2014, ch. 2). Gamma relaxes exponentially towards the target of its drive level, with one time constant for
+rising and another for falling retardance. A slot of a field-sequential panel is a few time constants long, so
+each slot depends on the one before.
 
-The panel is not told everything at once: its rows are written one after the other, all of them some time
-after the shutter's clock, and until its turn a row goes on towards the level of the slot before. A row that
-is early turns before a slot begins, and so shows the next slot's level at the end of each. At the end of the
-last slot that is the level of the first again: the next frame's code is not known when a frame is taken. A
-colour- sequential panel drives its three fields differently and turns the sign of its voltage from field to
-field; neither is quite balanced, so the retardance that a level asks for repeats only after some slots.
+The rows are written one after the other, with a delay against the shutter's clock. Until it is driven a row
+continues towards the level of the slot before. An early row is driven before a slot begins, so it shows the
+next slot's level at the end of each. At the end of the last slot that is the level of the first again: the
+next frame's code is not known when a frame is taken. A colour-sequential panel drives its three fields
+differently, and its voltage alternates in sign from field to field. Neither is balanced exactly, so the
+target of a level repeats only after several slots.
 
 The mean over an interval is closed form. With D = Gamma(0) - Gamma_inf and d = D exp(-dt / tau),
 
     mean cos Gamma = cos Gamma_inf (1 - tau/dt (Cin D - Cin d)) - sin Gamma_inf tau/dt (Si D - Si d)
 
-where Cin x = integral of (1 - cos z) / z from 0 to x (NIST DLMF, section 6.2). Cin and Si are polynomials,
-good to 1e-10 times the larger of 1 and tau/dt, and weights are float32: together off by at most
-``WEIGHT_ERROR`` for time constants of up to a hundred slots.
+where Cin x = integral of (1 - cos z) / z from 0 to x (NIST DLMF, section 6.2). Cin and Si are polynomials
+with an error of 1e-10 times the larger of 1 and tau/dt, and weights are float32. Together the error is at
+most ``WEIGHT_ERROR`` for time constants of up to a hundred slots.
 
 Not modelled: the twist of twisted-nematic panels, ripple faster than a slot.
 """
@@ -41,7 +41,7 @@ WEIGHT_ERROR = 1.2e-7
 
 
 class PanelResponse(Part):
-    """How the panel, seen through its polarisers, answers its drive.
+    """Response of the panel between its polarisers to its drive.
 
     Parameters
     ----------
@@ -50,14 +50,15 @@ class PanelResponse(Part):
     leak : float
         Transmission of the whole chain fully off over fully on, 1/CR; 0 is infinite contrast.
     white_rad : float
-        Retardance of level 255 in the light that is used; pi is a half wave, the brightest there is.
+        Retardance of level 255 at the wavelength in use; pi is a half wave, the brightest state.
     drive_exponent : float
         Exponent of retardance against level; 1.2 has no source, it is a sensible default.
     field_drive : tuple of float
-        Relative retardance of successive slots, repeated; (1,) for a panel that drives all alike.
+        Relative retardance of successive slots, repeated; (1,) for a panel with equal slots.
     delay_s, scan_s : float
-        When the first row turns to a slot's level, after the slot has begun, and how much later the row
-        after the last one would; together less than a slot. A negative delay is early, by less than a slot.
+        Delay at which the first row is driven to a slot's level, after the slot's start, and scan time from
+        it to one row after the last. Together less than a slot. A negative delay is early, by less than a
+        slot.
     """
 
     tau_on_s: float = Field(default=0.5e-3, ge=0)
@@ -71,23 +72,23 @@ class PanelResponse(Part):
 
     @property
     def white(self) -> float:
-        """Share of the light that level 255 passes, held, over what a half wave would."""
+        """Transmission of level 255, held, over that of a half wave."""
         return float(np.sin(self.white_rad / 2) ** 2)
 
     def row_delays_s(self, rows: int) -> Doubles:
-        """When each row of the panel turns to a slot's level, after the slot has begun, s; early below 0."""
+        """Delay of each row against a slot's start, s; negative is early."""
         return self.delay_s + self.scan_s * (np.arange(rows) + 0.5) / rows
 
 
 def settled_retardance(levels: Bytes, response: PanelResponse) -> Floats:
-    """Retardance that each drive level reaches if it is held, rad: white (level / 255)^exponent."""
+    """Retardance of each drive level when held, rad: white (level / 255)^exponent."""
     return _curve(response).astype(np.float32)[levels]
 
 
 def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
-    """Panel that has held an image of levels, (v, u), for many response times.
+    """State of a panel that has held an image of levels, (v, u), for many response times.
 
-    Between fields that are driven differently it never quite settles: off by their difference times
+    Between fields that are driven differently it never fully settles: the error is their difference times
     exp(-slot / tau).
     """
     held = settled_retardance(levels, response) * np.float32(response.field_drive[-1])
@@ -95,13 +96,13 @@ def settled_panel(levels: Bytes, response: PanelResponse) -> PanelState:
 
 
 def first_panel(levels: Bytes, response: PanelResponse, slot_s: float) -> PanelState:
-    """Panel when an experiment begins: after a long dark it has shown these levels, (slot, v, u), once."""
+    """State at the start of an experiment: long dark, then one cycle of these levels, (slot, v, u)."""
     dark = settled_panel(np.zeros(levels.shape[1:], np.uint8), response)
     return slot_weights(levels, dark, response, slot_s)[1]
 
 
 def drive_targets(response: PanelResponse, slots_shown: int, n_slots: int) -> Doubles:
-    """Retardance that each level asks for, from the slot before the first to that after the last.
+    """Target retardance of each level, from the slot before the first to that after the last.
 
     Array (slot + 2, 256).
     """
@@ -111,21 +112,22 @@ def drive_targets(response: PanelResponse, slots_shown: int, n_slots: int) -> Do
 
 
 def early_rows(response: PanelResponse, rows: int) -> int:
-    """Rows, from the first on, that turn before a slot begins."""
+    """Count the first rows that are driven before a slot begins."""
     return int(np.count_nonzero(response.row_delays_s(rows) < 0))
 
 
 def row_turns(response: PanelResponse, rows: int, instant_s: float, slot_s: float) -> tuple[Ints, Doubles]:
-    """Instant of a slot in which each row turns (early ones to the next slot's), and how long after it."""
+    """Instant of a slot in which each row is driven (early rows to the next slot), and the time after it."""
     delays_s = response.row_delays_s(rows) % slot_s
     turn = np.floor(delays_s / instant_s).astype(np.int64)
     return turn, delays_s - turn * instant_s
 
 
 def turned_to(levels: Bytes, panel: PanelState, response: PanelResponse) -> tuple[Bytes, PanelState]:
-    """Level that each row turns to within each slot, and the panel as it is when the first slot begins.
+    """Level to which each row is driven within each slot, and the panel when the first slot begins.
 
-    A late row turns to the slot's own level. An early one shows that already, and turns to the next slot's.
+    A late row is driven to the slot's own level. An early one shows that already, and is driven to the next
+    slot's.
     """
     early = slice(0, early_rows(response, levels.shape[1]))
     if not early.stop:
@@ -136,7 +138,7 @@ def turned_to(levels: Bytes, panel: PanelState, response: PanelResponse) -> tupl
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
-    """Weight of each drive level if it is held for ever, all fields driven alike; 1 at level 255."""
+    """Weight of each drive level when held, with equal fields; 1 at level 255."""
     intensity = np.sin(settled_retardance(levels, response) / 2) ** 2 / response.white
     return (response.leak + (1 - response.leak) * intensity).astype(np.float32)
 
@@ -151,7 +153,7 @@ def mean_intensity(
     start_rad : array_like
         Retardance at the beginning, rad.
     target_rad : array_like
-        Retardance that the drive asks for, rad.
+        Target retardance, rad.
     duration_s, tau_s : array_like
         Length of the interval (> 0) and time constant (> 0), s.
 
@@ -186,7 +188,7 @@ def slot_weights(
     levels : ndarray of shape (slot, v, u), uint8
         Drive levels.
     panel : PanelState or None
-        The panel when the first slot begins; None when an experiment does (:func:`first_panel`).
+        The panel when the first slot begins; None at the start of an experiment (:func:`first_panel`).
     response : PanelResponse
         True or estimated response.
     slot_s : float
@@ -194,21 +196,21 @@ def slot_weights(
     instants_per_slot : int
         Instants to a slot.
     leak : ndarray of shape (u,), float64, optional
-        Off over on of each column, where it isn't the same everywhere.
+        Off over on of each column, if it varies.
 
     Returns
     -------
     weights : ndarray of shape (slot * instants_per_slot, v, u), float32
-        Mean over the instant of leak + (1 - leak) sin^2(Gamma / 2) / sin^2(white / 2): 1 for a pixel that has
-        always been on; more in between where white is past a half wave.
+        Mean over the instant of leak + (1 - leak) sin^2(Gamma / 2) / sin^2(white / 2). It is 1 for a pixel
+        that has always been on. It exceeds 1 at intermediate levels if white is above a half wave.
     panel : PanelState
         The panel when the last slot ends.
 
     Raises
     ------
     ValueCheckError
-        When the shapes don't agree, the last row's turn comes after the slot, or the drive asks for more than
-        a whole wave.
+        When the shapes don't agree, the last row is driven after the slot's end, or a target exceeds a whole
+        wave.
     """
     if panel is None:
         panel = first_panel(levels, response, slot_s)

@@ -1,8 +1,8 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""Light between fine samples and panel pixels by quadratic B-splines: spread to them, and drawn from them.
+"""Quadratic B-splines that move light from fine samples to panel pixels and back.
 
-What :mod:`optsim.optics.fringing` does with other shares on whole arrays, as compiled loops. And the kernel
-between pixels that, by way of them, stands for one between samples.
+These are compiled loops; :mod:`optsim.optics.fringing` does the same with other shares on whole arrays. A
+kernel between pixels, together with the splines, replaces one between samples.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from optsim.core.compiled import compiled
 from optsim.core.quantities import Doubles, Floats
 from optsim.optics.tap_blur import Grid, Patch
 
-# Pixels beyond a kernel's own after which its splines hardly swing any more.
+# Pixels beyond a kernel's own after which its spline coefficients hardly oscillate.
 _SWINGS = 4
 
 
@@ -24,23 +24,23 @@ def splines(pitch: int) -> Doubles:
 
 
 def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
-    """Kernel between pixels that comes nearest to one between fine samples, by way of splines at both ends.
+    """Kernel between pixels that best replaces one between fine samples, with splines at both ends.
 
-    Nearest in least squares over all places within a pixel (R. W. Hockney and J. W. Eastwood, *Computer
-    Simulation Using Particles*, 1988, chapter 8: the optimal influence function, in closed form). Beyond what
-    it stands for it would swing about 0, a little; there it is cut at 0.
+    It is the least-squares fit over all positions within a pixel (R. W. Hockney and J. W. Eastwood, *Computer
+    Simulation Using Particles*, 1988, chapter 8: the optimal influence function, in closed form). Beyond the
+    original kernel it would oscillate slightly about 0; there it is cut at 0.
 
     Parameters
     ----------
     kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
-        Symmetric about its centre, and smooth beside a pixel.
+        Symmetric about its centre, and smooth on the scale of a pixel.
     pitch : int
         Fine samples to a pixel.
 
     Returns
     -------
     ndarray of shape (2 m + 1, 2 m + 1), float64
-        Of means under pixels' splines, and of the same sum; m is h / pitch and a little more.
+        Kernel for means under pixels' splines, with the same sum; m is h / pitch and a little more.
     """
     half = len(kernel) // 2
     reach = -(-half // pitch) + _SWINGS
@@ -48,7 +48,7 @@ def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
     wide = np.zeros((n * pitch, n * pitch))
     at = np.arange(-half, half + 1) % len(wide)
     wide[np.ix_(at, at)] = kernel
-    # The spline of the pixel in the origin, which is that of the samples around it.
+    # The spline of the pixel at the origin, on the samples around it.
     line = np.zeros(len(wide))
     line[np.arange(3 * pitch) - 3 * pitch // 2] = splines(pitch)[:, ::-1].T.ravel()
     passed = np.square(np.abs(np.fft.fft(line)) / pitch)
@@ -71,11 +71,11 @@ def spread(light: Patch, pitch: int, pixels: Grid) -> Patch:
     Parameters
     ----------
     light : Patch
-        On fine samples; where it touches the border of the field, it goes on beyond.
+        On fine samples; where it touches the border of the field, it continues beyond.
     pitch : int
         Fine samples to a pixel.
     pixels : Grid
-        Of the field, with a margin of pixels around it.
+        Pixel grid of the field, with a margin around it.
 
     Returns
     -------
@@ -107,11 +107,11 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
     Parameters
     ----------
     pixels : Patch
-        Light on pixels, its place counted from the beginning of the field; beyond them it is dark.
+        Light on pixels, with its position in the field; dark beyond.
     pitch : int
         Fine samples to a pixel.
     row, col : int
-        Where the fine samples begin in the field.
+        First row and column of the fine samples in the field.
     fine : ndarray of shape (t, y, x), float32
         Filled.
     """
@@ -121,7 +121,7 @@ def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
 
 @compiled(fastmath=True, makes_arrays=False)
 def draw_row(line: Floats | Doubles, shares: Floats | Doubles, drawn: Floats | Doubles) -> None:
-    """Fill a row of fine samples from a row of pixels with one more on either side."""
+    """Fill a row of fine samples from a row of pixels, which has one more on either side."""
     pitch = np.uint64(shares.shape[0])
     for k in range(pitch):
         before, own, after = shares[k, 0], shares[k, 1], shares[k, 2]
@@ -145,7 +145,7 @@ def _draw(pixels: Floats, shares: Floats, row: int, col: int, fine: Floats) -> N
 
 @compiled(fastmath=True, makes_arrays=False)
 def _rows_between(pixels: Floats, t: int, v: int, shares: Floats, k: int, line: Floats) -> None:
-    """Fill a row of pixels at a place in row v, after the first."""
+    """Fill a row of pixels at fine row k within pixel row v."""
     rows, cols, own = pixels.shape[1], np.uint64(pixels.shape[2]), np.uint64(v)
     above, below = np.uint64(max(v - 1, 0)), np.uint64(min(v + 1, rows - 1))
     from_above = shares[k, 0] if v > 0 else np.float32(0)
@@ -168,10 +168,10 @@ def _copy(drawn: Floats, first: int, fine: Floats, t: int, y: int) -> None:
 
 @compiled(fastmath=True)
 def _spread(fine: Floats, shares: Floats, row: int, col: int, pixels: Floats) -> None:
-    """Add light to pixels, the transpose of drawing it; there is one more on every side than it lies in."""
+    """Add light to pixels, the transpose of ``_draw``; the array has one pixel more on every side."""
     n, rows, cols = fine.shape
     pitch = len(shares)
-    # Of each row of pixels what comes from the fine rows of three, before it is spread across.
+    # Sum for a row of pixels over the fine rows of three, before spreading along the row.
     line = np.empty(cols, np.float32)
     for t in range(n):
         for v in range(row // pitch - 1, (row + rows - 1) // pitch + 2):

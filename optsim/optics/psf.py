@@ -1,18 +1,18 @@
 # pyright: reportMissingTypeStubs=false
 """Field-constant point spread functions on the fine grid, and their application by FFT.
 
-A kernel is diffraction at a circular aperture convolved with a Gaussian for the aberrations and integrated
-over a cell: every cell sends its light from its centre. The transfer function is the product of the three
+A kernel is diffraction at a circular aperture, convolved with a Gaussian for the aberrations and integrated
+over a cell. Every cell emits its light from its centre. The transfer function is the product of the three
 closed forms (J. W. Goodman, *Introduction to Fourier Optics*, 3rd ed., Roberts 2005, section 6.3, for the
-diffraction-limited incoherent one). Far from the centre, where a sampled transfer function would fold its own
-replicas in, the mean over the rings of an Airy pattern is taken instead, lambda N / (pi^3 r^3) an area (from
-Born and Wolf, 8.5.2, encircled energy). What lies beyond the window, a stated share of the energy, stays with
-its point, and the kernel sums to 1.
+diffraction-limited incoherent one). Far from the centre a sampled transfer function would be aliased. There
+the kernel is the mean over the rings of an Airy pattern, lambda N / (pi^3 r^3) an area (from Born and Wolf,
+8.5.2, encircled energy). The energy beyond the window, a stated share, is added to the central cell, and the
+kernel sums to 1.
 
-Integrating over a cell of side h adds h^2/12 to the variance. It is taken out of the Gaussian, so second
-moments are exact wherever sigma >= h/sqrt(12); below that the blur is too large by the difference.
+Integrating over a cell of side h adds h^2/12 to the variance. It is subtracted from the Gaussian's, so second
+moments are exact wherever sigma >= h/sqrt(12). Below that the blur is too large by the difference.
 
-Not modelled here: variation over the field, coma and astigmatism (see forward/aberrations.py), colour.
+Not modelled here: variation over the field, coma and astigmatism (:mod:`optsim.optics.aberrations`), colour.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from optsim.core.threads import n_threads
 
 fft: Any = _scipy_fft  # comes without types
 _GAUSSIAN_REACH = 5.0  # sigmas: 3e-7 of the energy lies beyond
-# Cells and rings from the centre after which the mean over an Airy pattern's rings is right to 2 %.
+# Cells and rings from the centre beyond which the mean over an Airy pattern's rings is right to 2 %.
 _NEAR_CELLS, _NEAR_SPREADS = 24, 8
-# Below this wavelength times f-number, in cells, all of that is in the central cell.
+# Below this wavelength times f-number, in cells, all those rings lie in the central cell.
 _POINT_SPREAD = 0.5 / _NEAR_SPREADS
 
 
@@ -44,9 +44,9 @@ def diffraction_mtf(frequency: Doubles, cutoff: float) -> Doubles:
     return (2 / np.pi) * (np.arccos(rho) - rho * np.sqrt(1 - rho**2))
 
 
-def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, wing_share: float) -> int:
-    """Cells from the centre to the edge of a window that misses at most ``wing_share`` of an Airy pattern."""
-    return max(2, int(np.ceil(share_beyond(wavelength_m, f_number, cell_m) / wing_share)))
+def kernel_half_width(wavelength_m: float, f_number: float, cell_m: float, tail_share: float) -> int:
+    """Half width in cells of a window that misses at most ``tail_share`` of an Airy pattern."""
+    return max(2, int(np.ceil(share_beyond(wavelength_m, f_number, cell_m) / tail_share)))
 
 
 def share_beyond(wavelength_m: float, f_number: float, radius_m: float) -> float:
@@ -62,7 +62,7 @@ def psf_kernel(
     sigma_m: float,
     cell_m: float,
     wavelength_m: float,
-    wing_share: float,
+    tail_share: float,
     *,
     disc_m: float = 0.0,
     diffraction: bool = True,
@@ -79,12 +79,12 @@ def psf_kernel(
         Side of a cell in the plane where f-number and sigma hold, m.
     wavelength_m : float
         Wavelength, m.
-    wing_share : float
-        Share of the energy that may lie outside the window; it is put back into the middle.
+    tail_share : float
+        Share of the energy that may lie outside the window; it is added to the central cell.
     disc_m : float
         Diameter of the disc of confusion of geometrical optics, for a plane out of focus, m.
     diffraction : bool
-        False leaves Gaussian and disc alone.
+        False gives Gaussian and disc only.
 
     Returns
     -------
@@ -93,16 +93,16 @@ def psf_kernel(
     """
     variance = max((sigma_m / cell_m) ** 2 - 1 / 12, 0.0)
     if not diffraction:
-        # A disc has a sixteenth of its squared diameter of variance along each axis.
+        # The variance of a disc along each axis is a sixteenth of its squared diameter.
         return _gaussian_kernel(np.sqrt(variance + (disc_m / cell_m) ** 2 / 16))
     spread = wavelength_m * f_number / cell_m
-    half = kernel_half_width(wavelength_m, f_number, cell_m, wing_share) + int(np.ceil(disc_m / cell_m / 2))
+    half = kernel_half_width(wavelength_m, f_number, cell_m, tail_share) + int(np.ceil(disc_m / cell_m / 2))
     if spread <= _POINT_SPREAD and not variance and not disc_m:
         return _point_kernel(spread, half)
-    # Where the rings' mean takes over: far from disc and Gaussian, and many rings from the centre.
+    # The rings' mean is used beyond this: far from disc and Gaussian, and many rings from the centre.
     near = int(np.ceil(max(_NEAR_CELLS, _NEAR_SPREADS * spread, 2 * disc_m / cell_m + 8 * sigma_m / cell_m)))
-    # Four times as wide, so that what the transform folds in from outside stays small beside the wings as far
-    # as it is used: 1 % of the ring from 16 to 24 cells, of which twice as wide would leave 8 %.
+    # Four times as wide, so that aliasing stays small beside the tails within the used part. It is 1 % of the
+    # ring from 16 to 24 cells; twice as wide would leave 8 %.
     wide = 4 * near
     middle = _middle(wide, rounded(spread), rounded(variance), rounded(disc_m / cell_m))
     place = np.arange(-half, half + 1)
@@ -131,17 +131,17 @@ def _point_kernel(spread: float, half: int) -> Doubles:
 
 
 def rounded(number: float) -> float:
-    """To twelve digits: what is the same but for rounding has the same key in a cache."""
+    """Round to twelve digits, so that equal numbers have the same key in a cache."""
     return float(f"{number:.12g}")
 
 
-# Kept: it does not depend on how far the wings reach.
+# Cached: it does not depend on the extent of the tails.
 @lru_cache(maxsize=16)
 def _middle(half: int, spread: float, variance: float, disc: float) -> Doubles:
-    """Kernel by its transfer function, lengths in cells; replicas of its far wings are folded in."""
+    """Kernel by its transfer function, lengths in cells; its tails are aliased."""
     cutoff = 1 / spread  # cycles a cell, like all frequencies here
     size = 2 * half + 1
-    # The transfer function is even along both axes: a quarter of it says all.
+    # The transfer function is even along both axes: a quarter of it suffices.
     base = np.arange(half + 1) / size
     reach = int(np.ceil(cutoff + 0.5))
     folds = [base + fold for fold in range(-reach, reach + 1)]
@@ -233,7 +233,7 @@ def make_blur(kernel: Doubles, shape: tuple[int, int], *, wraps: bool = False) -
     shape : tuple of int
         Rows and columns of the images.
     wraps : bool
-        Whether light may wrap around into the outermost h cells: of images that are wanted without them.
+        Whether light may wrap around into the outermost h cells, for images used without them.
     """
     half = kernel.shape[0] // 2
     sides = [max(side if wraps else side + half, len(kernel)) for side in shape]
@@ -245,5 +245,5 @@ def make_blur(kernel: Doubles, shape: tuple[int, int], *, wraps: bool = False) -
 
 
 def extend(image: NDArray[np.floating], reach: int) -> NDArray[np.floating]:
-    """Continue an image beyond its border with its border's values: the scene does not end there."""
+    """Continue an image beyond its border with the border's values, as the scene continues there."""
     return np.pad(image, reach, mode="edge")

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
-"""From radiance to irradiance to photons: the few closed forms of the light budget.
+"""Radiance to irradiance to photons: the closed forms of the light budget.
 
 Source of the first three: M. Born and E. Wolf, *Principles of Optics*, 7th ed., Cambridge 1999, section 4.8
 (photometry of optical systems).
@@ -26,19 +26,19 @@ def irradiance_factor(working_f_number: float, transmission: float) -> float:
     Parameters
     ----------
     working_f_number : float
-        f-number of the cone that lands on the image.
+        f-number of the cone on the image.
     transmission : float
-        Of everything before the image.
+        Transmission of everything before the image.
     """
     return float(np.pi * transmission / (4 * working_f_number**2))
 
 
 def cos4(rows: int, cols: int, tan_per_sample: float, distortion: float = 0.0) -> Doubles:
-    """Natural vignetting at each sample's centre: cos^4 of the field angle, over the area that light gets.
+    """Natural vignetting at each sample's centre: cos^4 of the field angle, over the local area scale.
 
-    A pupil of area A that looks the same from everywhere takes L A cos(angle) from each steradian, wherever
-    distortion puts it: a barrel gives a steradian less area than the image without distortion, so that it
-    is brighter there (the effect is treated by D. Reshidko and J. Sasian, Opt. Eng. 55, 115105, 2016).
+    A pupil of the same apparent area A from everywhere takes L A cos(angle) from each steradian. Distortion
+    only changes the image area of a steradian. A barrel makes it smaller, so the image is brighter there (the
+    effect is treated by D. Reshidko and J. Sasian, Opt. Eng. 55, 115105, 2016).
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def cos4(rows: int, cols: int, tan_per_sample: float, distortion: float = 0.0) -
     tan_per_sample : float
         Sample pitch over focal length.
     distortion : float
-        Relative displacement of what belongs into the corner (:mod:`optsim.optics.lens`).
+        Relative radial displacement at the corner (:mod:`optsim.optics.lens`).
 
     Returns
     -------
@@ -65,19 +65,18 @@ def cos4(rows: int, cols: int, tan_per_sample: float, distortion: float = 0.0) -
 
 
 def clipped_pupil(rows: int, cols: int, corner_loss: float) -> Doubles:
-    """Mechanical vignetting: share of the pupil that a lens's rim leaves open, at each sample's centre.
+    """Mechanical vignetting: share of the pupil left open by a lens rim, at each sample's centre.
 
-    Seen from off the axis, the rim's image moves over the pupil, in proportion to the distance from the axis;
-    what is open is the overlap of two circles (W. J. Smith, *Modern Optical Engineering*, 4th ed., 2008,
-    section 9.6). The rim is as much larger than the pupil as leaves the inner half of the field clear, which
-    has no source: a sensible default.
+    Off axis the rim's image shifts over the pupil, in proportion to the distance from the axis. The open part
+    is the overlap of two circles (W. J. Smith, *Modern Optical Engineering*, 4th ed., 2008, section 9.6). The
+    rim is just large enough to leave the inner half of the field clear: a sensible default, no source.
 
     Parameters
     ----------
     rows, cols : int
         Samples of the used field; the axis passes through its middle.
     corner_loss : float
-        Share that is lost at its corners, from 0 to 0.9.
+        Share lost at its corners, from 0 to 0.9.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What is read of a CCD for a panel pixel: the CCD pixel at its centre, or a square of pixels around it."""
+"""Readout window of a panel pixel: the CCD pixel at its centre, or a square of pixels around it."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from optsim.core.quantities import Ints
 
 
 def places(image: NDArray[Any], row: Ints, col: Ints, side: int) -> Iterator[NDArray[Any]]:
-    """Yield the pixels of all squares, one place in the square after another.
+    """Yield the pixels of all windows, one position in the window after another.
 
     Parameters
     ----------
     image : ndarray of shape (..., y, x)
-        Of the CCD.
+        Image of the CCD.
     row, col : ndarray of shape (v, u), int64
-        CCD pixels in the middle of the squares.
+        CCD pixels at the centres of the windows.
     side : int
-        CCD pixels to a side of a square, odd.
+        Side of a window, CCD pixels, odd.
 
     Yields
     ------
     ndarray of shape (..., v, u)
-        Of squares that reach beyond the CCD's border the nearest pixel's.
+        Pixels at one position; beyond the CCD's border the nearest pixel's.
 
     Raises
     ------
     ValueCheckError
-        When a square's middle is off the image: it is of another CCD.
+        When a window's centre is off the image: it is of another CCD.
     """
     height, width = image.shape[-2:]
     last = int(row.max()), int(col.max())
@@ -47,7 +47,7 @@ def places(image: NDArray[Any], row: Ints, col: Ints, side: int) -> Iterator[NDA
 
 
 def mean_reading(image: NDArray[Any], row: Ints, col: Ints, side: int) -> NDArray[Any]:
-    """Mean of each square, (..., v, u): whole numbers as float32. Arguments as of :func:`places`."""
+    """Mean of each window, (..., v, u): whole numbers as float32. Arguments as of :func:`places`."""
     dtype = np.float32 if image.dtype.kind in "ui" else image.dtype
     total, *others = (seen.astype(dtype) for seen in places(image, row, col, side))
     for seen in others:
@@ -56,5 +56,5 @@ def mean_reading(image: NDArray[Any], row: Ints, col: Ints, side: int) -> NDArra
 
 
 def brightest(image: NDArray[Any], row: Ints, col: Ints, side: int) -> NDArray[Any]:
-    """Brightest pixel of each square, (..., v, u). Arguments as of :func:`places`."""
+    """Brightest pixel of each window, (..., v, u). Arguments as of :func:`places`."""
     return np.maximum.reduce(list(places(image, row, col, side)))

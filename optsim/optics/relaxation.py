@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false
-"""The walk of a panel's pixels through the slots of a code: retardance relaxes, light is averaged.
+"""Relaxation of a panel's pixels through the slots of a code: retardance relaxes, light is averaged.
 
 The closed form is that of :mod:`optsim.optics.panel`. Its Si(x) / x and Cin(x) / x^2 are polynomials of x^2:
-a loop over those is vectorised, whereas a table has to be looked up number by number. Many pixels walk in a
-compiled loop, few of them all together: loading the loop would take longer.
+a loop over polynomials is vectorised, a table look-up is not. Many pixels run in a compiled loop. Few pixels
+run together in numpy, since loading the loop would take longer.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from optsim.core.compiled import FEW, compiled
 from optsim.core.quantities import Bytes, Doubles, Floats, Ints
 from optsim.core.threads import in_bands
 
-# Nearer than this to its target a pixel is there: it changes a weight by less than 1e-14.
+# A pixel nearer to its target than this has settled: the rest changes a weight by less than 1e-14.
 SETTLED_RAD = 1e-7
 
 
@@ -26,7 +26,7 @@ def si_cin(x: Doubles) -> tuple[Doubles, Doubles]:
     size = np.abs(x)
     large = np.maximum(size, 1e-3)
     si, ci = sici(large)
-    # gamma + ln x - Ci x cancels near zero, where two terms of the series are exact to 1e-21.
+    # gamma + ln x - Ci x loses digits near zero, where two terms of the series are exact to 1e-21.
     cin = np.where(size > 1e-3, np.euler_gamma + np.log(large) - ci, size**2 / 4 - size**4 / 96)
     return np.where(size > 1e-3, np.sign(x) * si, x - x**3 / 18), cin
 
@@ -57,7 +57,7 @@ _series_of_one = compiled(fastmath=True)(_series)
 
 
 class Drive(NamedTuple):
-    """Retardance that levels ask for, its cosine and its sine, float64: of a slot (256,), or of all."""
+    """Target retardance of levels, its cosine and sine, float64: for a slot (256,), or for all."""
 
     target: Doubles
     cosine: Doubles
@@ -77,24 +77,24 @@ def walk(
     spans: Doubles,
     weights: Floats,
 ) -> None:
-    """Fill the weights of a code's instants, and bring the panel to where the last slot ends.
+    """Fill the weights of a code's instants, and advance the panel to the end of the last slot.
 
     Parameters
     ----------
     levels : ndarray of shape (slot, v, u), uint8
         Drive levels.
     retardance, shown : ndarray of shape (v, u), float32 and uint8
-        Of the panel when the first slot begins, rad, and the level that it shows then; changed in place.
+        Retardance when the first slot begins, rad, and the level shown then; changed in place.
     targets : ndarray of shape (slot + 1, 256), float64
-        Retardance that each level asks for in the slot before the first, and in each slot, rad.
+        Target retardance of each level in the slot before the first, and in each slot, rad.
     taus : ndarray of shape (2,), float64
         Time constants towards larger and towards smaller retardance, s.
     turn, early_s : ndarray of shape (v,), int64 and float64
-        Instant of a slot in which each row turns to the slot's level, and how long after its start, s.
+        Instant of a slot in which each row is driven to the slot's level, and the time after its start, s.
     instant_s : float
         Duration of an instant, s.
     leaks, spans : ndarray of shape (u,), float64
-        Weight of a dark pixel, and what a retardance of pi adds to it.
+        Weight of a dark pixel, and the increase by a retardance of pi.
     weights : ndarray of shape (slot * instants_per_slot, v, u), float32
         Filled.
     """
@@ -121,9 +121,9 @@ def walk(
 
 
 def _different(levels: Bytes, retardance: Floats, shown: Bytes, delays_s: Doubles) -> tuple[Ints, Ints]:
-    """Find pixels that differ in what they show or when: one of each kind, and the kind of each pixel.
+    """Find the distinct pixels by level and delay: one of each kind, and the kind of each pixel.
 
-    Codes that repeat leave few, and arrays of few pixels cost little more than the calls.
+    Periodic codes have few kinds, and arrays of few pixels cost little more than the calls.
     """
     course = [
         np.ascontiguousarray(each.reshape(shown.size, -1)).view(np.uint8)
@@ -153,22 +153,22 @@ def _walk_together(
     levels, retardance, shown : ndarrays of shape (slot, pixel), (pixel,) and (pixel,)
         As of :func:`walk`.
     delays_s : ndarray of shape (pixel,)
-        Time from a slot's start until a pixel turns to the slot's level.
+        Time from a slot's start until a pixel is driven to the slot's level.
     n_sub : int
         Instants a slot.
 
     Returns
     -------
     light : ndarray of shape (instant, pixel), float64
-        Share that gets through, of a retardance of pi.
+        Transmission relative to a retardance of pi.
     gamma : ndarray of shape (pixel,), float64
         Retardance afterwards, rad.
     """
     n_slots, n_pixels = levels.shape
-    # Lengths of an instant before and after a pixel's turn, (instant of a slot, 2, pixel).
+    # Lengths of an instant before and after a pixel is driven, (instant of a slot, 2, pixel).
     before_s = (delays_s - np.arange(n_sub)[:, None] * instant_s).clip(0, instant_s)
     lengths_s = np.stack([before_s, instant_s - before_s], axis=1)
-    # What is asked for in each interval, (slot, 2, pixel).
+    # Target in each interval, (slot, 2, pixel).
     slots = np.indices((n_slots, 1))[0]
     before = np.concatenate([shown[None], levels[:-1]])
     target = np.stack([targets[slots, before], targets[slots + 1, levels]], axis=1)
@@ -187,7 +187,7 @@ def _walk_together(
     over, across = _relaxed_together(step, lengths_s[where[1:]], taus)
     at = target[where[0], where[2], where[3]]
     swept.ravel()[on_the_way] -= np.cos(at) * over + np.sin(at) * across
-    # Dark is dark: rounding must not make light negative.
+    # Rounding must not make light negative.
     light = np.maximum(0.5 - 0.5 * swept.sum(axis=2) / instant_s, 0)
     return light.reshape(-1, n_pixels), gamma
 
@@ -204,7 +204,7 @@ def _relaxed_together(step: Doubles, length_s: Doubles, taus: Doubles) -> tuple[
 def paces(step: Doubles | Floats, length_s: Doubles, taus: Doubles) -> Doubles:
     """Time over constant for steps: below 0 towards larger retardance, else towards smaller."""
     tau = taus[(step >= 0).astype(np.intp)]
-    # At once, where a time constant is nothing; but not in no time.
+    # Instantaneous for a time constant of 0, except over an interval of no length.
     return np.where(tau > 0, length_s / np.maximum(tau, 1e-30), np.where(length_s > 0, np.inf, 0.0))
 
 
@@ -215,7 +215,8 @@ def _relax(
     """Take a row of pixels through an interval, and add the integrals of their cosines over it, s."""
     on = np.exp(-length_s / taus[0]) if taus[0] > 0 else 0.0
     off = np.exp(-length_s / taus[1]) if taus[1] > 0 else 0.0
-    # Looked up apart: what is left has neither places to find nor branches, and becomes vector code.
+    # Table look-ups in a loop of their own: the other loop then has neither indices nor branches, and is
+    # vectorised.
     for u in range(gamma.size):
         level = levels[u]
         asked[0, u], asked[1, u], asked[2, u] = drive.target[level], drive.cosine[level], drive.sine[level]
@@ -244,7 +245,7 @@ def _run(
     spans: Doubles,
     weights: Floats,
 ) -> None:
-    """Walk through the slots; a row's turn comes in instant ``turn``, ``early_s`` after its start."""
+    """Step through the slots; a row is driven in instant ``turn``, ``early_s`` after its start."""
     n_slots, rows, cols = levels.shape
     n_sub = weights.shape[0] // n_slots
     swept, asked, half = np.empty(cols), np.empty((3, cols)), 0.5 / instant_s
@@ -253,7 +254,7 @@ def _run(
         new = Drive(drives.target[slot + 1], drives.cosine[slot + 1], drives.sine[slot + 1])
         for v in range(rows):
             for sub in range(n_sub):
-                # Lengths before and after the row's turn, of which one is usually nothing.
+                # Lengths before and after the row is driven; one of them is usually zero.
                 before_s = early_s[v] if sub == turn[v] else instant_s if sub < turn[v] else 0.0
                 swept[:] = 0
                 if before_s > 0:
@@ -262,6 +263,6 @@ def _run(
                     _relax(retardance[v], levels[slot, v], new, instant_s - before_s, taus, asked, swept)
                 row = weights[slot * n_sub + sub, v]
                 for u in range(cols):
-                    # Dark is dark: rounding must not make light negative.
+                    # Rounding must not make light negative.
                     row[u] = leaks[u] + spans[u] * max(0.5 - half * swept[u], 0.0)
             shown[v] = levels[slot, v]

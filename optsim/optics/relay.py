@@ -1,20 +1,20 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""From the panel to the CCD: one sparse area-overlap operator, a blur before it, a ghost and a veil.
+"""Relay operator, panel to CCD: a blur, a ghost, a sparse area overlap, and veiling glare.
 
     ccd = V A ((1 - h) B + h G) energy,    V image = (1 - g) image + g mean over the CCD of image
 
-B is the relay's PSF on the fine panel grid, which may vary over the field, A the overlap of each cell's image
-with the CCD pixels, G the light that comes back from a face and lands mirrored and far out of focus, and g
-the share that veiling glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that
-panel pixels hold it.
+B is the relay's PSF on the fine panel grid, which may vary over the field. A is the overlap of each cell's
+image with the CCD pixels. G is the ghost: light reflected back from a face, mirrored and far out of focus. g
+is the share that veiling glare (ISO 9358) spreads evenly over the CCD: a rank-one term. G is so smooth that
+it is computed on panel pixels.
 
-A cell's image is taken as an upright rectangle around its warped centre, as large as the map makes it there.
-Under a rotation phi its corners are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad,
-with no energy gained or lost. Images are stored upright: the inversion by the relay and the mirror flip by
-the splitter are undone by the order of readout, so panel row and CCD row increase together.
+A cell's image is modelled as an upright rectangle around its mapped centre, with the map's local scale. Under
+a rotation phi its corners are off by up to half a cell times phi: under 0.001 CCD pixel for 2 mrad, with no
+energy gained or lost. Images are stored upright. The order of readout undoes the relay's inversion and the
+splitter's mirror flip, so panel row and CCD row increase together.
 
-Not modelled: shading of the relay. Light is of one wavelength, and the geometry is that wavelength's.
+Not modelled: shading of the relay. Light has one wavelength, and the geometry is for that wavelength.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _OUTLINE = 101  # points along a side of the panel
 
 @dataclass(frozen=True)
 class RelayGeometry:
-    """Where the fine panel grid lands on the CCD.
+    """Geometry of the fine panel grid's image on the CCD.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class RelayGeometry:
     cell_px : float
         Side of a fine cell's image, CCD pixels.
     magnification : float
-        From the panel to the CCD.
+        Magnification from the panel to the CCD.
     shift_y_px, shift_x_px : float
         Shift of the image, CCD pixels.
     rotation_rad : float
         Rotation of the image about the shifted centre, from x towards y.
     keystone_y, keystone_x : float
-        By how much smaller the last row, or column, is imaged than the middle one, relative: a tilted panel.
+        Relative reduction of the last row's, or column's, image against the middle one: a tilted panel.
     distortion : float
         Relative change of the distance from the centre at the panel's corners, growing with its square:
         positive is a pincushion.
@@ -88,24 +88,24 @@ class RelayGeometry:
         )
 
     def ccd_pixels(self, pitch: int, side: int = 1) -> tuple[Ints, Ints, Bools]:
-        """CCD pixel at the centre of each panel pixel, and whether the CCD has what is read; each (v, u).
+        """CCD pixel at the centre of each panel pixel, and whether its window is on the CCD; each (v, u).
 
         Parameters
         ----------
         pitch : int
             Fine cells to a panel pixel.
         side : int
-            CCD pixels to a side of the square around it that is read.
+            Side of the readout window, CCD pixels.
 
         Returns
         -------
         row, col : ndarray, int64
-            Moved onto the CCD where they are not on it.
+            Clipped to the CCD.
         on_ccd : ndarray, bool
-            Whether their whole squares are.
+            Whether the whole window is on the CCD.
         """
         y, x = self._pixel_centres(pitch)
-        # A centre on a border, or rounded to just beside it, belongs to the pixel after it.
+        # A centre on a border, within rounding, belongs to the pixel after it.
         row, col = np.floor(y + 1e-9).astype(np.int64), np.floor(x + 1e-9).astype(np.int64)
         half = side // 2
         on_ccd = (row >= half) & (row < self.ccd_rows - half)
@@ -113,7 +113,7 @@ class RelayGeometry:
         return row.clip(0, self.ccd_rows - 1), col.clip(0, self.ccd_cols - 1), on_ccd
 
     def offsets_px(self, pitch: int) -> Doubles:
-        """Centre of each picked CCD pixel less that of its panel pixel: array (v, u, 2), panel pixels."""
+        """Centre of each mapped CCD pixel minus that of its panel pixel: array (v, u, 2), panel pixels."""
         row, col, _ = self.ccd_pixels(pitch)
         y, x = self._pixel_centres(pitch)
         return np.stack([row + 0.5 - y, col + 0.5 - x], axis=-1) / (self.cell_px * pitch)
@@ -139,15 +139,15 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
     Parameters
     ----------
     geometry : RelayGeometry
-        Where each cell lands.
+        Geometry of the cells' images.
     transmission : float
-        Share of a cell's energy that arrives, if it lands on the CCD.
+        Transmission of a cell's energy onto the CCD.
 
     Returns
     -------
     sparse.csc_array of shape (ccd_rows * ccd_cols, rows * cols), float64
-        J m^-2 to J m^-2: overlap in CCD pixel areas / magnification^2 x transmission. Its transpose is
-        its exact adjoint.
+        J m^-2 to J m^-2: overlap in CCD pixel areas / magnification^2 x transmission. Its transpose is its
+        exact adjoint.
     """
     g = geometry
     boxes = _boxes(g)
@@ -162,7 +162,7 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
     _overlaps(ccd, boxes, reach, scale, counts, empty_rows, empty_values, False)
     pointers = np.cumsum(counts)
     indices = np.empty(pointers[-1], np.int32)
-    # As exact as what it is applied to: else all of it would be converted each time.
+    # Same precision as its operand, to avoid a conversion at every use.
     values = np.empty(pointers[-1])
     _overlaps(ccd, boxes, reach, scale, pointers, indices, values, True)
     shape = (g.ccd_rows * g.ccd_cols, g.rows * g.cols)
@@ -170,14 +170,14 @@ def overlap_operator(geometry: RelayGeometry, transmission: float) -> sparse.csc
 
 
 def _scale(geometry: RelayGeometry, transmission: float) -> float:
-    """Share of a cell's radiant exposure that a CCD pixel gets of a cell that lands on it alone."""
+    """Ratio of a CCD pixel's radiant exposure to that of a cell imaged within it."""
     return transmission * geometry.cell_px**2 / geometry.magnification**2
 
 
 def _small_overlap(
     geometry: RelayGeometry, boxes: Doubles, reach: int, transmission: float
 ) -> sparse.csc_array:
-    """As in :func:`overlap_operator`: each pixel that a cell may reach, for all cells together."""
+    """As :func:`overlap_operator`, for all cells together: each pixel that a cell may reach."""
     top, left, height, width = boxes.reshape(4, -1)
     found: list[tuple[Doubles, Ints, Ints]] = []
     for down in range(reach):
@@ -223,7 +223,7 @@ def _overlaps(
     values: Doubles,
     fill: bool,
 ) -> None:
-    """Count the entries of every column (fill False), or write them from their pointers on."""
+    """Count the entries of every column (fill False), or write them at their pointers."""
     ccd_rows, ccd_cols = ccd
     _, rows, cols = boxes.shape
     for row in range(rows):
@@ -251,12 +251,12 @@ def _overlaps(
 
 @dataclass(frozen=True)
 class Ghost:
-    """Light that lands mirrored through the axis and out of focus; its own adjoint.
+    """Ghost image, mirrored through the axis and out of focus; its own adjoint.
 
     Parameters
     ----------
     share : float
-        Of the light.
+        Share of the light.
     blur_px : float
         Standard deviation of its blur, panel pixels.
     pitch : int
@@ -272,17 +272,17 @@ class Ghost:
         return whole_cells(self.on_pixels(energy), self.pitch)
 
     def on_pixels(self, energy: NDArray[np.floating]) -> Doubles:
-        """Find the same image where it is smooth, on panel pixels, (v, u)."""
+        """Compute the same image on panel pixels, (v, u), where it is smooth."""
         return mirrored(cell_means(energy, self.pitch), self.blur_px)
 
 
 @dataclass(frozen=True, eq=False)
 class RelayOperator:
-    """The whole way from the fine panel grid to the CCD, with its exact adjoint.
+    """The whole operator from the fine panel grid to the CCD, with its exact adjoint.
 
     Parameters
     ----------
-    blur : Blur, FieldBlur or Winged
+    blur : Blur, FieldBlur or TailedBlur
         PSF on the fine panel grid.
     overlap : sparse.csc_array
         From :func:`overlap_operator`.
@@ -315,7 +315,7 @@ class RelayOperator:
         return self._with_ghost(self.blur.adjoint(back), back)
 
     def _with_ghost(self, direct: Doubles, energy: NDArray[np.floating]) -> Doubles:
-        """Take the ghost's share from the direct light and add the ghost, which is its own adjoint."""
+        """Subtract the ghost's share from the direct light and add the ghost, which is its own adjoint."""
         if self.ghost is None or self.ghost.share == 0:
             return direct
         direct *= 1 - self.ghost.share

@@ -1,4 +1,4 @@
-"""Light that adds as much to short exposures as to long ones: it came by another pixel's code."""
+"""Stray light by other pixels' codes, found because it adds equally to short and long exposures."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from optsim.core.quantities import Bools, Floats
 from optsim.optics.neighbourhoods import Reals, sum_around
 
-# Half side of the squares in which stray light counts as even, pixels; what counts, in standard deviations.
+# Half side of the squares in which stray light counts as uniform, pixels; significance, standard deviations.
 _REACH_PX, _SIGMA = 7, 3.0
 
 
 def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Floats, known: Bools) -> Reals:
-    """Find the light around each pixel that its own code had no part in, beyond what noise explains.
+    """Estimate the light around each pixel that is independent of its code, beyond the noise.
 
-    How much of a saturated lamp's light arrives far from it, and for how many slots, nobody can tell. But it
-    adds as much to short exposures as to long ones: it is the intercept of a line through signals against
-    exposures. Textures make the pixels differ; they count as differing by half.
+    The light that a saturated lamp spreads far from it is unknown, and so are its slots. But it adds equally
+    to short and long exposures. So it is the intercept of a line through signals against exposures. Texture
+    makes the pixels differ; it counts as a difference of a half.
 
     Parameters
     ----------
     signal, exposure, variance : ndarray of shape (v, u), float32
-        As of :func:`optsim.optics.motion.bounds`.
+        As of :func:`optsim.optics.motion.irradiance_interval`.
     electron : ndarray of shape (v, u), float32
-        Of the signal.
+        Signal of one electron, as there.
     known : ndarray of shape (v, u), bool
         Pixels whose signal is measured.
 
@@ -43,8 +43,8 @@ def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Fl
     n, x, xx = around(weights), around(weights * opened), around(weights * opened**2)
     y, xy = around(weights * own), around(weights * opened * own)
     spread = n * xx - x**2
-    # Where all are open alike, nothing tells the two apart.
-    told = spread > 1e-6 * n * xx
-    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=told)
-    noise = np.divide(xx, spread, out=np.zeros_like(y), where=told)
+    # With equal exposures the two cannot be separated.
+    separable = spread > 1e-6 * n * xx
+    intercept = np.divide(y * xx - xy * x, spread, out=np.zeros_like(y), where=separable)
+    noise = np.divide(xx, spread, out=np.zeros_like(y), where=separable)
     return np.sqrt(np.maximum(intercept**2 - _SIGMA**2 * noise, 0))

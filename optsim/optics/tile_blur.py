@@ -1,6 +1,6 @@
-"""Blur by PSFs that vary over the field, tile by tile by transforms: for large kernels, and for little light.
+"""Blur by PSFs that vary over the field, with a transform a tile: for large kernels, and for little light.
 
-A tile of about one cell of the nodes' grid has one transform of the light around it for all of its nodes.
+A tile is about one cell of the nodes' grid. Its surrounding light is transformed once for all of its nodes.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def collect_tile(
     cols: tuple[int, int],
     target: Floats,
 ) -> None:
-    """Add to a tile what it collects of a patch, by transforms."""
+    """Add the light of a patch, blurred, to a tile, by transforms."""
     half = psf.half
     window = _around(light, grid, (rows[0] - half, rows[1] + half), (cols[0] - half, cols[1] + half))
     lit = np.flatnonzero(window.any(axis=(1, 2)))
     if not lit.size:
         return
-    # What light reaches: it is often a part of a tile only.
+    # The light often reaches only part of a tile.
     down = _reached(np.flatnonzero(window.any(axis=(0, 2))), rows[1] - rows[0], half)
     across = _reached(np.flatnonzero(window.any(axis=(0, 1))), cols[1] - cols[0], half)
     window = window[:, down.start : down.stop + 2 * half, across.start : across.stop + 2 * half]
@@ -44,7 +44,7 @@ def collect_tile(
 
 
 def _reached(lit: Ints, size: int, half: int) -> slice:
-    """Part of a tile of a size that collects from lit places, counted from ``half`` before it."""
+    """Part of a tile that collects from lit samples; these are counted from ``half`` before the tile."""
     return slice(max(int(lit[0]) - 2 * half, 0), min(int(lit[-1]) + 1, size))
 
 
@@ -57,7 +57,7 @@ def _around(light: Patch, grid: Grid, rows: tuple[int, int], cols: tuple[int, in
     on_y, on_x = np.flatnonzero((y >= 0) & (y < height)), np.flatnonzero((x >= 0) & (x < width))
     if on_y.size and on_x.size:
         part = light.excess[:, y[on_y[0]] : y[on_y[-1]] + 1, x[on_x[0]] : x[on_x[-1]] + 1]
-        # Only beyond the field's border does a row or column come more than once.
+        # Rows and columns repeat only beyond the field's border.
         for axis, places in ((1, y[on_y]), (2, x[on_x])):
             if len(places) > part.shape[axis]:
                 part = np.take(part, places - places[0], axis=axis)
@@ -68,7 +68,7 @@ def _around(light: Patch, grid: Grid, rows: tuple[int, int], cols: tuple[int, in
 def _nodes(
     psf: FieldPsf, grid: Grid, rows: tuple[int, int], cols: tuple[int, int]
 ) -> tuple[Floats, Floats, Floats]:
-    """PSFs of the nodes around a tile, (i, j, 2 h + 1, 2 h + 1), and their hats on it, (i, y) and (j, x)."""
+    """PSFs of the nodes around a tile, (i, j, 2 h + 1, 2 h + 1), and hat functions, (i, y) and (j, x)."""
     if not psf.cores.size:
         one_y, one_x = (np.ones((1, ends[1] - ends[0]), np.float32) for ends in (rows, cols))
         return psf.kernel.astype(np.float32)[None, None], one_y, one_x

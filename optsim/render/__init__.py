@@ -1,7 +1,7 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
-"""Scene -> radiance: the only room that knows Mitsuba and Dr.Jit, which it imports inside functions."""
+"""Renderer: Scene -> radiance video. It alone uses Mitsuba and Dr.Jit, and imports them inside functions."""
 
 import lazy_loader
 
-# What __init__.pyi names is imported when it is first used: `optsim explain` needs nothing that renders.
+# Names of __init__.pyi are imported at their first use: `optsim explain` needs no renderer.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,11 +1,12 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""How many samples each pixel is worth: Neyman's optimal allocation, from what earlier poses showed.
+"""Neyman's optimal allocation of samples to pixels, from the statistics of earlier poses.
 
-For a given mean squared relative error the cost is least when the number of samples is in proportion to
-the standard deviation of one sample over the pixel's radiance, and to one over the root of what a sample
-costs (J. Neyman, J. R. Stat. Soc. 97, 558-625, 1934). What is known of that comes from *other* random
-numbers than those that are then spent (a pilot, or the pose before), so the estimate stays unbiased.
-Statistics are kept by tile, since one pixel's few samples say little. Counts are powers of two.
+For a given mean squared relative error the cost is least if the number of samples is proportional to the
+standard deviation of one sample over the pixel's radiance, and to one over the square root of a sample's cost
+(J. Neyman, J. R. Stat. Soc. 97, 558-625, 1934). These come from *other* random numbers than those then spent
+(a pilot, or the pose before), so the estimate stays unbiased.
+
+Statistics are kept by tile, since a pixel has too few samples. Sample counts are powers of two.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from scipy import ndimage
 from optsim.core.quantities import Doubles, Floats, Ints
 
 TILE_PX = 4
-# Share of the whole picture's mean that a tile's own statistics can't go below: a tile in which no path has
-# met a mover yet is not known to be without. By experiment on window_room; it moves the cost little.
+# Lower limit of a tile's statistics, as a share of the picture's mean: paths may meet a mover in a tile where
+# none did so far. By experiment on window_room; it changes the cost little.
 _DOUBT = 0.1
-# Most samples a half of a pixel, where nothing else is said (no source).
+# Default limit of samples a pixel and half (no source).
 MOST = 128.0
 # Weight of older statistics for each newer pose (no source).
 _MEMORY = np.float32(0.8)
@@ -30,7 +31,7 @@ _MEMORY = np.float32(0.8)
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Sums over each tile's pixels: what one pose leaves behind for the next.
+    """Sample statistics: sums over each tile's pixels, passed from one pose to the next.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class Statistics:
     count: Floats
 
     def and_then(self, later: Statistics) -> Statistics:
-        """Pool with what a later pose showed; what is older counts less."""
+        """Pool with a later pose's statistics; older ones count less."""
         return Statistics.of(_MEMORY * self.arrays() + later.arrays())
 
     def arrays(self) -> Floats:
@@ -56,7 +57,7 @@ class Statistics:
 
     @staticmethod
     def of(arrays: Floats) -> Statistics:
-        """Unstack what :meth:`arrays` stacked."""
+        """Unstack the result of :meth:`arrays`."""
         return Statistics(*np.asarray(arrays))
 
 
@@ -70,7 +71,7 @@ def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Dou
     pixels : ndarray of shape (n,)
         Flat indices.
     variance, radiance : ndarray of shape (n,)
-        Per pixel: variance of one sample, and radiance.
+        Variance of one sample, and radiance, of each pixel.
     """
     rows, cols = -(-shape[0] // TILE_PX), -(-shape[1] // TILE_PX)
     tile = pixels // shape[1] // TILE_PX * cols + pixels % shape[1] // TILE_PX
@@ -87,7 +88,7 @@ def relative_deviation(statistics: Statistics, shape: tuple[int, int], floor_w_m
     Returns
     -------
     ndarray of shape (y, x), float32
-        Where no tile nearby knows anything, the mean over all.
+        Where no nearby tile has statistics, the mean over all.
     """
     variance, radiance, count = (
         _blurred(x) for x in (statistics.variance, statistics.radiance, statistics.count)
@@ -101,7 +102,7 @@ def relative_deviation(statistics: Statistics, shape: tuple[int, int], floor_w_m
 
 
 def smoothed(shape: tuple[int, int], values: Doubles) -> Floats:
-    """Average over the neighbouring tiles of something known in every pixel, (y, x)."""
+    """Average a quantity known in every pixel over neighbouring tiles, (y, x)."""
     statistics = tally(shape, np.arange(shape[0] * shape[1]), values.ravel(), values.ravel())
     return _spread(_blurred(statistics.variance) / _blurred(statistics.count), shape)
 
@@ -123,20 +124,20 @@ def allocate(
     most: Floats | float = MOST,
     cost: Floats | None = None,
 ) -> Floats:
-    """Share out samples, so that the root mean square error of both halves' mean is ``target``.
+    """Allocate samples for a root mean square error of ``target`` in the mean of both halves.
 
     Parameters
     ----------
     deviation : ndarray of shape (n,)
         Standard deviation of one sample, in the unit of ``target`` (for example relative to the radiance).
     target : float
-        Root mean square error over these pixels, where the bounds allow.
+        Root mean square error over these pixels, if the limits allow it.
     least : float
         Fewest samples a half.
     most : float or ndarray of shape (n,)
         Most samples a half.
     cost : ndarray of shape (n,), optional
-        Relative cost of a sample of each, where it differs.
+        Relative cost of a sample in each pixel, if it differs.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-"""Which Mitsuba variant to render with, tried out in a subprocess before Mitsuba is imported here.
+"""Choice of the Mitsuba variant, probed in a subprocess before Mitsuba is imported here.
 
-Dr.Jit 1.5 with an LLVM older than 17 kills the process at its first path-traced kernel (it emits
-``llvm.minimum``, which these cannot lower on x86), and Dr.Jit picks up a system LLVM by itself. So a
-library is chosen first, a pixel is path traced with it in a subprocess, and only what survived is used.
+Dr.Jit 1.5 with an LLVM older than 17 kills the process at its first path-traced kernel: it emits
+``llvm.minimum``, which these cannot lower on x86. Dr.Jit also picks up a system LLVM by itself. So a library
+is chosen first, and a subprocess path traces a pixel with it. Only a library that survives is used.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ print("PROBE" + json.dumps({"total": total, "llvm": llvm}))
 
 @dataclass(frozen=True)
 class Attempt:
-    """One variant tried: with which library, whether it rendered, and what it said."""
+    """Probe of one variant: its library, whether it rendered, and its message."""
 
     variant: str
     library: str
@@ -59,20 +59,20 @@ class Attempt:
 
 @dataclass(frozen=True)
 class BackendReport:
-    """Which backend renders, and why.
+    """The chosen backend and the reason.
 
     Parameters
     ----------
     variant : str
         Mitsuba variant.
     library : str
-        LLVM library it uses; empty for the one that Dr.Jit finds, or none.
+        LLVM library it uses; empty for Dr.Jit's own choice, or none.
     preview : bool
         True for the scalar fallback, whose truth is of preview quality.
     reason : str
-        One line for people.
+        One line for users.
     attempts : tuple of Attempt
-        What was tried, in order.
+        Probes, in order.
     """
 
     variant: str
@@ -83,7 +83,7 @@ class BackendReport:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides a render."""
+    """Versions of the libraries that decide a render."""
     found: dict[str, str] = {"python": ".".join(map(str, sys.version_info[:2]))}
     for package in ("mitsuba", "drjit", "numpy", "scipy", "scikit-image"):
         try:
@@ -95,17 +95,17 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def choose_backend(backend: str | None = None) -> BackendReport:
-    """Find a variant that renders; probes are remembered on disk, so later calls cost nothing.
+    """Find a variant that renders; probes are cached on disk, so later calls cost nothing.
 
     Parameters
     ----------
     backend : str, optional
-        Insist on this variant.
+        Required variant.
 
     Raises
     ------
     BackendError
-        When Mitsuba is missing, or the variant insisted on does not work, with the cure.
+        When Mitsuba is missing, or the required variant does not work, with the cure.
     ConfigError
         For a variant that optsim does not use.
     """
@@ -134,7 +134,7 @@ def activate(backend: str | None = None) -> BackendReport:
     """Choose a backend and make it Mitsuba's variant in this process."""
     report = choose_backend(backend)
     if "drjit" not in sys.modules:
-        # Also away with one that failed its probe where Dr.Jit's own search did not.
+        # Remove also a library that failed its probe while Dr.Jit's own search worked.
         os.environ.pop("DRJIT_LIBLLVM_PATH", None)
         if report.library:
             os.environ["DRJIT_LIBLLVM_PATH"] = report.library
@@ -151,7 +151,7 @@ def activate(backend: str | None = None) -> BackendReport:
 
 
 def llvm_libraries() -> Iterator[str]:
-    """LLVM libraries worth probing, best first; the empty string lets Dr.Jit search by itself."""
+    """LLVM libraries to probe, best first; the empty string lets Dr.Jit search by itself."""
     inherited = os.environ.get("DRJIT_LIBLLVM_PATH", "")
     if inherited and llvm_major(inherited) >= OLDEST_LLVM:
         yield inherited
@@ -163,7 +163,7 @@ def llvm_libraries() -> Iterator[str]:
 
 
 def llvm_major(library: str) -> int:
-    """Major version in the name of an LLVM library, links followed; 0 if the name does not say."""
+    """Major version in the name of an LLVM library, links followed; 0 if it has none."""
     found = re.search(r"libLLVM(?:\.so)?[-.](\d+)", Path(library).resolve().name)
     return int(found.group(1)) if found else 0
 
@@ -177,7 +177,7 @@ def _candidates(backend: str | None) -> Iterator[tuple[str, str]]:
 
 
 def _has_nvidia() -> bool:
-    """Whether a probe of CUDA is worth its second."""
+    """Whether the machine has an NVIDIA GPU, so that probing CUDA makes sense."""
     return Path("/dev/nvidiactl").exists() or Path("/proc/driver/nvidia/version").exists()
 
 
@@ -196,14 +196,14 @@ def _remembered_probe(variant: str, library: str) -> Attempt:
     try:
         path = default_folder() / "probes" / f"{hash_of(identity)}.json"
     except ConfigError:
-        # Without a cache nothing is remembered.
+        # Without a cache, probe every time.
         return probe(variant, library)
     try:
         record: Any = read_json(path)
         return Attempt(variant, library, bool(record["works"]), str(record["message"]))
     except (StorageError, KeyError, TypeError):
         attempt = probe(variant, library)
-    # Only success is remembered: a failure may be cured from outside (a library installed, a driver loaded).
+    # Only success is cached: a failure may be cured from outside (a library installed, a driver loaded).
     if attempt.works:
         # An unwritable cache only costs the next process a probe.
         with contextlib.suppress(StorageError, OSError):
@@ -212,7 +212,7 @@ def _remembered_probe(variant: str, library: str) -> Attempt:
 
 
 def probe(variant: str, library: str) -> Attempt:
-    """Path trace a few pixels in a subprocess, which may die without harm."""
+    """Path trace a few pixels in a subprocess, which may crash without harm."""
     environment = dict(os.environ)
     environment.pop("DRJIT_LIBLLVM_PATH", None)
     if library:

@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportMissingImports=false, reportUnknownArgumentType=false
-"""A cleaner picture for people from a noisy render, by Open Image Denoise: biased, so never for figures."""
+"""Denoised pictures for viewing, by Open Image Denoise: biased, so never used for figures."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from optsim.core.quantities.arrays import checked
 
 @dataclass(frozen=True, eq=False)
 class Denoised:
-    """A denoised picture with the raw one beside it; scores and truths take none of this type.
+    """A denoised picture beside the raw one; scores and truths do not accept it.
 
     Measured on ``window_room``, 240 x 200, 16 samples a pixel, against 1024: half of all pixels are within
-    3.6 % of the reference (raw: 9.8 %) and the mean is 0.2 % low, but in the dark passage (8 % of the pixels)
-    the relative RMSE stays at 0.97 (raw: 1.28): wanted detail goes with the noise.
+    3.6 % of the reference (raw: 9.8 %), and the mean is 0.2 % low. In the dark passage (8 % of the pixels)
+    the relative RMSE stays at 0.97 (raw: 1.28): detail is lost with the noise.
 
     Parameters
     ----------
     raw_w_m2_sr : ndarray of shape (y, x), float32
         The render, W m^-2 sr^-1; unbiased, so it may be slightly negative.
     w_m2_sr : ndarray of shape (y, x), float32
-        Denoised, W m^-2 sr^-1, nowhere negative; biased by about a per cent where it was noisy.
+        Denoised, W m^-2 sr^-1, never negative; biased by about a per cent where the raw one was noisy.
     made_by : str
         Package, version and settings.
     """
@@ -40,12 +40,12 @@ class Denoised:
     made_by: str
 
     def attributes(self) -> dict[str, str]:
-        """Say of the denoised picture what a file that holds it must say."""
+        """Attributes that a file with the denoised picture must have."""
         return {"unit": "W m^-2 sr^-1", "axes": "y, x", "label": self.LABEL, "denoiser": self.made_by}
 
 
 def denoiser() -> Any:
-    """Return the module that denoises.
+    """Return the denoising module.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def denoised(radiance: Floats, albedo: Floats, normals: Floats) -> Denoised:
     albedo : ndarray of shape (y, x), float32
         Diffuse reflectance of the first surface, 0 .. 1.
     normals : ndarray of shape (y, x, 3), float32
-        Unit shading normals, 0 where there is no surface; any one frame.
+        Unit shading normals, 0 where there is no surface; in any frame of reference.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""From a scene to what Mitsuba loads: shapes, surfaces, lamps and the sensor, in a fixed order."""
+"""Describe a scene for Mitsuba: shapes, surfaces, lamps and the sensor, in a fixed order."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ from optsim.scene.scene import Scene
 from optsim.scene.static_shapes import StaticShapes
 from optsim.scene.textures import outside_map, reflectance_map
 
-# Mitsuba's rays leave a surface by 1e-4 units at least, so scenes nearer than this get a smaller unit.
+# Mitsuba offsets rays from a surface by at least 1e-4 units, so scenes nearer than this get a smaller unit.
 _SMALL_M = 0.25
 _IMAGES = ("bitmap", "envmap")  # plugins that read an image file
 
 
 def unit_m(scene: Scene) -> float:
-    """Length of the renderer's unit, m: 1 but in tiny scenes, where Mitsuba's ray offsets would be seen.
+    """Length of the renderer's unit, m: 1, or less in tiny scenes, where Mitsuba's ray offsets would show.
 
-    Light doesn't depend on scale. All lengths given to or taken from Mitsuba are in this unit. It is a power
-    of two, so vertices keep every digit.
+    Light doesn't depend on scale. All lengths exchanged with Mitsuba are in this unit. It is a power of two,
+    so vertices are scaled exactly.
     """
     distance = scene.camera.distance_m
     return 1.0 if distance >= _SMALL_M else float(2.0 ** np.floor(np.log2(distance)))
 
 
 def parse_static(mi: Any, scene: Scene) -> Any:
-    """Parse the scene's file of shapes and read the images that it names; None if it has none.
+    """Parse the scene's file of shapes and read its images; None if the scene has no such file.
 
-    Mitsuba's reader of OpenEXR waits for ever when there is one thread only, so this comes before the thread
-    count is lowered.
+    Mitsuba's OpenEXR reader hangs with a single thread, so this comes before the thread count is lowered.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def parse_static(mi: Any, scene: Scene) -> Any:
 
 
 def _image(mi: Any, path: Path) -> Any:
-    """Read an image file; one that is cut short is refused, though Mitsuba makes JPEG's missing part grey."""
+    """Read an image file; a truncated one is refused, while Mitsuba fills a JPEG's missing part with grey."""
     with reading(path, "an image"):
         image = mi.Bitmap(str(path))
         with path.open("rb") as stream:
@@ -86,11 +85,11 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
     mi : module
         Mitsuba with its variant set.
     scene : Scene
-        What to load.
+        Scene to load.
     view : View
         Fine grid and field of view.
     movers : bool
-        Whether the movers are on stage; lamps and sensor are the same either way.
+        Whether to include the movers; lamps and sensor are the same either way.
     static : optional
         From :func:`parse_static`.
     """
@@ -109,15 +108,15 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
         with _named(scene.static):
             loaded: Any = mi.parser.instantiate(*static)
         content |= {f"static_{index}": shape for index, shape in enumerate(loaded.shapes())}
-    # Roulette from the 4th segment on: squared noise times time is least there on window_room, 25 % less than
-    # from the 3rd.
+    # Roulette from the 4th segment on minimises squared noise times time on window_room, 25 % less than from
+    # the 3rd.
     content["integrator"] = {"type": "path", "max_depth": scene.max_depth, "rr_depth": 4}
     return content
 
 
 @contextmanager
 def _named(static: StaticShapes) -> Generator[None, None, None]:
-    """Name the file in what Mitsuba says of it."""
+    """Name the file in Mitsuba's errors about it."""
     try:
         yield
     except RuntimeError as error:
@@ -148,7 +147,7 @@ def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> An
 
 
 def _surface(mi: Any, material: Material) -> dict[str, Any]:
-    """Describe a material; both sides alike but for glass, which lets light through."""
+    """Describe a material; both sides are equal, except for glass, which transmits."""
     match material:
         case Diffuse():
             inside: dict[str, Any] = {"type": "diffuse", "reflectance": _reflectance(mi, material)}
@@ -183,9 +182,9 @@ def _bitmap(mi: Any, image: Floats, wrap: str) -> dict[str, Any]:
 
 
 def _lamp(mi: Any, lamp: Lamp, unit: float) -> dict[str, Any]:
-    """Describe a black rectangle that shines if its lamp is lit."""
+    """Describe a black rectangle that emits if its lamp is lit."""
     u, v = np.asarray(lamp.edge_u_m) / 2, np.asarray(lamp.edge_v_m) / 2
-    # By unit vectors: a product of tiny edges would vanish in single precision.
+    # Unit vectors, since a product of tiny edges would vanish in single precision.
     normal = np.cross(u / np.linalg.norm(u), v / np.linalg.norm(v))
     matrix = np.eye(4)
     matrix[:3] = np.stack([u / unit, v / unit, normal, np.asarray(lamp.center_m) / unit], axis=1)

@@ -1,8 +1,8 @@
-"""What movers change where they are not: difference rendering with common random numbers.
+"""Difference rendering with common random numbers: the change that movers cause outside their own pixels.
 
 Control variate (J. M. Hammersley and D. C. Handscomb, "Monte Carlo Methods", Methuen 1964, ch. 5): F_n - B_n,
-the same n random paths with and without movers, has almost no noise wherever few paths meet a mover.
-Paths that never come near one (``nearby``) are not traced again: their difference is zero.
+the same n random paths with and without movers, has almost no noise wherever few paths meet a mover. Paths
+that never come near a mover (``nearby``) are not traced again: their difference is zero.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from optsim.render.stage import Stage
 
 _MOST = 32
 _PILOT_SAMPLES = 2
-# What a path that needn't be traced again costs, relative to one that must: it is only looked up.
+# Relative cost of a path that is looked up instead of traced again.
 _LOOK_UP = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
-    """Paths without movers: for some pixels, a stretch of each one's samples; (n, sample)."""
+class _TracedPaths:
+    """Paths without movers: a range of the samples of some pixels; (n, sample)."""
 
     radiance: Floats
     near: Bools
 
 
 class Difference:
-    """The scene with, without, and around the movers, and the paths already traced without them.
+    """The scene with movers, without them, and with boxes around them; caches paths traced without them.
 
     Parameters
     ----------
     plan : Plan
-        What to render.
+        Plan of the truth.
     static : ndarray of shape (2, y, x), float32
         Light without movers.
 
@@ -55,25 +55,25 @@ class Difference:
         self._plan, self._boxes, self._static = plan, boxes, static.mean(axis=0).ravel()
         self._still = Stage(*seen, movers=False, boxes=boxes, azimuth_rad=azimuth_rad)
         self._around = Stage(*seen, movers=False, boxes=boxes, glow=True, azimuth_rad=azimuth_rad)
-        # (turn, half, level) -> row of each pixel, and its paths. Only a memo: paths are keyed by pixel, so
-        # it doesn't matter when they are traced.
-        self._known: dict[tuple[object, int, int], tuple[Ints, _Known]] = {}
+        # (turn, half, level) -> row of each pixel, and its paths. Only a cache: paths are keyed by pixel, so
+        # the order of tracing has no effect.
+        self._traced: dict[tuple[object, int, int], tuple[Ints, _TracedPaths]] = {}
         entry = plan.cache.get(plan.key("near", plan.timing.n_slots), self._near_share)
         self._cost = np.array(entry["share"]).ravel() + np.float32(_LOOK_UP)
 
     def counts(self, statistics: Statistics, pixels: Ints, target: float) -> Floats:
-        """Share out samples a half over some pixels, from what other random numbers showed."""
+        """Allocate samples a half to some pixels, from statistics of other random numbers."""
         cost = self._cost[pixels]
         return self._plan.counts(
             statistics, pixels, self._static[pixels], target, least=1, most=_MOST, cost=cost
         )
 
     def pilot(self, time_s: float, pixels: Ints) -> Statistics:
-        """Statistics at an instant from random numbers of their own."""
+        """Statistics at an instant, from separate random numbers."""
         return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
 
     def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Statistics]:
-        """Render what the movers change at an instant, in some pixels.
+        """Render the change that movers cause at an instant, in some pixels.
 
         Parameters
         ----------
@@ -84,13 +84,13 @@ class Difference:
         counts : ndarray of shape (n,)
             Samples a half, powers of two.
         turn : object
-            Which set of random numbers.
+            Key of the set of random numbers.
 
         Returns
         -------
         change : ndarray of shape (2, n), float64
             Estimate of each half, W m^-2 sr^-1; unbiased, of either sign.
-        tiles : Tiles
+        statistics : Statistics
             Statistics for the next call.
         """
         all_near = self._boxes is None or not self._boxes.hold(self._plan.scene, time_s)
@@ -99,7 +99,7 @@ class Difference:
         first: list[Ints] = []
         before: list[Floats] = []
         for part, level, here in _wanted(counts):
-            rows, paths = self._known[turn, part, level]
+            rows, paths = self._traced[turn, part, level]
             at = rows[pixels[here]]
             row, sample = np.nonzero(paths.near[at] | all_near)
             where.append(here[row] + part * len(pixels))
@@ -121,22 +121,22 @@ class Difference:
         return change, tally(self._plan.shape, pixels, variance, light)
 
     def trace_without(self, turn: object, pixels: Ints, counts: Floats) -> None:
-        """Trace paths without movers ahead of a ``change``; what is known isn't traced again."""
+        """Trace paths without movers ahead of a ``change``; known paths aren't traced again."""
         self._trace_new(turn, [(half, level, pixels[here]) for half, level, here in _wanted(counts)])
 
     def _trace_new(self, turn: object, wanted: list[tuple[int, int, Ints]]) -> None:
-        """Trace paths without movers that nobody asked for before: of (half, level, pixels).
+        """Trace new paths without movers, for (half, level, pixels).
 
         Level 0 is path 0 of a pixel, 1 is path 1, 2 paths 2 and 3, 3 paths 4 to 7, ...
         """
         asks: list[Ints] = []
         for half, level, pixels in wanted:
             first, width = _stretch(level)
-            if (turn, half, level) not in self._known:
+            if (turn, half, level) not in self._traced:
                 nothing = np.zeros((0, width), np.float32)
                 rows = np.full(len(self._static), -1, np.int64)
-                self._known[turn, half, level] = rows, _Known(nothing, nothing.astype(np.bool_))
-            rows, paths = self._known[turn, half, level]
+                self._traced[turn, half, level] = rows, _TracedPaths(nothing, nothing.astype(np.bool_))
+            rows, paths = self._traced[turn, half, level]
             new = pixels[rows[pixels] < 0]
             rows[new] = len(paths.radiance) + np.arange(len(new))
             seeds = np.full(len(new) * width, self._plan.seeds("key", turn)[half])
@@ -146,35 +146,35 @@ class Difference:
             return
         once = np.ones(ask.shape[1], np.int64)
         found = self._still.paths(ask[0], once, *ask[1:])
-        # What the glow changes, a mover may change: such a path meets a box.
+        # A path whose radiance changes by the glow meets a box: a mover may change it.
         near = found != self._around.paths(ask[0], once, *ask[1:]) if self._boxes else once > 0
         ends = np.cumsum([part.shape[1] for part in asks])[:-1]
         parts = zip(wanted, np.split(found.astype(np.float32), ends), np.split(near, ends), strict=True)
         for (half, level, _), radiance, is_near in parts:
-            rows, paths = self._known[turn, half, level]
+            rows, paths = self._traced[turn, half, level]
             shape = -1, _stretch(level)[1]
-            self._known[turn, half, level] = (
+            self._traced[turn, half, level] = (
                 rows,
-                _Known(
+                _TracedPaths(
                     np.concatenate([paths.radiance, radiance.reshape(shape)]),
                     np.concatenate([paths.near, is_near.reshape(shape)]),
                 ),
             )
 
     def _near_share(self) -> dict[str, Floats]:
-        """Share of the paths of each pixel that come near a mover, smoothed."""
+        """Share of each pixel's paths that come near a mover, smoothed."""
         pixels = self._plan.pixels
         self._trace_new("pilot", [(0, 0, pixels), (1, 0, pixels)])
-        halves = [self._known["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
+        halves = [self._traced["pilot", half, 0][1].near[:, 0] for half in (0, 1)]
         return {"share": smoothed(self._plan.shape, np.mean(halves, axis=0))}
 
 
 def _wanted(counts: Floats) -> list[tuple[int, int, Ints]]:
-    """Levels of paths that some pixels need: (half, level, which of the pixels)."""
+    """Levels of paths that pixels need: (half, level, indices of the pixels)."""
     levels = range(int(np.log2(counts.max(initial=1))) + 1)
     return [(half, level, np.flatnonzero(counts >= 1 << level)) for half in (0, 1) for level in levels]
 
 
 def _stretch(level: int) -> tuple[int, int]:
-    """First path of a level, and how many."""
+    """First path of a level, and the number of paths."""
     return 1 << level >> 1, max(1, 1 << level >> 1)

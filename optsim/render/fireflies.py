@@ -1,9 +1,9 @@
-"""Fireflies: pixels that one random path in hundreds lights, found by a pilot and traced to what makes them.
+"""Fireflies: pixels lit by one random path in hundreds. A pilot finds them and traces them to their cause.
 
-Such a path carries far more light than the others of its pixel, because a lamp is met by chance that cannot
-be sampled: through glass, in a mirror, off a small bright spot on a wall. The sampler is keyed by (pixel,
-sample, seed), so the path is traced again, bitwise the same, cut short after 1, 2, ... segments, and with
-one lamp bright at a time.
+Such a path brings far more light than the others of its pixel. It meets by chance a lamp that cannot be
+sampled directly: through glass, in a mirror, or off a small bright spot on a wall. The sampler is keyed by
+(pixel, sample, seed), so the path is traced again, bitwise the same. It is cut short after 1, 2, ...
+segments, and traced with one lamp bright at a time.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from optsim.render.stage import Stage
 from optsim.scene.bands import mono
 from optsim.scene.scene import Scene
 
-# Variance of one sample over the squared mean above which a pixel is flagged; median pixels of the shipped
-# scenes have 0.1 to 4. No source: at 50, a pixel takes 5000 samples for an error of 10 %.
+# A pixel is flagged if the variance of one sample over the squared mean exceeds this; median pixels of the
+# shipped scenes have 0.1 to 4. No source: at 50, a pixel takes 5000 samples for an error of 10 %.
 BOUND = 50.0
-# Share of pixels with visible fireflies above which a scene isn't fit to be rendered. No source: the shipped
-# scenes stay 20 times below.
+# With a larger share of visible fireflies a scene is unfit for rendering. No source: the shipped scenes stay
+# 20 times below.
 MOST_SHARE = 0.01
-# Share of white added to the mean where it is asked whether a firefly is visible, as in all error targets.
+# Share of white added to the mean in the test for visible fireflies, as in all error targets.
 _FLOOR = 0.01
-# No pixel of n samples can show more than n, so this must be well above the bound.
+# With n samples the ratio is at most n, so this must be well above the bound.
 _SAMPLES = 256
 _VIEW = View(rows=90, cols=120, samples_per_pitch=1, tan_half_width=0.32)
-# Samples a launch, and how many flagged pixels are traced back.
+# Samples a launch, and the number of flagged pixels traced back.
 _BLOCK = 16
 _MOST_PLACES = 256
-# How dim the other lamps are while one is looked at: not 0, so that they are chosen as often as ever.
+# Factor of the other lamps while one is tested: not 0, so that they are still sampled as often.
 _DIM = 1e-9
 COLUMNS = ("light of lamp", "bounces", "pixels", "worst ratio", "at row", "col", "W m^-2 sr^-1")
 _MOST_ROWS = 6
@@ -52,22 +52,22 @@ _CHANGES = {
 
 @dataclass(frozen=True, eq=False)
 class Firefly:
-    """A flagged pixel, and where the brightest path in it got its light.
+    """A flagged pixel, and the origin of its brightest path's light.
 
     Parameters
     ----------
     row, col : int
-        Place in the pilot's grid.
+        Position in the pilot's grid.
     ratio : float
         Variance of one sample over the squared mean.
     radiance_w_m2_sr : float
         Mean.
     path_share : float
-        Share of the pixel's light that its brightest path brought.
+        Share of the brightest path in the pixel's light.
     bounces : int
-        Surfaces between lamp and camera that most of this path's light met; 0: the lamp is seen.
+        Surfaces between lamp and camera for most of this path's light; 0: the lamp is seen directly.
     lamp : str
-        Lamp that most of it came from.
+        Lamp of most of its light.
     """
 
     row: int
@@ -81,23 +81,23 @@ class Firefly:
 
 @dataclass(frozen=True, eq=False)
 class Pilot:
-    """What the pilot of a scene found.
+    """Result of a scene's pilot.
 
     Parameters
     ----------
     movers : bool
-        Whether movers were there, at time 0.
+        Whether movers were included, at time 0.
     rows, cols, samples : int
         Grid, and paths a pixel.
     bound : float
-        Of variance over squared mean.
+        Bound on the variance over the squared mean.
     median : float
-        That of the pixels that got any light.
+        Median ratio of the pixels with light.
     n_flagged : int
         Pixels above the bound.
     n_visible : int
-        Those of them that stay above it with 1 % of white added to their mean, as in all error targets; the
-        others are nearly black.
+        Those still above it with 1 % of white added to their mean, as in all error targets; the others are
+        nearly black.
     fireflies : tuple of Firefly
         The worst flagged pixels, at most 256, the most visible first.
     """
@@ -123,12 +123,12 @@ class Pilot:
         return self.n_visible / (self.rows * self.cols)
 
     def causes(self) -> list[tuple[str, int, int]]:
-        """Lamp, bounces, and how many of ``fireflies`` come of these, the most frequent first."""
+        """Lamp, bounces, and the number of ``fireflies`` they cause, the most frequent first."""
         counted = Counter((one.lamp, one.bounces) for one in self.fireflies)
         return [(lamp, bounces, n) for (lamp, bounces), n in counted.most_common()]
 
     def text(self) -> str:
-        """Say in a sentence what was found."""
+        """Summarise the result in a sentence."""
         found = (
             f"{'with' if self.movers else 'without'} movers: in {self.n_flagged} of "
             f"{self.rows * self.cols} pixels ({self.flagged_share:.2%}) the variance of one sample is over "
@@ -141,7 +141,7 @@ class Pilot:
         return f"{found}; in {n} of the worst {len(self.fireflies)}: {way(lamp, bounces)}"
 
     def by_cause(self) -> list[tuple[str, int, int, float, int, int, float]]:
-        """Table for people, under ``COLUMNS``: one row a cause, with its most visible firefly."""
+        """Table for users, with ``COLUMNS``: one row a cause, with its most visible firefly."""
         found: list[tuple[str, int, int, float, int, int, float]] = []
         for lamp, bounces, n in self.causes()[:_MOST_ROWS]:
             one = next(f for f in self.fireflies if (f.lamp, f.bounces) == (lamp, bounces))
@@ -150,19 +150,19 @@ class Pilot:
 
 
 def way(lamp: str, bounces: int) -> str:
-    """Say which way light came, for people."""
+    """Describe the path of light, for users."""
     if bounces == 0:
         return f"lamp {lamp!r} seen directly, smaller than a pixel"
     return f"light of lamp {lamp!r} after {bounces} {'bounce' if bounces == 1 else 'bounces'}"
 
 
 def headline(scene: Scene) -> str:
-    """Say which scene it is and what changes in it."""
+    """Name the scene and its kind of change."""
     return f"{scene.name}, variation {scene.variation}: {_CHANGES[scene.kind_of_change()]}."
 
 
 def record(scene: Scene, found: tuple[Pilot, ...]) -> dict[str, Any]:
-    """Put pilots into what JSON can say; ``fit`` where none shows too many visible fireflies."""
+    """Convert pilots to JSON values; ``fit`` if none has too many visible fireflies."""
     pilots: list[dict[str, Any]] = []
     for one in found:
         causes = [dict(zip(("lamp", "bounces", "pixels"), cause, strict=True)) for cause in one.causes()]
@@ -193,15 +193,16 @@ def pilot(
     Parameters
     ----------
     scene : Scene
-        What to render; flickering lamps at their mean.
+        Scene to render; flickering lamps at their mean.
     view : View
         Grid and field of view.
     samples : int
         Paths a pixel.
     bound : float
-        Of the variance of one sample over the squared mean; below ``samples``, as no pixel can show more.
+        Bound on the variance of one sample over the squared mean; less than ``samples``, the largest possible
+        ratio.
     seed : int
-        Of all random numbers.
+        Seed of all random numbers.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -264,7 +265,7 @@ def relative_variance(values: Floats, floor_w_m2_sr: float = 0.0) -> Doubles:
 
 
 def all_paths(stage: Stage, samples: int, seed: int, step: Callable[[int], None]) -> Floats:
-    """Radiance of every path of every pixel, (n, sample); ``step`` hears how many samples are done."""
+    """Radiance of every path of every pixel, (n, sample); ``step`` gets the number of samples done."""
     n = stage.view.rows * stage.view.cols
     values = np.empty((n, samples), np.float32)
     for first in range(0, samples, _BLOCK):
@@ -278,21 +279,21 @@ def all_paths(stage: Stage, samples: int, seed: int, step: Callable[[int], None]
 def origins(
     scene: Scene, view: View, pixels: Ints, numbers: Ints, seed: int, *, movers: bool
 ) -> tuple[Doubles, dict[str, Doubles]]:
-    """Trace paths again, cut short and lamp by lamp: what came after how many bounces, and what from where.
+    """Trace paths again, cut short and lamp by lamp, to split their radiance by bounces and by lamp.
 
     Parameters
     ----------
     scene, view, movers
-        As the paths were traced.
+        As in the first tracing.
     pixels, numbers : ndarray of shape (n,)
         Flat index and sample number of each path.
     seed : int
-        Of all.
+        Seed of all paths.
 
     Returns
     -------
     by_bounces : ndarray of shape (bounces, n)
-        Radiance that met so many surfaces between lamp and camera; the sum over them is the path's.
+        Radiance by number of surfaces between lamp and camera; the sum is the path's.
     by_lamp : dict of arrays of shape (n,)
         Radiance of each lit lamp.
     """
@@ -300,7 +301,7 @@ def origins(
     def again(changed: Scene) -> Doubles:
         return _single(Stage(changed, view, movers=movers), pixels, numbers, seed)
 
-    # A path of n segments meets n - 1 surfaces on the way.
+    # A path of n segments has n - 1 surfaces between lamp and camera.
     up_to = [again(scene.model_copy(update={"max_depth": n})) for n in range(1, scene.max_depth + 1)]
     lit = [name for name, lamp in scene.lamps.items() if lamp.lit]
     return np.diff(up_to, axis=0, prepend=0.0), {name: again(_only_bright(scene, name)) for name in lit}
@@ -311,7 +312,7 @@ def _single(stage: Stage, pixels: Ints, numbers: Ints, seed: int) -> Doubles:
 
 
 def _only_bright(scene: Scene, name: str) -> Scene:
-    """Dim all other lamps: unlike ``only_lamps`` this keeps which lamp each path chooses to sample."""
+    """Dim all other lamps: unlike ``only_lamps`` this keeps the lamp that each path samples."""
     lamps = {
         key: lamp
         if key == name

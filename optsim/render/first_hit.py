@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""What one ray of Mitsuba's, or a wavefront of them, meets first."""
+"""First surface of one Mitsuba ray, or of a wavefront of rays."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class FirstHit:
-    """First surface, in the types of Mitsuba's variant; what is left unread costs nothing in a wavefront.
+    """First surface, in the types of Mitsuba's variant; in a wavefront, unread fields cost nothing.
 
     Parameters
     ----------
     distance
-        In the renderer's unit; infinite for nothing, and all else then means nothing.
+        In the renderer's unit; infinite if no surface is hit, and the other fields are then meaningless.
     shape, face
         Index of the shape and of its triangle.
     weights
@@ -37,16 +37,16 @@ class FirstHit:
 
 
 def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> FirstHit:
-    """Find the first surface of one ray, or of a wavefront of rays, whichever the variant knows.
+    """Find the first surface of one ray or a wavefront of rays, depending on the variant.
 
     Parameters
     ----------
     mi, loaded
         Mitsuba and its scene.
     ray
-        One, or a wavefront.
+        One ray, or a wavefront.
     matt_only : bool
-        Leave out normals and the reflectance of what is under a coat: asking takes longer than tracing.
+        Leave out normals and the reflectance under a coat: evaluating them takes longer than tracing.
     """
     first = loaded.ray_intersect_preliminary(ray)
     hit = first.is_valid()
@@ -54,9 +54,9 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
         return FirstHit(np.inf, 0, 0, [0.0] * 2, [0.0] * 3, [0.0] * 3, 0.0)
     surface = first.compute_surface_interaction(ray, mi.RayFlags.UV if matt_only else mi.RayFlags.All)
     material = surface.bsdf(ray)
-    # Materials with a diffuse part call its reflectance by one of these names; Mitsuba's own
-    # eval_diffuse_reflectance is no albedo for them: it evaluates the gloss, which exceeds 1. In a wavefront
-    # the others answer 0; a single one refuses.
+    # Attributes with the reflectance of a material's diffuse part. Mitsuba's own eval_diffuse_reflectance is
+    # no albedo: it evaluates the gloss, which exceeds 1. Materials without the attribute give 0 in a
+    # wavefront, and an error for a single ray.
     names = ("reflectance",) if matt_only else ("reflectance", "diffuse_reflectance")
     known = [name for name in names if hit is not True or material.has_attribute(name, True)]
     albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
@@ -66,7 +66,7 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
 
 
 def _shape_index(mi: Any, loaded: Any, first: Any, hit: Any) -> Any:
-    """Place in ``loaded.shapes()``, by the shapes themselves: OptiX leaves Embree's ``shape_index`` 0."""
+    """Index in ``loaded.shapes()``, by comparing shapes: OptiX leaves Embree's ``shape_index`` 0."""
     import drjit as dr
 
     shapes: Any = dr.reinterpret_array(mi.UInt32, loaded.shapes_dr())

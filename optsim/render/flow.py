@@ -1,8 +1,8 @@
-"""All passes of an instant: the first surfaces, and where their points are seen a step later and earlier.
+"""Passes of one instant: the first surfaces, and their positions in the image a step later and earlier.
 
-A surface point is carried along by its triangle, whose vertices at another instant are a mover's pure
-function of time; so rigid and deforming movers, a moving camera and both directions are one piece of code,
-and flow cannot disagree with poses. Whether the point is seen there is asked of the renderer, by a ray.
+A surface point moves with its triangle. The triangle's vertices at another instant are a mover's pure
+function of time. So rigid and deforming movers, a moving camera and both directions share one code, and flow
+always agrees with poses. A ray tests whether the point is visible then.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
 
-# A ray meets the same surface point if it goes as far, to this share of the distance; rays and vertices are
-# float32 there (1e-7 of the distance, more on grazing surfaces).
+# A ray meets the same surface point if its length agrees to this share; rays and vertices are float32 there
+# (1e-7 of the distance, more on grazing surfaces).
 SAME_POINT = 2e-4
 # A mover is rigid if no vertex deviates from a rigid motion by more than this share of its size.
 _RIGID = 1e-6
@@ -34,7 +34,7 @@ def render_passes(
     Parameters
     ----------
     scene : Scene
-        What to look at.
+        Scene to render.
     view : View
         Fine grid and field of view.
     time_s : float
@@ -79,7 +79,7 @@ class PassRenderer:
         hits = cast(self._stage, now.pose, directions)
         numbers = ids.of(hits)
         points = now.matrix[:3, 3] + hits.distance_m[:, None] * directions
-        # Projected back rather than taken from the grid: what rests has no flow, not even a rounded one.
+        # Projected instead of taken from the grid, so that points at rest have exactly no flow.
         before = self._places(points, now)
         ends = [self._moment(time_s - step_s), self._moment(time_s + step_s)]
         (back, lost_back), (ahead, lost_ahead) = (
@@ -123,7 +123,7 @@ class PassRenderer:
         return _Moment(time_s, pose, camera_to_world(pose), vertices)
 
     def _reprojected(self, hits: Hits, points: Doubles, now: _Moment, end: _Moment) -> Doubles:
-        """Where surface points (n, 3) are at another instant, m."""
+        """Positions of surface points (n, 3) at another instant, m."""
         reprojected = points.copy()
         for shape, name in self._ids.movers.items():
             mine = np.flatnonzero(hits.shape == shape)
@@ -143,7 +143,7 @@ class PassRenderer:
         return np.stack([row, col, there[:, 2]], axis=-1)
 
     def _flow(self, hits: Hits, before: Doubles, reprojected: Doubles, end: _Moment) -> tuple[Doubles, Bools]:
-        """Flow (n, 2) from places ``before`` to where points are seen then, and which of them aren't."""
+        """Flow (n, 2) from places ``before`` to the points' later positions, and the occluded points."""
         after = self._places(reprojected, end)
         row, col, depth = after.T
         sensible = (hits.shape >= 0) & (depth > end.pose.near_m) & (depth < end.pose.far_m)
@@ -170,7 +170,7 @@ class _Moment:
 
 
 def _object_pose(rest: Doubles, moved: list[Doubles]) -> ObjectPose:
-    """Fit a rigid motion to each of some sets of vertices, if there is one."""
+    """Fit a rigid motion to each set of vertices, if there is one."""
     fits = [rigid_motion(rest, vertices) for vertices in moved]
     size = float(np.ptp(rest, axis=0).max())
     worst = max(deviation for _, deviation in fits)

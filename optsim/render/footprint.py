@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUntypedFunctionDecorator=false
-"""Where movers are on the fine grid, and how far they go: projection, coverage and path lengths, no rays."""
+"""Footprint of movers on the fine grid: projection, coverage and path lengths, without rays."""
 
 from __future__ import annotations
 
@@ -17,21 +17,25 @@ from optsim.render.lens import margin_px as margin_of
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Single
 from optsim.scene.geometry import Faces
-from optsim.scene.keyframed import Carried
+from optsim.scene.keyframed import KeyframedObjects
 
-# A box pixel whose centre is farther than half its diagonal from a triangle cannot see it.
+# A square pixel cannot see a triangle farther from its centre than half its diagonal.
 _MARGIN_PX = 0.75
 
 
-def vertices_at(mover: Single | Carried, time_s: float) -> Doubles:
-    """Give a mover's vertices at an instant, (n, 3), m; kept, since several stages ask for the same ones."""
-    # Objects carried by keyframes are a dict, which can't be looked up; they are quick to move.
-    return mover.vertices(time_s) if isinstance(mover, Carried) else _vertices_at(cast("Any", mover), time_s)
+def vertices_at(mover: Single | KeyframedObjects, time_s: float) -> Doubles:
+    """Return a mover's vertices at an instant, (n, 3), m; cached, since several stages use the same ones."""
+    # Keyframed objects hold a dict, so they can't be cached; they are quick to move.
+    return (
+        mover.vertices(time_s)
+        if isinstance(mover, KeyframedObjects)
+        else _vertices_at(cast("Any", mover), time_s)
+    )
 
 
-def faces_of(mover: Single | Carried) -> Faces:
-    """Give a mover's triangles, the same at all times."""
-    return mover.rest().faces if isinstance(mover, Carried) else _faces_of(cast("Any", mover))
+def faces_of(mover: Single | KeyframedObjects) -> Faces:
+    """Return a mover's triangles, the same at all times."""
+    return mover.rest().faces if isinstance(mover, KeyframedObjects) else _faces_of(cast("Any", mover))
 
 
 @functools.lru_cache(maxsize=1024)
@@ -47,7 +51,7 @@ def _faces_of(mover: Any) -> Faces:
 
 
 def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
-    """Project points through the middle of the lens, without distortion.
+    """Project points through the centre of the lens, without distortion.
 
     Parameters
     ----------
@@ -57,8 +61,8 @@ def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
     Returns
     -------
     ndarray of shape (n, 3), float64
-        Row and column in fine samples of the view (pixel centres at +0.5), but in the ideal image, and depth
-        in m; NaN behind the camera.
+        Row and column in the ideal image, in fine samples of the view (pixel centres at +0.5), and depth in
+        m; NaN behind the camera.
     """
     origin = np.asarray(camera.position_m)
     forward = np.asarray(camera.target_m) - origin
@@ -79,7 +83,7 @@ def path_px(
     view: View,
     margin_px: float = 0.0,
 ) -> float:
-    """Farthest way in the picture that a mover's visible point goes, fine samples, by straight pieces.
+    """Longest path of a mover's visible point in the picture, fine samples, in straight pieces.
 
     Parameters
     ----------
@@ -88,7 +92,7 @@ def path_px(
     times_s : sequence of float
         Ends of the pieces, in order.
     margin_px : float
-        How far outside the picture a point still counts, on top of what defocus brings in.
+        Distance outside the picture at which a point still counts, beyond the reach of defocus.
     """
     total = 0.0
     margin_px += margin_of(view)
@@ -98,7 +102,7 @@ def path_px(
         reach = margin_px + np.fmax(*(blur_px(each[:, 2], camera, view) / 2 for each in (before, after)))
         seen = _in_view(before, view, reach) | _in_view(after, view, reach)
         moved = np.hypot(*(after - before)[:, :2].T)[seen]
-        # What is seen now and behind the camera next, or the other way round, crosses the whole picture.
+        # A point that passes the camera plane counts as crossing the whole picture.
         moved = np.where(np.isfinite(moved), moved, np.hypot(view.rows, view.cols))
         total += float(moved.max()) if moved.size else 0.0
         before = after
@@ -113,15 +117,15 @@ def _in_view(places: Doubles, view: View, margin_px: Doubles) -> Bools:
 
 
 def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, view: View) -> None:
-    """Mark, in place, every fine sample whose box any triangle, spread by defocus, may touch.
+    """Mark, in place, every fine sample that any triangle, spread by defocus, may touch.
 
-    A little generously. Each lens point sees a triangle displaced; how far is linear in 1/depth, hence linear
-    over the picture and nowhere more than at its worst vertex.
+    The mask is slightly too large. Each point of the lens sees a triangle displaced. The displacement is
+    linear in 1/depth, hence linear over the picture, and largest at a vertex.
 
     Parameters
     ----------
     mask : ndarray of shape (y, x), bool
-        Marks are added; on the ideal grid, which without distortion is the view's (``render.lens``).
+        Marks are added. It is on the ideal grid, which without distortion is the view's (``render.lens``).
     vertices_m : ndarray of shape (n, 3)
         Positions.
     faces : ndarray of shape (m, 3)
@@ -151,7 +155,7 @@ def _cover(mask, places, faces, margins):  # type: ignore[no-untyped-def]
         right = min(cols - 1, int(np.ceil(max(a[1], b[1], c[1]) + margin)))
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         sign = 1.0 if area >= 0 else -1.0
-        # Distance of a sample's centre inside each edge: dy x + dx y + offset.
+        # Distance of a sample's centre to each edge, inside positive: dy x + dx y + offset.
         for k, (p, q) in enumerate(((a, b), (b, c), (c, a))):
             dy, dx = q[0] - p[0], q[1] - p[1]
             length = np.sqrt(dy * dy + dx * dx)

@@ -1,4 +1,4 @@
-"""Whole pictures, every slot by itself: what is left when the camera moves, and what training footage is."""
+"""Render every slot by itself: for a moving camera, for slots without shared noise, for training footage."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from optsim.render.trajectories import way_px
 from optsim.scene.scene import Scene
 
 _PILOT_SAMPLES = 4
-# Relative error of a slot's mean per fine sample of way between poses. Measured on the movers of window_room,
-# wheel and half_moving with poses at the ends of the pieces; in their middles the error is about half.
+# Relative error of a slot's mean per fine sample of motion between poses. Measured on the movers of
+# window_room, wheel and half_moving with poses at the ends of the intervals; at their centres the error is
+# about half.
 _ERROR_PER_PX = 0.12
-# A slot with an error to reach begins at so many times that error.
+# A slot with a target error starts at this multiple of it.
 _COARSE = 4.0
-# Pooled pictures grow at most by this factor at a time, as coarse pictures measure their error badly.
+# Largest growth of the samples at a time, as coarse pictures measure their error poorly.
 _GROWTH = 4.0
-# A little more than needed is rendered, so that the next picture is mostly the last (no source).
+# Slightly more samples than needed, so that the next picture is mostly the last (no source).
 _SPARE = 1.05
 _MOST_PICTURES = 16
-# Samples a half of a pixel in one of them: single paths may differ by 14 times the radiance at 1 %.
+# Most samples a pixel and half in one picture: single paths may deviate by 14 times the radiance at 1 %.
 _MOST_PURSUED = 2.0**20
 
 
 def poses_per_instant(plan: Plan, slot: int) -> int:
-    """Count the poses whose mean is an instant of a slot, by the farthest way that anything visible goes.
+    """Count the poses whose mean is an instant of a slot, by the longest visible path.
 
     A power of two.
     """
@@ -51,25 +52,25 @@ def render_slot(
 ) -> dict[str, Floats]:
     """Render both halves of every instant of a slot, samples allocated by an earlier picture.
 
-    Poses are at the middles of equal parts of an instant, so that their mean is its motion blur. A pixel
-    that is worth fewer samples than there are poses sees one, at random, of each equal group of them. Its
-    samples continue each other from pose to pose, so they stratify as one set.
+    Poses are at the centres of equal parts of an instant, so their mean is its motion blur. A pixel with
+    fewer samples than poses gets one random pose of each equal group. Its sample numbers continue from pose
+    to pose, so they stratify as one set.
 
     Parameters
     ----------
     plan, stage, slot
-        What to render.
+        Truth, scene and slot to render.
     n_poses : int
         Poses of each instant.
     before : Statistics
-        Of the slot before, or of another picture of this one.
+        Statistics of the slot before, or of another picture of this one.
     most : float
         Most samples a half of a pixel.
 
     Returns
     -------
     dict
-        ``light`` (half, t, y, x) in W m^-2 sr^-1, and ``tiles`` for the next slot.
+        ``light`` (half, t, y, x) in W m^-2 sr^-1, and statistics, as ``tiles``, for the next slot.
     """
     n_instants, pixels = plan.settings.instants_per_slot, plan.pixels
     target = plan.settings.moving_error * np.sqrt(n_instants)
@@ -97,7 +98,7 @@ def render_slot(
 
 
 def load_slots(plan: Plan) -> list[str]:
-    """Render whatever slots the cache lacks; return their places in it."""
+    """Render the slots that the cache lacks; return the cache keys."""
     stage = Stage(plan.scene, plan.view, azimuth_rad=plan.azimuth_rad)
     keys: list[str] = [plan.key("pilot", "slots")]
     chosen = plan.settings
@@ -113,26 +114,26 @@ def load_slots(plan: Plan) -> list[str]:
 
 
 def _pilot(plan: Plan, stage: Stage) -> dict[str, Floats]:
-    """Render what the first slot's samples are allocated by."""
+    """Render the statistics for allocating the first slot's samples."""
     stage.pose(0.0)
     light = stage.radiance(plan.pixels, _PILOT_SAMPLES, plan.seeds("pilot", "slots"))
     return {"tiles": halves_tally(plan, plan.pixels, light, float(_PILOT_SAMPLES)).arrays()}
 
 
 def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error: float) -> dict[str, Floats]:
-    """Render a slot by itself, with random numbers that no other slot has, until its error is reached.
+    """Render a slot by itself, with its own random numbers, until its target error is reached.
 
-    Pictures are pooled by the samples they were to have. Only the whole picture's error decides when it is
-    enough: a pixel's own would let the lucky ones stop, which is a bias.
+    Pictures are weighted by their allocated samples. The whole picture's error decides when to stop. Stopping
+    by a pixel's own error would favour low estimates, which is a bias.
 
     Parameters
     ----------
     groups : sequence of (Plan, Stage, ndarray of shape (t,))
-        Lamps that flicker alike, and their brightness in each instant.
+        Groups of lamps with the same flicker, and their brightness in each instant.
     slot : int
         Which.
     error : float
-        Of the slot's mean, as ``RenderSettings`` defines it, measured by the halves.
+        Target error of the slot's mean, as ``RenderSettings`` defines it, measured by the halves.
 
     Returns
     -------
@@ -149,7 +150,7 @@ def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error
     for turn in range(_MOST_PICTURES):
         light = np.zeros(1)
         for group, (plan, stage, gains) in enumerate(groups):
-            # The camera's noise is no reason to stop: the picture is for others.
+            # The camera's noise does not stop it: the picture is also for other cameras.
             seed = seed_of(plan.settings.seed, "alone", turn)
             asked = {"moving_error": more**-0.5, "noise_share": None, "seed": seed}
             aimed = replace(plan, settings=plan.settings.model_copy(update=asked))
@@ -167,7 +168,7 @@ def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error
 
 
 def slot_segment(images: Floats) -> Segment:
-    """Make one slot a segment: its mean, and the instants' differences from it where there are several."""
+    """Make one slot a segment: its mean, and the instants' differences from it if there are several."""
     mean = images.mean(axis=0, dtype=np.float64).astype(np.float32)
     blocks = (Block(0, 0, images - mean),) if len(images) > 1 else ()
     return Segment(mean, mean, blocks, len(images))
@@ -176,7 +177,7 @@ def slot_segment(images: Floats) -> Segment:
 def slot_image(
     stage: Stage, first_s: float, slot_s: float, samples: int, poses: int, seeds: tuple[int, ...]
 ) -> Doubles:
-    """Mean radiance during a slot, from poses at the centres of its equal parts, every pixel alike.
+    """Mean radiance during a slot, from poses at the centres of its equal parts, all pixels equal.
 
     Parameters
     ----------
@@ -187,7 +188,7 @@ def slot_image(
     samples, poses : int
         Samples of each pose and seed, and poses.
     seeds : tuple of int
-        One independent estimate for each.
+        Seeds, one for each independent estimate.
 
     Returns
     -------
@@ -213,12 +214,12 @@ def render_footage(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Floats:
-    """Radiance slot means at panel resolution, by the plain loop: footage to train priors on.
+    """Slot means of radiance at panel resolution, by a plain loop: training footage for priors.
 
     Parameters
     ----------
     scene : Scene
-        What to render.
+        Truth, scene and slot to render.
     view : View
         Fine grid; the footage has one sample a panel pixel.
     timing : Timing
@@ -228,7 +229,7 @@ def render_footage(
     poses_per_slot : int
         Poses whose mean is a slot.
     seed : int
-        Of all random numbers.
+        Seed of all random numbers.
     backend, progress
         As in ``render_truth``; the stage is called "footage".
 

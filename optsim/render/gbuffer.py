@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""The first surface along rays of our own, and which object it is: one wavefront, no light.
+"""G-buffer: the first surface along camera rays, and its object, in one wavefront without light.
 
-Mitsuba's ``aov`` around a path tracer traces every camera ray twice; a wavefront of primary rays alone is
-cheaper than either, and it needs no film, hence no filter: ids and edges stay whole.
+Mitsuba's ``aov`` around a path tracer traces every camera ray twice. A wavefront of primary rays alone is
+cheaper. It needs no film, hence no filter: ids and edges stay sharp.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
 
-# A shading normal shorter than this is none: its neighbours' normals cancelled out.
+# A shading normal shorter than this is invalid: the normals of its vertices cancel out.
 _SHORTEST_NORMAL = 0.5
 
 
@@ -32,9 +32,9 @@ class Hits:
     Parameters
     ----------
     distance_m : ndarray of shape (n,), float64
-        Along the ray from the pinhole; 0 where there is nothing.
+        Distance along the ray from the pinhole; 0 without a surface.
     shape, face : ndarray of shape (n,), int64
-        Index of Mitsuba's shape, -1 for nothing, and of its triangle.
+        Index of Mitsuba's shape, -1 without a surface, and of its triangle.
     weights : ndarray of shape (n, 2), float64
         Barycentric weights of the triangle's second and third vertex.
     normal : ndarray of shape (n, 3), float64
@@ -54,7 +54,7 @@ class Hits:
 def intrinsics(view: View) -> Doubles:
     """Matrix from the camera frame (x right, y down, z forward) to (column, row, 1) times depth.
 
-    Of the ideal image: a view with distortion displaces points by ``lens.radial_k1`` before it.
+    It is for the ideal image: distortion displaces points by ``lens.radial_k1`` before it.
     """
     focal_px = view.cols / 2 / view.tan_half_width
     return np.array([[focal_px, 0, view.cols / 2], [0, focal_px, view.rows / 2], [0, 0, 1]], np.float64)
@@ -73,7 +73,7 @@ def camera_to_world(pose: CameraPose) -> Doubles:
 
 
 def sample_rays(view: View) -> Doubles:
-    """Make the unit directions of all samples' chief rays, in the camera frame: (n, 3), row-major."""
+    """Compute the unit directions of all samples' chief rays, in the camera frame: (n, 3), row-major."""
     row, col = np.indices((view.rows, view.cols)).reshape(2, -1) + 0.5
     row, col = undistorted(row, col, view)
     scale = 2 * view.tan_half_width / view.cols
@@ -130,7 +130,7 @@ def _intersect(loaded: Any, start: Doubles, directions: Doubles, reach: Doubles)
     rays = _rays(mi, mi.Point3f(start.T), mi.Vector3f(directions.T), mi.Float(reach))
     found = _columns(first_hit(mi, loaded, rays))
     dr.eval(found)  # at once: each column by itself would trace all rays again
-    # Columns of rays that hit nothing hold what was in memory: widening may meet a signalling NaN there.
+    # Rays without a hit leave uninitialised memory: conversion may meet a signalling NaN there.
     with np.errstate(invalid="ignore"):
         return np.vstack([np.asarray(column.numpy(), np.float64) for column in found]).T
 
@@ -144,7 +144,7 @@ def _columns(hit: FirstHit) -> list[Any]:
 
 
 class ObjectIds:
-    """Which object a triangle of Mitsuba's scene belongs to.
+    """Object ids of the triangles in Mitsuba's scene.
 
     Ids are 1, 2, ... by the sorted names of all lamps, objects and movers; 0 is nothing. The renderer's
     shapes are merged by material, so an object is a range of triangles.
@@ -154,7 +154,7 @@ class ObjectIds:
     scene : Scene
         The scene.
     loaded : Any
-        Mitsuba's scene made of it.
+        Mitsuba's scene made from it.
     """
 
     def __init__(self, scene: Scene, loaded: Any) -> None:
@@ -181,7 +181,7 @@ class ObjectIds:
 
 
 def _objects_of(scene: Scene, shape: str) -> list[tuple[str, int]]:
-    """Objects in a shape, each with its number of triangles; 1 for a shape that is one object."""
+    """Objects in a shape, each with its number of triangles; 1 for a shape of a single object."""
     kind, _, rest = shape.partition("_")
     if kind == "still" and rest in scene.materials:
         mine = {name: item for name, item in scene.still_objects().items() if item.material == rest}

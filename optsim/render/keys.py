@@ -1,4 +1,4 @@
-"""Key poses of a segment: the light that movers carry from there, and the light beside them."""
+"""Key poses of a segment: irradiance on movers for reprojection, and the light beside the movers."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from optsim.scene.materials import Diffuse
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """A segment being rendered: who moves in it, from which slot on.
+    """A segment being rendered: its movers and its first slot.
 
     Parameters
     ----------
     plan, difference
-        What to render.
+        Plan, and difference renderer.
     static : ndarray of shape (2, y, x)
-        The light without movers.
+        Light without movers.
     first_slot : int
-        Where the segment begins.
-    tracks : list of Track
-        Movers seen in it, the one with the most poses first: these are all poses.
+        First slot of the segment.
+    trajectories : list of Trajectory
+        Visible movers, the one with the most poses first: its poses include all others.
     """
 
     plan: Plan
@@ -43,48 +43,48 @@ class Span:
 
     @property
     def n_poses(self) -> int:
-        """Equal steps of the segment."""
+        """Number of equal steps of the segment."""
         return self.trajectories[0].n_steps
 
     @cached_property
     def times_s(self) -> list[float]:
-        """When each pose is."""
+        """Instants of the poses."""
         return self.plan.times_s(self.first_slot, self.first_slot + self.plan.segment_slots, self.n_poses)
 
     def due(self, pose: int) -> list[Trajectory]:
-        """Tracks that have a pose then."""
+        """Trajectories with a pose there."""
         return [
             trajectory for trajectory in self.trajectories if pose * trajectory.n_steps % self.n_poses == 0
         ]
 
     def due_keys(self, pose: int) -> list[Trajectory]:
-        """Tracks that have a key then."""
+        """Trajectories with a key pose there."""
         return [
             trajectory for trajectory in self.trajectories if pose * trajectory.n_keys % self.n_poses == 0
         ]
 
     def between_keys(self, trajectory: Trajectory, pose: int) -> bool:
-        """Whether a track has a key then that it might do without."""
+        """Whether a trajectory has a key pose there that is left out when every other key is used."""
         number, rest = divmod(pose * trajectory.n_keys, self.n_poses)
         return rest == 0 and number % 2 == 1
 
     def places(self, trajectory: Trajectory, pose: int) -> Doubles:
-        """Where a mover's vertices are in the picture: row, column, depth."""
+        """Positions of a mover's vertices in the picture: row, column, depth."""
         time_s = self.times_s[pose]
         vertices = vertices_at(self.plan.scene.singles()[trajectory.name], time_s)
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
     def matt(self, trajectory: Trajectory) -> bool:
-        """Whether a mover's radiance is reflectance times irradiance, so that it can carry it."""
+        """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected."""
         scene = self.plan.scene
         return isinstance(scene.materials[scene.singles()[trajectory.name].material], Diffuse)
 
     def eased(self, target: float, parts: int) -> float:
-        """Ease a target for one pose of so many in the segment: the slot's mean must reach the stated one."""
+        """Relax a target for one of several poses: only the slot's mean must reach the stated one."""
         return target * float(np.sqrt(max(1.0, parts / self.plan.segment_slots)))
 
     def own_counts(self, own: Statistics, pixels: Ints, parts: int) -> Ints:
-        """Share out samples a half over movers' own pixels, at a pose of so many in the segment."""
+        """Allocate samples a half to movers' own pixels, at one of several poses in the segment."""
         target = self.eased(self.plan.settings.moving_error, parts)
         about = self.static.reshape(2, -1)[0, pixels]
         return self.plan.counts(own, pixels, about, target, least=1).astype(np.int64)
@@ -92,17 +92,17 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class KeyPose:
-    """What is known of a pose at which some movers have a key.
+    """Light at a key pose of some movers.
 
     Parameters
     ----------
     places : dict
-        Of these movers' vertices in the picture, by name: row, column, depth.
+        Positions of these movers' vertices in the picture, by name: row, column, depth.
     light : Key
-        That they carry from here.
+        Irradiance on them, for reprojection.
     beside : dict
-        Of their tracks, by name: radiance beside what covers it, (half, sample of the track), W m^-2 sr^-1;
-        NaN where nothing is known of it in the whole segment.
+        Radiance beside the movers on the samples of each trajectory, by name: (half, sample), W m^-2 sr^-1.
+        NaN where it is unknown in the whole segment.
     """
 
     places: dict[str, Doubles]
@@ -111,7 +111,7 @@ class KeyPose:
 
 
 def ends(some: list[Trajectory]) -> Ints:
-    """Where each track's samples end among all of theirs, but for the last."""
+    """Find the ends of each trajectory's samples in their concatenation, except the last."""
     return np.cumsum([len(trajectory.pixels) for trajectory in some])[:-1]
 
 
@@ -130,9 +130,9 @@ def render_keys(
     Returns
     -------
     keys : dict
-        By pose.
-    own : Tiles
-        With what these poses showed.
+        Key poses by pose number.
+    own : Statistics
+        Statistics with these poses included.
     """
     poses = [pose for pose in range(span.n_poses + 1) if span.due_keys(pose)]
     counts = _counts_beside(span, change[: len(poses)])
@@ -157,9 +157,9 @@ def render_keys(
 
 
 def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, Floats]]:
-    """Share out samples beside the movers, for each turn by track; trace their paths without movers.
+    """Allocate samples beside the movers, for each turn by trajectory; trace their paths without movers.
 
-    They are the same for all keys of a turn: then what is traced without movers is traced once.
+    They are the same for all keys of a turn, so paths without movers are traced once.
     """
     target = span.plan.settings.change_error
     pixels = np.concatenate([trajectory.pixels for trajectory in span.trajectories])
@@ -179,9 +179,9 @@ def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, F
 def _own_light(
     span: Span, pose: int, places: dict[str, Doubles], own: Statistics
 ) -> tuple[Key, Doubles, Statistics]:
-    """Follow whole paths where movers are that have a key at a pose, and pool their statistics.
+    """Trace whole paths where movers have a key pose, and pool their statistics.
 
-    Also say where in the ideal image it is what each path met, row and column; NaN if it is no such mover.
+    Also return each path's first hit in the ideal image, row and column; NaN if it is no such mover.
     """
     plan, time_s, moving = span.plan, span.times_s[pose], span.difference.moving
     wanted = np.zeros(plan.view.rows * plan.view.cols, np.int64)
@@ -208,13 +208,13 @@ def _own_light(
 
 
 def _beside(span: Span, pose: int, turn: int, counts: dict[str, Floats], light: Key) -> dict[str, Floats]:
-    """Radiance beside the movers at a pose, in tracks that have a key then; NaN where movers cover all."""
+    """Radiance beside the movers at a key pose of some trajectories; NaN where movers cover all."""
     due, time_s = span.due_keys(pose), span.times_s[pose]
     pixels = np.concatenate([trajectory.pixels for trajectory in due])
     bare = np.flatnonzero(~span.plan.own(time_s).ravel()[pixels])
     samples = np.concatenate([counts[trajectory.name] for trajectory in due])[bare]
     change, _ = span.difference.change(time_s, pixels[bare], samples, turn)
-    # Where a mover covers a part of a sample, some of the paths to it go past.
+    # If a mover covers part of a sample, some of its paths pass the mover.
     found = light.beside(
         [span.difference.moving.shape_of(trajectory.name) for trajectory in span.trajectories]
     )[:, pixels]

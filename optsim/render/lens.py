@@ -1,8 +1,8 @@
-"""The lens in front of the grid: aperture, focus, and the pinhole's picture that distortion bends.
+"""The lens before the grid: aperture, focus, and distortion of the pinhole's picture.
 
-Everything that knows where things are in the picture works on the *ideal grid*: samples of the same width
-without distortion, with a margin where a barrel sees more. The view's own samples are looked up on it.
-Defocus spreads what is seen round there.
+All positions in the picture are on the *ideal grid*: samples of the same width without distortion, with a
+margin where a barrel shows more. The view's own samples are looked up on it. Defocus spreads light around
+these positions.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from optsim.scene.camera_pose import CameraPose
 
 
 def focus_depth_m(camera: CameraPose, view: View) -> float:
-    """Depth in focus, m: the view's, else the distance of the camera's target, less what the focus misses."""
+    """Depth in focus, m: the view's, or the distance of the camera's target, minus the focus error."""
     wanted = camera.distance_m if view.focus_m is None else view.focus_m
     return 1 / (1 / wanted + view.defocus_per_m)
 
@@ -30,14 +30,14 @@ def sample_tan(view: View) -> float:
 
 
 def blur_px(depth_m: Doubles, camera: CameraPose, view: View) -> Doubles:
-    """Diameter of the circle of confusion at depths, fine samples; 0 for a pinhole, NaN where depth is."""
+    """Diameter of the circle of confusion at depths, fine samples; 0 for a pinhole, NaN for NaN depth."""
     if not view.aperture_m:
         return np.zeros_like(depth_m)
     return blur_tan(view.aperture_m, focus_depth_m(camera, view), depth_m) / sample_tan(view)
 
 
 def margin_px(view: View) -> int:
-    """Count the samples that the ideal grid has more on each side."""
+    """Margin of the ideal grid on each side, samples."""
     more = float(object_scale(1.0, view.distortion)) - 1
     return int(np.ceil(max(more, 0.0) * max(view.rows, view.cols) / 2))
 
@@ -50,36 +50,36 @@ def ideal(view: View) -> View:
 
 
 def undistorted(row: Any, col: Any, view: View) -> tuple[Any, Any]:
-    """Rows and columns of the ideal image, of places in the view; both count from the view's first sample."""
+    """Map places in the view to the ideal image; both count from the view's first sample."""
     down, across = row - view.rows / 2, col - view.cols / 2
     scale = object_scale((down * down + across * across) * _per_squared_px(view), view.distortion)
     return view.rows / 2 + scale * down, view.cols / 2 + scale * across
 
 
 def distorted(row: Doubles, col: Doubles, view: View) -> tuple[Doubles, Doubles]:
-    """Rows and columns in the view, of places of the ideal image."""
+    """Map places in the ideal image to the view."""
     down, across = row - view.rows / 2, col - view.cols / 2
     scale = image_scale((down * down + across * across) * _per_squared_px(view), view.distortion)
     return view.rows / 2 + scale * down, view.cols / 2 + scale * across
 
 
 def radial_k1(view: View) -> float:
-    """Distortion as OpenCV's k1: of squared tangents of the field angle."""
+    """Distortion as OpenCV's k1, for squared tangents of the field angle."""
     return view.distortion / corner_tan(view.rows, view.cols, view.tan_half_width) ** 2
 
 
-def picked(image: np.ndarray, view: View) -> np.ndarray:
-    """Take a picture on the ideal grid, (y, x), to the view's: the nearest sample for each."""
+def on_view(image: np.ndarray, view: View) -> np.ndarray:
+    """Resample a picture from the ideal grid, (y, x), to the view's by the nearest sample."""
     return image[_nearest(view)] if view.distortion else image
 
 
 def touched(mask: Bools, view: View) -> Bools:
-    """Take a mask on the ideal grid to the view's, generously: any neighbour of the nearest counts."""
+    """Resample a mask from the ideal grid to the view's, slightly too large: neighbours count too."""
     if not view.distortion:
         return mask
     wide = np.pad(mask, 1)
     tall = wide[:-2] | wide[1:-1] | wide[2:]
-    return picked(tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:], view)
+    return on_view(tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:], view)
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,4 @@
-"""The movers' own pixels: first surfaces at many poses, their irradiance carried between few keys.
+"""The movers' own pixels: primary hits at many poses, with irradiance reprojected from few key poses.
 
 Poses are chosen by the movers' measured path and integrated over each instant.
 """
@@ -26,21 +26,22 @@ from optsim.render.trajectories import Density, Trajectory, trajectories
 Half = Callable[[Floats], Floats]
 
 _PILOT_SAMPLES = 4
-# Rays for first surfaces, a half and slot: cheap, and edges and textures are then less noisy than what is
-# carried. Measured on half_moving: 16 of both halves leave 3 % of a matt sample's reflectance to chance.
+# Primary hits a half and slot: they are cheap, and edges and textures are then less noisy than the
+# reprojected irradiance. Measured on half_moving: 16 in both halves leave a noise of 3 % in a matt sample's
+# reflectance.
 _HITS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class MoverHistory:
-    """What earlier segments showed of the movers.
+    """Mover history: statistics and densities from earlier segments.
 
     Parameters
     ----------
-    own : Tiles
+    own : Statistics
         Statistics of their own pixels.
     density : dict
-        How dense poses and keys the interpolation bound asks for, by mover; only of those seen already.
+        Density of poses and keys for the interpolation bound, by mover; only for movers seen already.
     """
 
     own: Statistics
@@ -62,7 +63,7 @@ class MoverHistory:
 
 
 def pilot(plan: Plan, moving: Stage, time_s: float) -> MoverHistory:
-    """Estimate statistics of the movers' own pixels at an instant, from random numbers of their own."""
+    """Estimate statistics of the movers' own pixels at an instant, from separate random numbers."""
     pixels = np.flatnonzero(plan.own(time_s))
     moving.pose(time_s)
     light = moving.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot", "movers"))
@@ -77,28 +78,28 @@ def render_segment(
     before: MoverHistory,
     change: Sequence[Statistics],
 ) -> dict[str, Any]:
-    """Render all samples that a mover touches during a segment, in each of its instants, both halves.
+    """Render all samples touched by a mover during a segment, in each of its instants, both halves.
 
-    Where a matt mover is seen at a pose: its reflectance there times the irradiance that it carries; where
-    none is: the static light plus what the movers change there, interpolated between keys like the
-    irradiance. What is not known from the keys is rendered at the pose.
+    On a matt mover the light is its reflectance at the pose times the reprojected irradiance. Beside movers
+    it is the static light plus the movers' change, interpolated between keys like the irradiance. Light that
+    the keys do not give is rendered at the pose.
 
     Parameters
     ----------
     plan, difference, static
-        What to render, and the light without movers (2, y, x).
+        Plan, difference renderer, and the light without movers (2, y, x).
     first_slot : int
-        Where the segment begins.
-    before : Known
-        What earlier segments showed.
-    change : sequence of Tiles
-        For each set of random numbers: statistics, from other sets, of what movers change elsewhere.
+        First slot of the segment.
+    before : MoverHistory
+        From earlier segments.
+    change : sequence of Statistics
+        For each set of random numbers: statistics, from other sets, of the movers' change elsewhere.
 
     Returns
     -------
     dict of arrays
-        ``<name>_light`` (half, t, sample), ``<name>_mask`` (y, x), ``<name>_corner`` (row, col), and
-        what :meth:`Known.of` reads for the next segment.
+        ``<name>_light`` (half, t, sample), ``<name>_mask`` (y, x), ``<name>_corner`` (row, col), and the
+        arrays of :class:`MoverHistory` for the next segment.
     """
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     bound = plan.settings.interpolation_error
@@ -119,7 +120,7 @@ def render_segment(
         covered = plan.own(span.times_s[pose]).ravel()[
             np.concatenate([trajectory.pixels for trajectory in due])
         ]
-        seen, coarse, own = _look(span, keys, pose, due, covered, own)
+        seen, coarse, own = _light_at(span, keys, pose, due, covered, own)
         cut = ends(due)
         parts = np.split(seen, cut, axis=1), np.split(coarse, cut, axis=1), np.split(covered, cut)
         for trajectory, light, without, hidden in zip(due, *parts, strict=True):
@@ -140,12 +141,12 @@ def render_segment(
     return arrays
 
 
-def _look(
+def _light_at(
     span: Span, keys: dict[int, KeyPose], pose: int, due: list[Trajectory], covered: Bools, own: Statistics
 ) -> tuple[Doubles, Doubles, Statistics]:
-    """Find both halves of some tracks at a pose, (2, samples of these tracks), and statistics.
+    """Light of some trajectories at a pose, both halves, (2, their samples), and statistics.
 
-    Twice, the second time with every other key only, where some of these tracks have one here.
+    If some of them have a key here, a second result uses every other key only.
     """
     pixels = np.concatenate([trajectory.pixels for trajectory in due])
     tried = (1, 2) if any(span.between_keys(trajectory, pose) for trajectory in due) else (1,)
@@ -163,7 +164,7 @@ def _look(
         chosen
     ]
     rays = np.tile(_hits_a_pose(steps / span.plan.segment_slots), 2)
-    # They go on from pose to pose, so that those of a slot stratify as one set.
+    # Sample numbers continue from pose to pose, so that those of a slot stratify as one set.
     first = rays * np.tile(pose * steps // span.n_poses, 2)
     hits = moving.hits(np.tile(pixels[chosen], 2), rays, seeds, first, light=False)
     place, starts = np.repeat(np.arange(len(seeds)), rays), np.cumsum(rays) - rays
@@ -183,8 +184,8 @@ def _look(
         each[unknown] = 0.0
         missed = np.add.reduceat(unknown, starts, dtype=np.int64)
         light[:, chosen] = (np.add.reduceat(each, starts) / np.maximum(rays - missed, 1)).reshape(2, -1)
-    # A few rays to what no key knows are left out. Where most are, or any that meet no matt surface, all is
-    # rendered, from other random numbers.
+    # A few rays without a known irradiance are left out. A sample with mostly such rays, or with any that
+    # meets no matt surface, is rendered completely, from other random numbers.
     shiny = np.zeros(len(place), np.bool_)
     for trajectory, hit in met:
         shiny[hit] = not span.matt(trajectory)
@@ -198,12 +199,12 @@ def _look(
 
 
 def _hits_a_pose(poses_a_slot: Doubles) -> Ints:
-    """Share out the primary hits of a slot over its poses: powers of two, which stratify best."""
+    """Distribute the primary hits of a slot over its poses: powers of two, which stratify best."""
     return 1 << np.clip(np.rint(np.log2(_HITS / poses_a_slot)), 1, 6).astype(np.int64)
 
 
 def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Statistics) -> tuple[Doubles, Statistics]:
-    """Render samples of tracks with so many steps as they are at a pose, both halves, and pool statistics."""
+    """Render the samples of trajectories completely at a pose, both halves, and pool statistics."""
     samples = np.ones(len(pixels), np.int64)
     for n_steps in np.unique(steps):
         here = steps == n_steps
@@ -216,7 +217,7 @@ def _whole(span: Span, pose: int, pixels: Ints, steps: Ints, own: Statistics) ->
 def _keys_round(
     span: Span, keys: dict[int, KeyPose], pose: int, trajectory: Trajectory, every: int
 ) -> tuple[KeyPose, KeyPose, float]:
-    """Key poses of a track round a pose, of all or of every other one, and how far it is between, 0..1."""
+    """Key poses around a pose, from all keys or every other one, and its position between them, 0..1."""
     step = span.n_poses // trajectory.n_keys * every
     before = pose // step * step
     return keys[before], keys[min(before + step, span.n_poses)], (pose - before) / step
@@ -239,7 +240,7 @@ def _reprojected(
     met: Ints,
     half: Ints,
 ) -> Floats:
-    """Irradiance over pi that a mover carries at a pose to where primary hits are; NaN where no key knows."""
+    """Irradiance over pi reprojected to primary hits on a mover at a pose; NaN where no key has it."""
     *known, share = _keys_round(span, keys, pose, trajectory, every)
     faces, then = faces_of(span.plan.scene.singles()[trajectory.name]), span.places(trajectory, pose)
     first, last = (
@@ -250,16 +251,16 @@ def _reprojected(
 
 
 def assemble(start: Floats, stop: Floats, movers: dict[str, Any], half: Half, n_instants: int) -> Segment:
-    """Put a segment together: the base from two key instants, the movers as excess over it.
+    """Assemble a segment: the base from two key instants, the movers as excess over it.
 
     Parameters
     ----------
     start, stop : ndarray of shape (y, x), float32
         Base at the ends.
     movers : dict
-        As from :func:`render_segment`.
+        Result of :func:`render_segment`.
     half : callable
-        How the two halves become one.
+        Function that combines the two halves.
     n_instants : int
         Instants in the segment.
     """

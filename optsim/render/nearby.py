@@ -1,9 +1,9 @@
-"""Which random paths come near a mover at all: boxes around everything that movers ever do.
+"""Select the random paths that come near a mover, by boxes around all positions of the movers.
 
-A path that meets none of these boxes is the same with and without movers, so it need not be traced
-again at every pose. That it meets one shows in a render of the scene without movers in which the boxes
-glow: opaque, far brighter than any lamp, and never chosen as a light source, so that all random
-choices before stay the same. Every other path gives bitwise the same radiance as without boxes.
+A path that meets none of these boxes is the same with and without movers, so it is not traced again at every
+pose. Such paths are found by a render without movers in which the boxes glow. The boxes are opaque, far
+brighter than any lamp, and never chosen as a light source. So all earlier random choices stay the same. Every
+path that misses them gives bitwise the same radiance as without boxes.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from optsim.scene import geometry
 from optsim.scene.geometry import Mesh
 from optsim.scene.scene import Scene
 
-# Pieces of a mover that get a box each; more fit more tightly and cost more to trace.
+# Pieces of a mover with a box each; more pieces fit more tightly and cost more to trace.
 _PIECES = 8
-# Slack around a box, relative to its size: float32 vertices are not quite where float64 ones are.
+# Slack around a box, relative to its size, for rounding vertices to float32.
 _SLACK = 1e-4
 _GLOW_W_M2_SR = 1e7
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes that hold pieces of movers at all times sampled.
+    """Boxes that contain pieces of movers at all sampled times.
 
     Parameters
     ----------
@@ -62,17 +62,17 @@ class Boxes:
 
 
 def boxes_around(scene: Scene, times_s: Doubles, lens_m: float = 0.0) -> Boxes | None:
-    """Box the movers' pieces over some times, with room for what they do between.
+    """Box the movers' pieces over some times, with room for their motion between.
 
     Parameters
     ----------
     lens_m : float
-        Radius of the camera's lens, m: paths begin that far round its middle.
+        Radius of the camera's lens, m: paths start within it.
 
     Returns
     -------
     Boxes or None
-        None without movers, or when the camera may be inside a box: then every path starts near.
+        None without movers, or if the camera may be inside a box: then every path starts near a mover.
     """
     pieces: dict[str, list[np.ndarray]] = {}
     low_m: dict[str, Doubles] = {}
@@ -93,7 +93,7 @@ def boxes_around(scene: Scene, times_s: Doubles, lens_m: float = 0.0) -> Boxes |
         assert high is not None
         slack = step + _SLACK * float(np.max(high - low))
         low_m[name], high_m[name] = low - slack, high + slack
-        # Nearer than the sensor's near plane a box would not be seen from outside either.
+        # A box nearer than the sensor's near plane would not be hit either.
         reach = scene.camera.near_m * 2 + lens_m
         if ((low_m[name] - reach < eye) & (eye < high_m[name] + reach)).all(axis=1).any():
             return None
@@ -101,7 +101,7 @@ def boxes_around(scene: Scene, times_s: Doubles, lens_m: float = 0.0) -> Boxes |
 
 
 def _split(mesh: Mesh, n: int) -> list[np.ndarray]:
-    """Vertex indices of pieces of a mesh: triangles halved along their longest extent, again and again."""
+    """Vertex indices of pieces of a mesh, halved repeatedly along the longest extent."""
     groups = [np.arange(len(mesh.faces))]
     centers = mesh.vertices_m[mesh.faces].mean(axis=1)
     while len(groups) < n and max(len(g) for g in groups) > 1:
@@ -120,15 +120,15 @@ def _extents(vertices_m: Doubles, pieces: list[np.ndarray]) -> tuple[Doubles, Do
 
 
 def glowing(mi: Any, boxes: Boxes, unit_m: float, *, shown: bool) -> Any:
-    """Make the boxes a Mitsuba shape that glows, or one of the same kind that nobody sees.
+    """Make the boxes a Mitsuba shape that glows, or an invisible one of the same kind.
 
-    A light source that is never chosen still changes how Mitsuba chooses; so the hidden one goes into
-    every scene whose paths are to be compared.
+    Even a light source that is never chosen changes Mitsuba's choices. So the hidden one is part of every
+    scene whose paths are compared.
     """
     mesh = boxes.mesh()
     vertices, faces = mesh.vertices_m / unit_m, mesh.faces
     if not shown:
-        # A speck of a triangle at the far corner of the world.
+        # A tiny triangle far outside the scene.
         vertices, faces = 1e5 + 1e-3 * np.eye(3), np.array([[0, 1, 2]])
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}})

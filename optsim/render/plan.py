@@ -1,4 +1,4 @@
-"""What all stages of one truth share: scene, grid, targets, and where finished pieces are kept."""
+"""Plan of a truth, shared by all stages: scene, grid, error targets, and cache keys of finished pieces."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from optsim.render.lens import ideal, touched
 from optsim.render.settings import CameraNoise, RenderSettings
 from optsim.scene.scene import Scene
 
-# What errors are relative to, on top of the radiance: a share of the declared white. No source: it is
-# 1/100 of what a picture shows as white, and the scores' own metrics flatten out about there.
+# Floor of relative errors, added to the radiance, as a share of the declared white. No source: it is 1/100 of
+# a picture's white, and the scores' own metrics flatten out about there.
 _FLOOR = 0.01
 
 
@@ -35,20 +35,20 @@ def measured_error(mean: Floats, half_difference: Floats, white_w_m2_sr: float) 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """One truth, or that of one group of lamps.
+    """Plan of one truth, or of its part by one group of lamps.
 
     Parameters
     ----------
     scene, view, timing, settings, cache, progress
         As given to ``render_truth``.
     noise : CameraNoise or None
-        The camera's, where it decides when to stop.
+        The camera's noise, if it decides when to stop.
     identity : str
         Hash of everything that decides a path's radiance.
     segment_slots : int
         Slots between key instants.
     azimuth_rad : float, optional
-        Of the polariser that the light is seen through; None for unpolarised light.
+        Azimuth of the polariser before the lens; None for unpolarised light.
     """
 
     scene: Scene
@@ -68,7 +68,7 @@ class Plan:
 
     @cached_property
     def still_m(self) -> list[Doubles]:
-        """Vertices of what stands still, m."""
+        """Vertices of static objects, m."""
         return [mesh.vertices_m for mesh in self.scene.still_meshes().values()]
 
     @property
@@ -87,11 +87,11 @@ class Plan:
         return _FLOOR * self.scene.white_w_m2_sr
 
     def time_s(self, slot: float) -> float:
-        """When a slot begins."""
+        """Start of a slot."""
         return slot * self.timing.slot_s
 
     def times_s(self, first_slot: int, last_slot: int, steps: int) -> list[float]:
-        """List the ends of equal steps from the beginning of one slot to that of another."""
+        """List the ends of equal steps from the start of one slot to that of another."""
         way = last_slot - first_slot
         return [self.time_s(first_slot + way * step / steps) for step in range(steps + 1)]
 
@@ -100,16 +100,16 @@ class Plan:
         return seed_of(self.settings.seed, *purpose, "A"), seed_of(self.settings.seed, *purpose, "B")
 
     def luck(self, *purpose: object) -> Doubles:
-        """Uniform random numbers for both halves and all pixels, (2, n): who is sampled when."""
+        """Uniform random numbers for both halves and all pixels, (2, n): they assign poses to samples."""
         rng = np.random.Generator(np.random.Philox(seed_of(self.settings.seed, *purpose, "luck")))
         return rng.random((2, self.view.rows * self.view.cols))
 
     def key(self, *what: object) -> str:
-        """Place of a piece in the cache."""
+        """Cache key of a piece."""
         return hash_of(self.identity, self.settings.seed, *what)
 
     def stop(self) -> tuple[float, float, float] | None:
-        """Say what decides where sampling stops for the camera's sake, for cache keys."""
+        """Numbers that decide where the camera's noise stops sampling, for cache keys."""
         if self.settings.noise_share is None or self.noise is None:
             return None
         return self.settings.noise_share, self.noise.electrons, self.noise.read_noise_e
@@ -136,22 +136,22 @@ class Plan:
         most: float = MOST,
         cost: Floats | None = None,
     ) -> Floats:
-        """Share out samples a half over some pixels.
+        """Allocate samples a half to some pixels.
 
         Parameters
         ----------
-        tiles : Tiles
-            What other random numbers showed.
+        statistics : Statistics
+            Statistics of other random numbers.
         pixels : ndarray of shape (n,)
             Flat indices.
         light : ndarray of shape (n,)
-            About their radiance, W m^-2 sr^-1; only matters where the camera's noise does.
+            Approximate radiance, W m^-2 sr^-1; used only with the camera's noise.
         target : float
             Relative error of both halves together.
         least, most : float
-            Bounds.
+            Limits.
         cost : ndarray of shape (n,), optional
-            Relative cost of a sample of each, where it differs.
+            Relative cost of a sample in each pixel, if it differs.
         """
         deviation = relative_deviation(statistics, self.shape, self.floor_w_m2_sr).ravel()[pixels]
         share, noise = self.settings.noise_share, self.noise

@@ -1,10 +1,10 @@
-"""How far apart poses and key poses may be: measured by leaving out every other one.
+"""Pose sampling: the density of poses and key poses, measured by leaving out every other one.
 
-The error of interpolation grows as a power of the way between two poses, so that what leaving out half of
-them changes says how large it is (L. F. Richardson, Phil. Trans. R. Soc. A 210, 1911: the deferred approach
-to the limit). What changes in one half of the truth is multiplied by what changes in the other, independent
-one, so that noise is not taken for error. A segment's poses follow from the segments before it: nothing is
-chosen by the random numbers that it is used with.
+The interpolation error grows as a power of the path between two poses. So the change by leaving out half of
+them gives the error (L. F. Richardson, Phil. Trans. R. Soc. A 210, 1911: the deferred approach to the limit).
+The change in one half of the truth is multiplied by that in the other, independent one, so that noise does
+not count as error. A segment's poses follow from the segments before it: they do not depend on the random
+numbers they are used with.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import numpy as np
 from optsim.core.quantities import Bools, Doubles
 from optsim.render.trajectories import Density, Trajectory
 
-# Relative error on a mover's own pixels where it goes one fine sample from pose to pose, or from key to key:
-# the worst found over all scenes with movers (glossy_floor's dark rod before a bright wall; chart's bars,
-# 10 : 1, have 0.16 and most movers 0.01 to 0.07). Only a mover's first segment relies on it.
+# Relative error on a mover's own pixels for one fine sample of path between poses, or between keys. It is the
+# worst over all scenes with movers: glossy_floor's dark rod before a bright wall (chart's bars, 10 : 1, have
+# 0.16 and most movers 0.01 to 0.07). Only a mover's first segment uses it.
 _POSES_AT_ONE_PX, _KEYS_AT_ONE_PX = 0.4, 0.03
-# The least power found: it was 1.5 to 2.5.
+# The smallest measured power; it was 1.5 to 2.5.
 _POWER = 1.5
-# Of the bound, what each of the two may take: in squares they add up to one.
+# Share of the bound for poses and for keys: the squares add up to one.
 _SHARE = 0.7
-# A segment has at least this share of the poses and keys of those before: that far errors were measured.
+# A segment has at least this share of the earlier poses and keys: errors were measured up to there.
 _FEWER = 0.5
-# Samples a side of the tiles in which changes of light on a mover's surface are measured. No source.
+# Side of the tiles in which changes of light on a mover's surface are measured, samples. No source.
 _TILE = 4
 
 
 def assumed(bound: float) -> Density:
-    """Say how dense poses and keys are as long as nothing is known of a mover."""
+    """Density of poses and keys before a mover has been measured."""
     return Density(_per_px(bound, _POSES_AT_ONE_PX), _per_px(bound, _KEYS_AT_ONE_PX))
 
 
@@ -38,16 +38,16 @@ def _per_px(bound: float, at_one_px: float, before: float = 0.0) -> float:
 
 
 class Trial:
-    """Light on a track's samples in each instant, and what half as many poses or keys would change.
+    """Light on a trajectory's samples in each instant, and its change with half as many poses or keys.
 
     Parameters
     ----------
-    track : Track
-        Whose poses are to be added.
+    trajectory : Trajectory
+        Trajectory whose poses are added.
     n_instants : int
-        Of the segment.
+        Instants of the segment.
     floor_w_m2_sr : float
-        What errors are relative to on top of the light.
+        Floor of relative errors, added to the light.
     """
 
     def __init__(self, trajectory: Trajectory, n_instants: int, floor_w_m2_sr: float) -> None:
@@ -55,8 +55,9 @@ class Trial:
         self._covered = 0.0
         self._shares = [hat_means(trajectory.n_steps // every, n_instants) for every in (1, 2)]
         self._light = [np.zeros((2, n_instants, len(trajectory.pixels))) for _ in (1, 2)]
-        # Squared changes between keys, and of how many samples: by tile, since the light on a surface varies
-        # slowly, and a sample's noise would not only be in what changes but in what it is relative to.
+        # Squared changes between keys, and their number of samples. They are summed by tile, since light on a
+        # surface varies slowly. Per sample, noise would enter both the change and the light it is relative
+        # to.
         self._between: list[Doubles] = []
         self._n_between = 0
         rows, cols = np.divmod(trajectory.pixels, trajectory.mask.shape[1])
@@ -69,7 +70,7 @@ class Trial:
         return self._light[0]
 
     def add(self, step: int, seen: Doubles, covered: Bools) -> None:
-        """Add a pose: the light on both halves of the samples, and which of them movers cover."""
+        """Add a pose: the light on both halves of the samples, and the samples covered by movers."""
         self._covered += float(covered.sum()) / (self._trajectory.n_steps + 1)
         for every, (shares, light) in enumerate(zip(self._shares, self._light, strict=True), start=1):
             if step % every == 0:
@@ -78,7 +79,7 @@ class Trial:
                     light[:, instant] += weights[instant] * seen
 
     def compare(self, seen: Doubles, coarse: Doubles, covered: Bools) -> None:
-        """Add what is seen at a key pose, and what would be were it not one."""
+        """Add the light at a key pose, with it and without it as a key."""
         tile, change = self._tile[covered], (coarse - seen)[:, covered]
         about = np.bincount(tile, self._about(seen.mean(axis=0))[covered])
         present = about > 0
@@ -87,18 +88,18 @@ class Trial:
         self._n_between += len(tile)
 
     def density(self, bound: float, before: Density) -> Density:
-        """Say how dense the next segment's poses and keys must be for a bound on the relative error."""
+        """Density of the next segment's poses and keys for a bound on the relative error."""
         poses, keys = before.poses, before.keys
         if self._covered:
             fine, coarse = self._light
             first, second = (coarse - fine) / self._about(fine.mean(axis=0))
             squared = _certain_sum(first * second) / (fine.shape[1] * self._covered)
-            # What changed is the difference of two errors, of which one is 2^power-fold the other.
+            # The change is the difference of two errors; one is 2^power times the other.
             twice_as_far = np.sqrt(squared) / (1 - 2**-_POWER)
             poses = _per_px(bound, self._at_one_px(twice_as_far, self._trajectory.n_steps), poses)
         if self._n_between:
             products = np.concatenate(self._between)
-            # Just between two keys a parabola's error is greatest: its mean square is 8/15 of that.
+            # Midway between two keys a parabola's error is largest: its mean square is 8/15 of that squared.
             twice_as_far = np.sqrt(8 / 15 * _certain_sum(products) / self._n_between)
             keys = _per_px(bound, self._at_one_px(twice_as_far, self._trajectory.n_keys), keys)
         return Density(poses, keys)
@@ -111,7 +112,7 @@ class Trial:
 
 
 def _certain_sum(products: Doubles) -> float:
-    """Sum less its standard error: what a few wild samples say is not believed."""
+    """Sum minus its standard error, so that a few outliers do not count."""
     return max(float(products.sum() - products.std() * np.sqrt(products.size)), 0.0) if products.size else 0.0
 
 

@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Where random paths begin: the one place that makes camera rays and their random numbers."""
+"""Camera rays and their random numbers: the only place where paths start."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ _MAX_LANES = 4 << 20
 def camera_rays(
     loaded: Any, view: View, pixels: Ints, samples: Ints, seeds: Ints, first: Ints
 ) -> tuple[Any, Any, Any]:
-    """Begin random paths.
+    """Start random paths.
 
     Parameters
     ----------
     loaded : Any
         Mitsuba's scene, in the active variant.
     view : View
-        What its sensor sees, by way of the ideal grid.
+        View of its sensor, through the ideal grid.
     pixels, samples, seeds, first : ndarray of shape (n,), int64
-        Flat index, paths, seed and number of the first path of each: a path is the same whatever others are
-        begun in the same call.
+        Flat index, number of paths, seed and number of the first path of each. A path does not depend on the
+        others in the same call.
 
     Returns
     -------
     sampler, ray, weight
-        Mitsuba's, of as many lanes as there are paths, pixel by pixel.
+        Mitsuba's, with one lane a path, pixel by pixel.
     """
     import drjit as dr
     import mitsuba as mi
@@ -50,7 +50,7 @@ def camera_rays(
     sampler.start(each(seeds), pixel, lane - each(starts(samples) - first))
     row = pixel // dr.opaque(mi.UInt32, view.cols)
     place = mi.Point2f(mi.Float(pixel - row * view.cols), mi.Float(row)) + sampler.next_2d()
-    # A view without them takes neither arithmetic nor random numbers for distortion and lens.
+    # A view without distortion or lens uses neither arithmetic nor random numbers for them.
     if view.distortion:
         y, x = undistorted(place.y, place.x, view)
         place = mi.Point2f(x, y) + margin_px(view)
@@ -65,6 +65,6 @@ def starts(samples: Ints) -> Ints:
 
 
 def pieces(samples: Ints) -> list[slice]:
-    """Cut into pieces of about equal work, so that one launch never needs more than its share of memory."""
+    """Cut into pieces of about equal work, so that a launch never exceeds its memory."""
     cuts = np.unique(starts(samples) // _MAX_LANES, return_index=True)[1]
     return [slice(*ends) for ends in pairwise([*cuts.tolist(), len(samples)])]

@@ -1,18 +1,18 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportMissingParameterType=false
 # pyright: reportUntypedFunctionDecorator=false
-"""What movers carry with them between two instants: the light that falls on their surface.
+"""Irradiance reprojection: light on a moving matt surface, taken from key poses.
 
-A matt point's radiance is its reflectance times irradiance / pi. Reflectance, edges and visibility change at
-once when a mover moves; the irradiance of *the same point of the surface* hardly does. So it is estimated at
-key poses only, by whole paths, and looked up between them, where only the first surfaces are found anew: the
-point is followed by its triangle to where it was seen at the key pose, and takes the irradiance that paths
-through that sample of the grid found there.
+A matt point's radiance is its reflectance times irradiance / pi. When a mover moves, reflectance, edges and
+visibility in a pixel change at once. The irradiance of *the same point of the surface* hardly changes. So
+whole paths estimate it at key poses only. Between them only the primary hits are traced anew. A hit is
+followed by its triangle to its position at the key pose. It takes the irradiance that paths through that
+sample of the grid found there.
 
-Reprojection with a test whether the point was seen: B. Walter, G. Drettakis, S. Parker, "Interactive
-Rendering using the Render Cache", EGWR 1999, doi:10.1007/978-3-7091-6809-7_3; reflectance apart from
-irradiance: G. J. Ward, F. M. Rubinstein, R. D. Clear, "A Ray Tracing Solution for Diffuse Interreflection",
-SIGGRAPH 1988, doi:10.1145/54852.378490.
+Reprojection with a visibility test: B. Walter, G. Drettakis, S. Parker, "Interactive Rendering using the
+Render Cache", EGWR 1999, doi:10.1007/978-3-7091-6809-7_3; reflectance separate from irradiance: G. J. Ward,
+F. M. Rubinstein, R. D. Clear, "A Ray Tracing Solution for Diffuse Interreflection", SIGGRAPH 1988,
+doi:10.1145/54852.378490.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from optsim.core.quantities import Bools, Doubles, Floats, Ints, View
 from optsim.render.stage import PrimaryHits
 from optsim.scene.geometry import Faces
 
-# A key's sample is of the same surface if its depth differs by no more than this many samples' width there:
-# what slants by 70 degrees differs by less within a sample. No source.
+# A key's sample is of the same surface if its depth differs by at most this many sample widths there: a
+# surface tilted by 70 degrees differs by less within a sample. No source.
 _DEPTH_PX = 3.0
 
 
@@ -42,13 +42,13 @@ class Key:
     corner, size : tuple of int
         First row and column, and rows and columns, of the grid.
     first : ndarray of shape (2 * samples of the grid + 1,), int64
-        Where the paths of each half and fine sample begin.
+        Index of the first path of each half and fine sample.
     shape : ndarray of shape (n,), int64
-        What each path met.
+        Shape hit by each path.
     depth_m : ndarray of shape (n,), float32
-        There.
+        Depth of the hit.
     albedo, light : ndarray of shape (n,), float32
-        Reflectance there, and radiance in W m^-2 sr^-1.
+        Reflectance at the hit, and radiance in W m^-2 sr^-1.
     """
 
     corner: tuple[int, int]
@@ -60,7 +60,7 @@ class Key:
     light: Floats
 
     def beside(self, movers: list[int]) -> Floats:
-        """Radiance of what paths met that went past some shapes, (half, fine sample); NaN where none did."""
+        """Mean radiance of the paths that miss some shapes, (half, fine sample); NaN where there are none."""
         past = np.flatnonzero(~np.isin(self.shape, movers))
         sample, n = np.searchsorted(self.first, past, "right") - 1, len(self.first) - 1
         with np.errstate(invalid="ignore"):
@@ -68,15 +68,15 @@ class Key:
         return mean.astype(np.float32).reshape(2, -1)
 
     def by_place(self, row: Doubles, col: Doubles) -> Key:
-        """Sort the paths by where what they met is seen in the ideal image, not by the sample they belong to.
+        """Sort the paths by their hits' positions in the ideal image, instead of by their samples.
 
-        Defocus and distortion make a difference. A grid of its own holds what was met a picture's size around
-        the picture; other paths are left out.
+        The two differ by defocus and distortion. The result has its own grid, which extends a picture's size
+        around the picture; other paths are left out.
 
         Parameters
         ----------
         row, col : ndarray of shape (n,)
-            Where each is seen; NaN for those that carry no light.
+            Position of each hit; NaN for paths without usable light.
         """
         with np.errstate(invalid="ignore"):
             kept = np.flatnonzero((abs(row) < 2 * self.size[0]) & (abs(col) < 2 * self.size[1]))
@@ -102,20 +102,20 @@ class Key:
         then: Doubles,
         view: View,
     ) -> Floats:
-        """Look up the irradiance over pi, at this pose, of points seen at another one.
+        """Look up the irradiance over pi at this pose, for points hit at another one.
 
         Parameters
         ----------
         hits : PrimaryHits
-            What was seen at the other pose.
+            Primary hits at the other pose.
         chosen : ndarray of shape (n,)
-            Which of these hits: all on one shape.
+            Indices of the hits, all on one shape.
         half : ndarray of shape (n,)
-            Which half each of them is of, 0 or 1.
+            Half of each of them, 0 or 1.
         faces : ndarray of shape (m, 3)
             Its triangles.
         here, then : ndarray of shape (k, 3)
-            Where its vertices are in the picture at this pose and at the other one, as from
+            Positions of its vertices in the picture at this pose and at the other one, as from
             :func:`optsim.render.footprint.project`.
 
         Returns
@@ -132,19 +132,19 @@ class Key:
 
 
 def seen_at(hits: PrimaryHits, chosen: Ints, faces: Faces, places: Doubles) -> Doubles:
-    """Find where in the ideal image it is what was seen, and its depth in m: (n, 3).
+    """Positions of hits in the ideal image, and their depth in m: (n, 3).
 
     Parameters
     ----------
     hits, chosen, faces
         As for :meth:`Key.irradiance`.
     places : ndarray of shape (k, 3)
-        Where the vertices are.
+        Positions of the vertices.
     """
     second, third = hits.weights[chosen].T
     corners = places[faces[hits.face[chosen]]]
     a, b, c = corners[:, :, 2].T
-    # Straight in space, hence straight in place times depth.
+    # Linear in space, hence linear in position times depth.
     weighted = np.stack([(1 - second - third) * a, second * b, third * c], axis=-1)
     depth = weighted.sum(axis=-1)
     return np.column_stack([np.einsum("nk,nkx->nx", weighted, corners[:, :, :2]) / depth[:, None], depth])
@@ -180,11 +180,11 @@ def _looked_up(  # type: ignore[no-untyped-def]
     for n in range(chosen.shape[0]):
         i, j, k = faces[face[chosen[n]]]
         a, b, c = here[i], here[j], here[k]
-        # The other side of a sheet has its own light.
+        # The other side of a thin sheet has its own light.
         if _turns(a, b, c) != _turns(then[i], then[j], then[k]):
             continue
         second, third = weights[chosen[n], 0], weights[chosen[n], 1]
-        # Straight in space, hence straight in place times depth.
+        # Linear in space, hence linear in position times depth.
         wa, wb, wc = (1 - second - third) * a[2], second * b[2], third * c[2]
         z = wa + wb + wc
         y, x = (wa * a[0] + wb * b[0] + wc * c[0]) / z, (wa * a[1] + wb * b[1] + wc * c[1]) / z
@@ -192,7 +192,7 @@ def _looked_up(  # type: ignore[no-untyped-def]
         if not (0 <= y < rows and 0 <= x < cols):  # nor if NaN
             continue
         row, col = int(y), int(x)
-        # Its own sample of the grid, or else, beside an edge, those around.
+        # Its own sample of the grid, or those around it at an edge.
         for reach in range(2):
             of_light, of_albedo = 0.0, 0.0
             for v in range(max(0, row - reach), min(rows, row + reach + 1)):
@@ -209,10 +209,10 @@ def _looked_up(  # type: ignore[no-untyped-def]
 
 
 def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
-    """Guess what is unknown (NaN) at a key, from the nearest key that knows, or from the nearest sample.
+    """Fill unknown values (NaN) at a key from the nearest key that has them, or from the nearest sample.
 
-    What movers change beside themselves varies slowly, in time and, in proportion to the light without them,
-    in space.
+    The movers' change of the light beside them varies slowly in time. In space it varies slowly relative to
+    the light without movers.
 
     Parameters
     ----------
@@ -221,14 +221,14 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
     static : ndarray of shape (half, n)
         Radiance without movers.
     mask : ndarray of shape (y, x), bool
-        Where the n samples are.
+        Positions of the n samples.
     floor : float
-        Added to the radiance wherever a proportion is meant, W m^-2 sr^-1: estimates may be negative.
+        Added to the radiance in ratios, W m^-2 sr^-1, since estimates may be negative.
 
     Returns
     -------
     ndarray of shape (key, half, n)
-        Still NaN where no sample is known in any key.
+        NaN remains where no sample is known in any key.
     """
     known = np.logical_and(*np.moveaxis(np.isfinite(behind), 1, 0))
     light = np.take_along_axis(behind, _nearest(known)[:, None], axis=0)
@@ -246,7 +246,7 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
 
 
 def _nearest(known: Bools) -> Ints:
-    """Nearest place along the first axis that is known, of two the earlier one; 0 where none is."""
+    """Nearest known index along the first axis, the earlier of two; 0 if there is none."""
     n = len(known)
     order = np.arange(n)[:, None]
     before = np.maximum.accumulate(np.where(known, order, -n), axis=0)
@@ -255,6 +255,6 @@ def _nearest(known: Bools) -> Ints:
 
 
 def between(before: Floats, after: Floats, share: float) -> Floats:
-    """Interpolate linearly; where one of both is unknown (NaN) the other holds."""
+    """Interpolate linearly; where one is unknown (NaN) the other is used."""
     mixed = (1 - share) * before + share * after
     return np.where(np.isnan(before), after, np.where(np.isnan(after), before, mixed))

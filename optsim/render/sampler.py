@@ -1,10 +1,10 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportUntypedBaseClass=false
-"""Random numbers keyed by pixel: a pixel's samples are the same whichever other pixels are rendered.
+"""Random numbers keyed by pixel: a pixel's samples do not depend on the other pixels rendered.
 
 Hash-based Owen scrambling of the first two Sobol dimensions, padded with an independent shuffle for each
-further pair: B. Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020; the permutation is that
-of S. Laine and T. Karras, "Stratified Sampling for Stochastic Transparency", EGSR 2011.
+further pair: B. Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020; the permutation is that of
+S. Laine and T. Karras, "Stratified Sampling for Stochastic Transparency", EGSR 2011.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def pixel_sampler(mi: Any, dr: Any) -> Any:
         return mi.Float(x >> 8) * 2**-24
 
     class PixelSampler(mi.Sampler):
-        """Sample number, hash of (pixel, seed) and dimension; carried through the renderer's loops."""
+        """Sample number, hash of (pixel, seed) and dimension, as state of the renderer's loops."""
 
         def __init__(self, props: Any = None) -> None:
             mi.Sampler.__init__(self, props or mi.Properties())

@@ -1,4 +1,4 @@
-"""How accurately the truth is rendered."""
+"""Render settings: error targets of the truth, and the camera's noise at which sampling may stop."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from optsim.core.config import Part
 class RenderSettings(Part):
     """Error targets of the truth; samples follow from them, pixel by pixel.
 
-    An error here is the root mean square over pixels of Monte-Carlo standard deviation divided by
-    (radiance + 1 % of the scene's white), both halves together, per fine sample; a panel pixel's is
-    ``samples_per_pitch`` times smaller. Targets are met by prediction from other random numbers; what was
-    reached is measured by the two halves of every truth. Defaults are chosen so that the truth's own
-    noise stays below the decoders' errors (no source).
+    An error is the root mean square over pixels of the Monte-Carlo standard deviation divided by (radiance +
+    1 % of the scene's white), for both halves together and per fine sample. A panel pixel's error is
+    ``samples_per_pitch`` times smaller. Samples are allocated by predictions from other random numbers. The
+    two halves of every truth measure the error reached. The defaults keep the truth's noise below the
+    decoders' errors (no source).
 
     Parameters
     ----------
     static_error : float
-        Target of the light without movers, rendered once.
+        Target for the light without movers, rendered once.
     change_error : float
-        Target of what the movers change elsewhere (shadows, bounce light), at each key instant.
+        Target for the movers' change elsewhere (shadows, bounce light), at each key instant.
     moving_error : float
-        Target on the movers' own pixels in each slot; on the whole picture when the camera moves.
+        Target on the movers' own pixels in each slot, or on the whole picture if the camera moves.
     interpolation_error : float
-        Bound on what interpolating in time between rendered poses may add, relative like the others: it
-        decides how far apart poses and key instants are, from the measured flow.
+        Bound on the error by interpolating in time between rendered poses, relative like the others. With the
+        measured motion it sets the spacing of poses and key instants.
     key_seeds : int
-        Sets of random numbers that the key instants take in turn, so that their noise doesn't freeze.
+        Sets of random numbers that the key instants use in turn, so that their noise is not frozen.
     slots_per_segment : int, optional
-        Slots between key instants instead of those that ``interpolation_error`` allows; divides the slots
-        of a coded frame.
+        Slots between key instants, instead of those set by ``interpolation_error``; divides the slots of a
+        coded frame.
     instants_per_slot : int
-        Truth instants a slot. Poses are integrated over an instant exactly, but the panel is taken to have
-        one weight in it: with one instant a bar of 1 to 3 panel pixels a slot changes a frame by up to 0.06
-        (grey) or 0.3 (white) of its noise against twelve; n instants make that n times smaller.
+        Truth instants a slot. Poses are integrated over an instant exactly, but the panel has one weight in
+        it. With one instant instead of twelve, a bar moving 1 to 3 panel pixels a slot changes a frame by up
+        to 0.06 (grey) or 0.3 (white) of its noise. With n instants that is n times smaller.
     noise_share : float, optional
-        Stop sampling a pixel where the camera couldn't tell: when its Monte-Carlo error is below this share
-        of the camera's own noise in a slot there. Unset: sample to the targets alone.
+        Stop sampling a pixel when its Monte-Carlo error is below this share of the camera's noise in a slot
+        there. Unset: only the targets count.
     seed : int
         Seed of all random numbers of the rendering.
     """
@@ -58,7 +58,7 @@ class RenderSettings(Part):
 
 @dataclass(frozen=True)
 class CameraNoise:
-    """What the camera's noise is for a radiance, in one slot and one fine sample.
+    """The camera's noise for a radiance, in one slot and one fine sample.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""A scene loaded once into Mitsuba; afterwards only vertex buffers change.
+"""A scene loaded once into Mitsuba: it traces paths at any instant, and only vertex buffers change.
 
-``optimize=False`` keeps shape and emitter order, hence every random choice, the same in every process.
-All mesh parameters are behind :func:`_write_vertices`: Mitsuba 3.10 renames them.
+``optimize=False`` keeps shape and emitter order, hence every random choice, the same in every process. All
+mesh parameters are accessed by :func:`_write_vertices`: Mitsuba 3.10 renames them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from optsim.render.analyser import twice_analysed
 from optsim.render.describe import camera_to_world, describe, parse_static, unit_m
 from optsim.render.first_hit import first_hit
 from optsim.render.footprint import vertices_at
-from optsim.render.lens import picked
+from optsim.render.lens import on_view
 from optsim.render.nearby import Boxes, glowing
 from optsim.render.rays import camera_rays, pieces, starts
 from optsim.scene.scene import Scene
@@ -28,18 +28,18 @@ from optsim.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class PrimaryHits:
-    """What random paths meet first; (n,) each, path by path.
+    """First hits of random paths; (n,) each, path by path.
 
     Parameters
     ----------
     shape, face : ndarray, int64
-        Index of Mitsuba's shape, -1 for nothing, and of its triangle.
+        Index of Mitsuba's shape, -1 without a surface, and of its triangle.
     weights : ndarray of shape (n, 2), float32
         Barycentric weights of the triangle's second and third vertex.
     albedo : ndarray, float32
         Reflectance of matt surfaces, 0..1; 0 for all others.
     light : ndarray, float32
-        Radiance along the whole path, W m^-2 sr^-1; empty where it was not asked for.
+        Radiance along the whole path, W m^-2 sr^-1; empty if not requested.
     """
 
     shape: Ints
@@ -50,23 +50,23 @@ class PrimaryHits:
 
 
 class Stage:
-    """A scene in the active Mitsuba variant, seen through a view.
+    """A scene in the active Mitsuba variant, with a view.
 
     Parameters
     ----------
     scene : Scene
-        What to load.
+        Scene to load.
     view : View
         Fine grid and field of view.
     movers : bool
-        Whether the movers are on stage; without them the rest is exactly the same.
+        Whether movers are included; the rest is exactly the same without them.
     boxes : Boxes, optional
         Boxes around the movers, for comparing paths with those of another stage.
     glow : bool
-        Whether they stand there, glowing, for every path to see.
+        Whether these boxes are visible to all paths and glow.
     azimuth_rad : float, optional
-        Only in a polarised variant: radiance is twice what a polariser before the camera at this azimuth
-        passes, see ``render.analyser``.
+        Only in a polarised variant: radiance is twice the light that a polariser at this azimuth before the
+        camera passes, see ``render.analyser``.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Stage:
 
     @property
     def loaded(self) -> Any:
-        """Mitsuba's scene, for rays of one's own; to be looked at, not changed."""
+        """Mitsuba's scene, for other rays; read only."""
         return self._loaded
 
     def shape_of(self, mover: str) -> int:
@@ -104,13 +104,13 @@ class Stage:
         return self._shapes[f"mover_{mover}"]
 
     def pose(self, time_s: float) -> None:
-        """Put the camera and all movers where they are at a time."""
+        """Move the camera and all movers to their positions at a time."""
         if time_s == self._time_s or not (self._movers or self.scene.camera.moves):
             return
         import drjit as dr
         import mitsuba as mi
 
-        # Launches of another pose are of other sizes: what Dr.Jit keeps of the last ones would only pile up.
+        # Launches of another pose have other sizes: Dr.Jit's cached allocations would only accumulate.
         dr.flush_malloc_cache()
         unit = unit_m(self.scene)
         for name, mover in self._movers.items():
@@ -132,21 +132,21 @@ class Stage:
         samples: int | Ints,
         seeds: tuple[int, ...],
         first_sample: int = 0,
-        told: Callable[[float], None] | None = None,
+        report_share: Callable[[float], None] | None = None,
     ) -> Doubles:
         """Mean of samples in some pixels, one independent estimate for each seed.
 
-        ``told`` hears now and then what share of them is done.
+        ``report_share`` is called with the share of samples done.
 
         Returns
         -------
         ndarray of shape (seed, n), float64
-            As :meth:`paths` does, the same pixels for every seed.
+            As from :meth:`paths`, the same pixels for every seed.
         """
         counts = np.broadcast_to(np.asarray(samples, np.int64), pixels.shape)
         turns = np.repeat(np.asarray(seeds, np.int64), len(pixels))
         found = self.paths(
-            np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample, told
+            np.tile(pixels, len(seeds)), np.tile(counts, len(seeds)), turns, first_sample, report_share
         )
         return found.reshape(len(seeds), len(pixels))
 
@@ -156,13 +156,13 @@ class Stage:
         samples: Ints,
         seeds: Ints,
         first_sample: int | Ints = 0,
-        told: Callable[[float], None] | None = None,
+        report_share: Callable[[float], None] | None = None,
     ) -> Doubles:
-        """Mean radiance over random paths, bitwise the same whatever else is asked for in the same call.
+        """Mean radiance over random paths, bitwise independent of other paths in the same call.
 
-        Another call or process repeats it bitwise with LLVM; with CUDA to a few 1e-8, and rarely a path ends
-        elsewhere (seen on an H100; compare Mitsuba issue 1938). The scalar fallback knows only whole
-        pictures, with Mitsuba's own sampler.
+        Another call or process repeats it bitwise with LLVM. With CUDA it agrees to a few 1e-8, and rarely a
+        path ends elsewhere (seen on an H100; compare Mitsuba issue 1938). The scalar fallback renders only
+        whole pictures, with Mitsuba's own sampler.
 
         Parameters
         ----------
@@ -174,8 +174,8 @@ class Stage:
             Seed of each.
         first_sample : int or ndarray of shape (n,)
             Number of the first path: calls that continue each other stratify as one.
-        told : callable, optional
-            Hears of each launch what share of the pixels is done.
+        report_share : callable, optional
+            Called at each launch with the share of pixels done.
 
         Returns
         -------
@@ -191,28 +191,28 @@ class Stage:
         result = np.empty(len(pixels))
         for part in pieces(samples):
             values = self._trace(pixels[part], samples[part], seeds[part], first[part])
-            # In float64, as float32 sums of many paths lose digits.
+            # In float64, as float32 sums of many paths lose precision.
             result[part] = np.add.reduceat(values, starts(samples[part]), dtype=np.float64)
-            if told is not None:
-                told(part.stop / len(pixels))
+            if report_share is not None:
+                report_share(part.stop / len(pixels))
         return result / samples
 
     def hits(
         self, pixels: Ints, samples: Ints, seeds: Ints, first_sample: int | Ints = 0, *, light: bool
     ) -> PrimaryHits:
-        """Say what the paths that :meth:`paths` would follow meet first, each by itself.
+        """First hit of each path that :meth:`paths` would trace.
 
         Parameters
         ----------
         pixels, samples, seeds, first_sample
             As for :meth:`paths`.
         light : bool
-            Whether to follow them on, too; otherwise this costs a small part of it.
+            Whether to trace the whole paths too; without it the cost is a small part.
         """
         if not len(pixels):
             return PrimaryHits(pixels, pixels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32))
         first = np.broadcast_to(np.asarray(first_sample, np.int64), pixels.shape)
-        parts = [self._look(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
+        parts = [self._first_hits(pixels[p], samples[p], seeds[p], first[p], light) for p in pieces(samples)]
         found = [np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)]
         shape, face = found[0].astype(np.int64), found[1].astype(np.int64)
         shape[~np.isfinite(found[2])] = -1
@@ -227,7 +227,7 @@ class Stage:
         return np.asarray(values.numpy(), np.float32)
 
     def _followed(self, sampler: Any, ray: Any, weight: Any) -> Any:
-        """Radiance along the paths that go on from camera rays."""
+        """Radiance along the paths that continue from camera rays."""
         import mitsuba as mi
 
         light, _, _ = self._loaded.integrator().sample(self._loaded, sampler, ray, None, True)
@@ -236,7 +236,7 @@ class Stage:
         seen = twice_analysed(mi, self._loaded, ray, light, self._azimuth_rad)
         return seen * mi.unpolarized_spectrum(weight)[0]
 
-    def _look(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
+    def _first_hits(self, pixels: Ints, samples: Ints, seeds: Ints, first: Ints, light: bool) -> list[Any]:
         """Shape, face, distance, weights, albedo and perhaps radiance of random paths, in one launch."""
         import drjit as dr
         import mitsuba as mi
@@ -254,26 +254,26 @@ class Stage:
     def picture(self, samples: int, seed: int) -> Floats:
         """Render the whole fine grid by Mitsuba's own loop and sampler, in any variant: (y, x), float32.
 
-        Distortion moves whole samples: each shows the one of the ideal grid in which its centre is.
+        Distortion moves whole samples: each shows the sample of the ideal grid around its centre.
         """
         import mitsuba as mi
 
         image = np.asarray(mi.render(self._loaded, spp=samples, seed=cast("Any", seed)))
-        return np.ascontiguousarray(picked(image.mean(axis=2), self.view), np.float32)
+        return np.ascontiguousarray(on_view(image.mean(axis=2), self.view), np.float32)
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:
-    """Where a lamp with a picture (the bright outside) is seen directly when nothing moves.
+    """Find samples that see a lamp with a picture (the bright outside) directly, without movers.
 
     Returns
     -------
     ndarray of shape (y, x), bool
-        By one ray at a random place in each fine sample, through the middle of the lens.
+        From one ray at a random position in each fine sample, through the centre of the lens.
     """
     pictures = {name: lamp for name, lamp in scene.lamps.items() if lamp.picture is not None}
     if not pictures:
         return np.zeros((view.rows, view.cols), np.bool_)
-    # Without other lamps and without bounces, only what emits a picture is not black.
+    # Without other lamps and without bounces, only lamps with a picture are not black.
     alone = scene.only_lamps(tuple(pictures)).model_copy(update={"max_depth": 1})
     return Stage(alone, replace(view, aperture_m=0.0), movers=False).picture(1, 0) > 0
 
@@ -282,9 +282,9 @@ def outside_mask(scene: Scene, view: View) -> Bools:
 def _one_thread() -> Generator[None, None, None]:
     """Build trees and normals on one thread, so that every run builds the same.
 
-    On more, Embree's tree may put a ray along an edge on either side, and Mitsuba adds up normals in any
-    order. Measured at 2 threads: 10 of 24 builds of window_room gave a picture with 0.3 % of its pixels
-    changed, on one thread none of 48; and for scenes of some thousand triangles one thread is as fast.
+    With more threads, Embree's tree may put a ray along an edge on either side, and Mitsuba adds normals in
+    any order. Measured with 2 threads: 10 of 24 builds of window_room changed 0.3 % of the picture's pixels.
+    With one thread it was none of 48. For scenes of some thousand triangles one thread is as fast.
     """
     import drjit as dr
 
@@ -297,5 +297,5 @@ def _one_thread() -> Generator[None, None, None]:
 
 
 def _write_vertices(parameters: Any, name: str, vertices_m: Doubles) -> None:
-    """Set a mesh's vertices: the one place that names its vertex buffer."""
+    """Set a mesh's vertices: the only place that names its vertex buffer."""
     parameters[f"{name}.vertex_positions"] = vertices_m.astype(np.float32).ravel()

@@ -1,4 +1,7 @@
-"""The light without movers: rendered once, most where it is noisiest, pass by pass through the cache."""
+"""The light without movers: rendered once, with most samples where it is noisiest.
+
+It is rendered pass by pass through the cache, so an interrupted render resumes.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from optsim.render.allocation import Statistics, tally
 from optsim.render.plan import Plan
 from optsim.render.stage import Stage
 
-_Told = Callable[[float], None]
+_ReportShare = Callable[[float], None]
 
 _PILOT_SAMPLES = 8
 _MOST_SAMPLES = 4096
@@ -21,7 +24,7 @@ _PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
 
 
 def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
-    """Statistics of plain estimates: the variance of one sample from the difference of the two halves.
+    """Sample statistics of plain estimates: the variance of one sample from the difference of the halves.
 
     Parameters
     ----------
@@ -46,8 +49,8 @@ def static_light(plan: Plan, still: Stage) -> Floats:
     pixels, target = plan.pixels, plan.settings.static_error
 
     def pilot() -> dict[str, Floats]:
-        told = _telling(plan, "pilot", 0.0, 1.0)
-        light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"), told=told)
+        report_share = _report_part(plan, "pilot", 0.0, 1.0)
+        light = still.radiance(pixels, _PILOT_SAMPLES, plan.seeds("pilot"), report_share=report_share)
         statistics = halves_tally(plan, pixels, light, float(_PILOT_SAMPLES))
         return {"tiles": statistics.arrays(), "light": light.mean(axis=0).astype(np.float32)}
 
@@ -63,13 +66,16 @@ def static_light(plan: Plan, still: Stage) -> Floats:
             break
         samples = np.minimum(counts[chosen], last).astype(np.int64) - first
 
-        # A share of the pixels is about as much of the work: where samples are many there are few of them.
-        told = _telling(plan, "static light", spent / budget, float(samples.sum()) / budget)
+        # The share of pixels is about the share of work: pixels with many samples are few.
+        report_share = _report_part(plan, "static light", spent / budget, float(samples.sum()) / budget)
 
         def make(
-            chosen: Ints = chosen, samples: Ints = samples, first: int = first, told: _Told = told
+            chosen: Ints = chosen,
+            samples: Ints = samples,
+            first: int = first,
+            report_share: _ReportShare = report_share,
         ) -> dict[str, Floats]:
-            light = still.radiance(pixels[chosen], samples, plan.seeds("static"), first, told)
+            light = still.radiance(pixels[chosen], samples, plan.seeds("static"), first, report_share)
             return {"light": light.astype(np.float32)}
 
         entry = plan.cache.get(plan.key("static", target, plan.stop(), first, last), make)
@@ -79,11 +85,11 @@ def static_light(plan: Plan, still: Stage) -> Floats:
     return (total / counts).reshape(2, *plan.shape).astype(np.float32)
 
 
-def _telling(plan: Plan, stage: str, before: float, share: float) -> _Told:
-    """Say of a part of a stage how far the whole of it is."""
+def _report_part(plan: Plan, stage: str, before: float, share: float) -> _ReportShare:
+    """Convert the progress of a part to that of the whole stage."""
 
-    def told(done: float) -> None:
+    def report_share(done: float) -> None:
         plan.progress(stage, round(100 * (before + share * done)), 100)
 
-    told(0.0)
-    return told
+    report_share(0.0)
+    return report_share

@@ -1,16 +1,16 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Polarised radiance: the Stokes vector that reaches each fine sample, in a Mitsuba variant of its own.
+"""Polarised radiance: the Stokes vector at each fine sample, by a polarised Mitsuba variant.
 
 Conventions (R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized Light and Optical Systems*, CRC Press 2018,
-chapter 3, as in ``optics.mueller``), all as one looks at the upright picture, hence against the light:
+chapter 3, as in ``optics.mueller``), all in the upright picture, seen against the light:
 
 - S1 > 0: the field swings along the picture's rows, horizontally; a level floor's gloss has S1 > 0.
 - S2 > 0: along the diagonal from the lower left to the upper right.
 - S3 > 0: the field at one place turns clockwise (right circular).
 
-The frame is the sample's own: x is perpendicular to its ray and to the camera's vertical. Away from the axis
-it leans against the picture by at most the angle that perspective leans upright lines.
+The frame is the sample's own: x is perpendicular to its ray and to the camera's vertical. Off axis it is
+rotated against the picture by at most the perspective tilt of upright lines.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from optsim.scene.scene import Scene
 
 @contextmanager
 def polarised(backend: str | None = None) -> Generator[Any]:
-    """Make the polarised twin of the chosen backend Mitsuba's variant for a block; yield ``mitsuba``.
+    """Switch Mitsuba to the polarised variant of the chosen backend for a block; yield ``mitsuba``.
 
-    A scene belongs to the variant that loaded it: those loaded before live on untouched and are valid again
-    after the block; those loaded inside must not leave it. The variant is the whole process's, so no other
-    thread may render meanwhile.
+    A scene belongs to the variant that loaded it. Scenes loaded before stay untouched and are valid again
+    after the block; those loaded inside must not leave it. The variant applies to the whole process, so no
+    other thread may render meanwhile.
 
     Raises
     ------
     BackendError
-        When only the scalar fallback works, which has no polarised twin in one band.
+        When only the scalar fallback works, which has no polarised counterpart in one band.
     """
     report = activate(backend)
     if report.preview:
@@ -63,15 +63,14 @@ def render_stokes(
 ) -> Floats:
     """Render the Stokes vector of one instant.
 
-    S0 differs from the unpolarised render by what polarised light does at its second gloss: the unpolarised
-    renderer takes the light between two mirrors for unpolarised (measured on ``glossy_floor``: no difference
-    of the mean beyond its noise of 0.04 %, blocks of 120 samples within 3 %, noise included). Flickering
-    lamps have their mean radiance.
+    S0 differs from the unpolarised render where light meets a second glossy surface: the unpolarised renderer
+    treats it as unpolarised there. Measured on ``glossy_floor`` the means agree within their noise of 0.04 %,
+    and blocks of 120 samples within 3 %, noise included. Flickering lamps have their mean radiance.
 
     Parameters
     ----------
     scene : Scene
-        What to render.
+        Scene to render.
     view : View
         Fine grid and field of view.
     time_s : float
@@ -79,14 +78,14 @@ def render_stokes(
     samples : int
         Paths a fine sample.
     seed : int
-        Of all random numbers.
+        Seed of all random numbers.
     backend : str, optional
-        Mitsuba variant whose polarised twin renders, instead of the probed one.
+        Mitsuba variant whose polarised counterpart renders, instead of the probed one.
 
     Returns
     -------
     ndarray of shape (4, y, x), float32
-        S0, S1, S2, S3, W m^-2 sr^-1; signs as the module says.
+        S0, S1, S2, S3, W m^-2 sr^-1; signs as in the module's docstring.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def render_stokes(
 def stokes_image(mi: Any, loaded: Any, view: View, samples: int, seed: int, *, max_depth: int) -> Floats:
     """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32.
 
-    Not by Mitsuba's own film: two threads add to it in either order, so its last digit may change.
+    Mitsuba's own film is not used: threads add to it in any order, so its last digit may change.
     """
     integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth})
     pixels = np.arange(view.rows * view.cols)
@@ -120,7 +119,7 @@ def stokes_image(mi: Any, loaded: Any, view: View, samples: int, seed: int, *, m
 def _stokes_paths(
     mi: Any, loaded: Any, integrator: Any, view: View, pixels: Ints, counts: Ints, seeds: Ints
 ) -> Floats:
-    """Stokes vectors (4, n) of random paths, in one launch: so many paths of each pixel, pixel by pixel."""
+    """Stokes vectors (4, n) of random paths, in one launch: ``counts`` paths of each pixel in turn."""
     import drjit as dr
 
     sampler, ray, _ = camera_rays(loaded, view, pixels, counts, seeds, np.zeros_like(pixels))

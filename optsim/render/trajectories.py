@@ -1,4 +1,4 @@
-"""Where each mover goes in a segment, and how many poses and keys its way asks for."""
+"""Trajectories of the movers in a segment, and the poses and keys that their path lengths require."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from optsim.core.quantities import Bools, Ints
 from optsim.render.footprint import path_px, vertices_at
 from optsim.render.plan import Plan
 
-# Relative error of linear interpolation between key instants, of what movers change where they are not, per
-# fine sample of their way. Measured on window_room, wheel and half_moving
+# Relative error of linear interpolation between key instants, in the light that movers change elsewhere, per
+# fine sample of their path. Measured on window_room, wheel and half_moving
 # (``validation/interpolation_bound``).
 CHANGE_ERROR_PER_PX = 0.0015
-# Numbers of steps to choose from: they have many divisors, so that slower movers share faster ones' poses,
-# and are even, so that leaving out every other pose shows what interpolation costs.
+# Choices for the number of steps. They have many divisors, so that slower movers share poses with faster
+# ones. They are even, so that leaving out every other pose measures the interpolation error.
 _STEPS = sorted(2**a * 3**b for a in range(1, 15) for b in range(3))
 
 
 @dataclass(frozen=True)
 class Density:
-    """How many poses, and how many key poses, a mover has a fine sample of its way."""
+    """Poses and key poses of a mover per fine sample of its path."""
 
     poses: float
     keys: float
@@ -31,20 +31,20 @@ class Density:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A mover in a segment.
+    """Trajectory of a mover in a segment.
 
     Parameters
     ----------
     name : str
-        Of the mover.
+        Name of the mover.
     way_px : float
-        How far it goes, fine samples.
+        Length of its path, fine samples.
     n_steps : int
-        In how many equal steps it goes.
+        Number of equal steps.
     n_keys : int
-        Of how many equal parts the ends are its key poses; divides ``n_steps``.
+        Number of equal parts between key poses; divides ``n_steps``.
     mask : ndarray of shape (y, x), bool
-        In which samples it is ever seen and none with more steps; maybe nowhere.
+        Samples in which it may be seen, without those of movers with more steps; may be empty.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Trajectory:
 
     @cached_property
     def pixels(self) -> Ints:
-        """Flat indices."""
+        """Flat indices of the mask."""
         return np.flatnonzero(self.mask)
 
 
 def way_px(plan: Plan, name: str, first_slot: int, last_slot: int, margin_px: float = 0.0) -> float:
-    """Measure the farthest way that a visible point of a mover goes from slot to slot, fine samples."""
+    """Measure the longest path of a mover's visible point between two slots, fine samples."""
     mover, times_s = plan.scene.singles()[name], plan.times_s(first_slot, last_slot, last_slot - first_slot)
     return path_px(partial(vertices_at, mover), times_s, plan.scene.camera, plan.view, margin_px)
 
 
 def slots_per_segment(plan: Plan) -> int:
-    """Choose the slots between key instants that the interpolation bound allows, by the fastest mover's way.
+    """Choose the slots between key instants by the interpolation bound and the fastest mover's path.
 
-    The way is measured in every third slot of the whole experiment, up to a picture's width outside the
-    picture: from there shadows and bounce light still arrive.
+    The path is measured in every third slot of the whole experiment, up to a picture's width outside the
+    picture: shadows and bounce light still arrive from there.
     """
     per_frame = plan.timing.slots_per_frame
     if plan.settings.slots_per_segment is not None:
@@ -94,7 +94,7 @@ def trajectories(
     Parameters
     ----------
     density : callable
-        How dense a mover's poses and keys must be.
+        Density of a mover's poses and keys, by name.
     """
     names = list(plan.scene.singles())
     ways = {name: way_px(plan, name, first_slot, last_slot) for name in names}
@@ -106,7 +106,7 @@ def trajectories(
     taken = np.zeros(plan.shape, np.bool_)
     found: list[Trajectory] = []
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
-        # A sample that two movers cross belongs to the one with more poses: a render shows both anyway.
+        # A sample crossed by two movers belongs to the one with more poses: a render shows both anyway.
         n_hits = int(min(max(n_steps, np.ceil(ways[name])), _STEPS[-1]))
         mask = plan.own(*plan.times_s(first_slot, last_slot, n_hits), movers=[name])
         if mask.any():

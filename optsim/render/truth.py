@@ -1,18 +1,19 @@
-"""The truth: an unbiased Monte-Carlo radiance video, by the cheapest exact way that the scene allows.
+"""The truth: an unbiased Monte-Carlo radiance video, by the cheapest exact method for the scene.
 
-What changes decides how it is rendered (``Scene.kind_of_change``):
+The method depends on what changes (``Scene.kind_of_change``):
 
-- nothing: one picture;
-- lamps: one picture for each group of lamps that flicker alike, added in proportion (light is linear);
-- movers: what stands still once with many samples, B_hi; at key instants what the movers change,
-  F_n - B_n, with the same n random paths; linear in time between. In the movers' own pixels first surfaces
-  are found at poses chosen by their measured path, the light on matt ones is carried between few key poses
-  and everything else rendered at each; they become Blocks. With flicker, for each group of lamps;
-- the camera: every slot by itself; so on demand, where slots must not share their noise.
+- nothing: one picture.
+- lamps: one picture for each group of lamps with the same flicker, added in proportion (light is linear).
+- movers: the light without movers, B_hi, is rendered once with many samples. At key instants the movers'
+  change, F_n - B_n, is rendered with the same n random paths; it is linear in time between. In the movers'
+  own pixels primary hits are found at poses chosen by the measured path. Irradiance on matt movers is
+  reprojected between few key poses, and all other light is rendered at each pose. These pixels become
+  Blocks. With flicker, all this is done for each group of lamps.
+- the camera: every slot by itself; on request also where slots must not share their noise.
 
-Samples go where the relative error is largest. Everything is made twice from independent random numbers:
-the truth is the mean of these halves, and half their difference shows its noise. Estimates may be slightly
-negative, being unbiased; they stay so in all sums.
+Samples go where the relative error is largest. All is rendered twice from independent random numbers. The
+truth is the mean of these halves, and half their difference shows its noise. Unbiased estimates may be
+slightly negative; they stay so in all sums.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ from optsim.render.stokes import polarised
 from optsim.render.trajectories import slots_per_segment
 from optsim.scene.scene import Scene
 
-# Samples a fine sample, slot and half of the scalar fallback.
+# Samples of the scalar fallback, a fine sample, slot and half.
 _PREVIEW_SAMPLES = 2
-# Earlier key instants whose statistics still count.
+# Number of earlier key instants whose statistics count.
 _REMEMBERED = 8
 
 _Load = Callable[[int, Half], Segment]
@@ -66,30 +67,30 @@ def render_truth(
     slot_error: float | None = None,
     progress: Progress = silent,
 ) -> RadianceVideo:
-    """Render the truth of a scene, or find it in the cache.
+    """Render the truth of a scene, or read it from the cache.
 
     Parameters
     ----------
     scene : Scene
-        What to render.
+        Scene to render.
     view : View
         Fine grid and field of view.
     timing : Timing
-        Slots; a longer experiment finds the poses of a shorter one.
+        Slots; a longer experiment reuses the poses of a shorter one.
     settings : RenderSettings
         Error targets.
     cache : Cache
-        Where each finished pass, key instant and segment goes: an interrupted render resumes.
+        Stores each finished pass, key instant and segment: an interrupted render resumes.
     noise : CameraNoise, optional
-        The camera's noise; needed where ``settings.noise_share`` is set.
+        The camera's noise; needed if ``settings.noise_share`` is set.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     azimuth_rad : float, optional
-        Follow polarised light, and return twice what a polariser before the camera at this azimuth passes
-        (``render.analyser``): unpolarised light keeps its radiance. None: gloss doesn't polarise.
+        Trace polarised light, and return twice the light that a polariser at this azimuth before the camera
+        passes (``render.analyser``). Unpolarised light keeps its radiance. None: gloss doesn't polarise.
     slot_error : float, optional
-        Render each slot by itself, when it is asked for, until its measured error is this: what stands still
-        shares no noise with other slots then. Only for unpolarised light, and not by the scalar fallback.
+        Render each slot by itself, when it is read, until its measured error is this. Static parts then share
+        no noise between slots. Only for unpolarised light, and not by the scalar fallback.
     progress : Progress
         Stages "pilot", "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar
         fallback: "preview").
@@ -116,7 +117,7 @@ def render_truth(
             "render.noise_share: the camera's noise is needed to compare with; cure: leave it unset"
         )
     report = activate(backend)
-    # Samples a panel pixel are the camera's business.
+    # The truth does not depend on the samples a panel pixel.
     look = {**asdict(view), "samples_per_pitch": None, "slot_s": timing.slot_s}
     identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), _code_hash())
     if azimuth_rad is not None:
@@ -124,7 +125,7 @@ def render_truth(
     plan = Plan(scene, view, timing, settings, noise, cache, progress, identity, azimuth_rad=azimuth_rad)
     outside = cache.get(plan.key("outside"), lambda: {"outside": outside_mask(scene, view)})["outside"]
     n_instants, n_slots = settings.instants_per_slot, 1
-    # All is rendered in here; what is loaded later comes out of the cache.
+    # All is rendered inside this block; later loads read the cache.
     with polarised(backend) if azimuth_rad is not None else nullcontext():
         if report.preview:
             load, n_instants = _load_preview(plan), 1
@@ -161,13 +162,13 @@ def _half_difference(halves: Floats) -> Floats:
 
 
 def _load_movers(plan: Plan) -> _Load:
-    """Render whatever the cache lacks of a scene under steady lamps; return how to put a segment together."""
+    """Render the parts that the cache lacks, under steady lamps; return the loader of segments."""
     still = Stage(plan.scene, plan.view, movers=False, azimuth_rad=plan.azimuth_rad)
     static = static_light(plan, still)
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     if not plan.scene.singles():
         return lambda index, half: Segment(half(static), half(static), (), n_instants)
-    # Loads three scenes: only where the cache lacks something.
+    # Loads three scenes, so only if the cache lacks something.
     difference = functools.cache(lambda: Difference(plan, static))
     n_segments = plan.timing.n_slots // plan.segment_slots
     keys = [_key_instant(plan, difference, index, n_segments + 1) for index in range(n_segments + 1)]
@@ -183,18 +184,18 @@ def _load_movers(plan: Plan) -> _Load:
 
 
 def _key(plan: Plan, index: int) -> str:
-    """Place of a key instant in the cache."""
+    """Cache key of a key instant."""
     chosen, slot = plan.settings, index * plan.segment_slots
     what = chosen.static_error, chosen.change_error, chosen.key_seeds
     return plan.key("key", slot, plan.segment_slots, *what, plan.stop())
 
 
 def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, total: int) -> str:
-    """Render what the movers change at a key instant, both halves; return its place in the cache."""
+    """Render the movers' change at a key instant, both halves; return its cache key."""
     time_s, turn = plan.time_s(index * plan.segment_slots), index % plan.settings.key_seeds
 
     def make() -> dict[str, Floats]:
-        # The movers' own pixels are the segments' business.
+        # The movers' own pixels are rendered with the segments.
         pixels = np.flatnonzero(~plan.own(time_s))
         pilot = difference().pilot(time_s, pixels) if index == 0 else None
         statistics = pilot or _others(plan, index, turn)
@@ -211,9 +212,9 @@ def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, t
 
 
 def _others(plan: Plan, before: int, turn: int) -> Statistics:
-    """Pool the statistics of earlier key instants that had other random numbers than this turn's.
+    """Pool the statistics of earlier key instants with other random numbers than this turn's.
 
-    Samples must not decide how many of them there are: that would be a bias.
+    Samples must not decide their own number: that would be a bias.
     """
     statistics = Statistics.of(plan.cache.read(_key(plan, 0))["pilot"])
     for index in range(max(0, before - _REMEMBERED), before):
@@ -223,7 +224,7 @@ def _others(plan: Plan, before: int, turn: int) -> Statistics:
 
 
 def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, index: int, total: int) -> str:
-    """Render what the movers touch in a segment, both halves; return its place in the cache."""
+    """Render the samples touched by movers in a segment, both halves; return the cache key."""
     chosen, first = plan.settings, index * plan.segment_slots
 
     def key(first: int) -> str:
@@ -245,13 +246,13 @@ def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, i
 
 
 def _load_lamps(plan: Plan) -> _Load:
-    """Render each group of lamps that flicker alike; a slot adds them as bright as they are then."""
+    """Render each group of lamps with the same flicker; a slot adds them at their brightness."""
     n_instants = plan.settings.instants_per_slot
     groups: list[tuple[str, Plan, _Load]] = []
     for names in plan.scene.light_groups().values():
         lit = plan.lit_by(names)
         lit = replace(lit, segment_slots=slots_per_segment(lit))
-        # Slot after slot asks for the same segment.
+        # Successive slots read the same segment.
         groups.append((names[0], lit, functools.lru_cache(maxsize=2)(_load_movers(lit))))
 
     def load(slot: int, half: Half) -> Segment:
@@ -267,7 +268,7 @@ def _load_lamps(plan: Plan) -> _Load:
 
 
 def _load_camera(plan: Plan) -> _Load:
-    """Render every slot by itself, each group of lamps that flicker alike as bright as it is then."""
+    """Render every slot by itself, with each group of lamps at its brightness."""
     groups = plan.scene.light_groups().values()
     keys = [(names[0], load_slots(plan.lit_by(names) if len(groups) > 1 else plan)) for names in groups]
 
@@ -282,7 +283,7 @@ def _load_camera(plan: Plan) -> _Load:
 
 
 def _load_alone(plan: Plan, error: float) -> _Load:
-    """Render a slot when it is asked for, with noise of its own in every pixel."""
+    """Render a slot when it is read, with independent noise in every pixel."""
     chosen, names = plan.settings, list(plan.scene.light_groups().values())
     lit = [plan.lit_by(each) if len(names) > 1 else plan for each in names]
 
@@ -337,7 +338,7 @@ def _load_preview(plan: Plan) -> _Load:
 
 
 def _code_hash() -> str:
-    """Hash of the code that decides a render, so that an old cache never answers for new code."""
+    """Hash of the code that decides a render, so that an old cache is never used for new code."""
     rooms = [files("optsim") / room for room in ("scene", "render")]
     whole = [item for room in rooms for item in room.iterdir() if item.name.endswith(".py")]
     sources = sorted([*whole, files("optsim") / "optics" / "lens.py"], key=lambda item: item.name)

@@ -1,4 +1,4 @@
-"""What is in front of the camera: scenes, and movers as pure functions of time."""
+"""Scenes before the camera: lamps, materials, still objects, and movers as pure functions of time."""
 
 from optsim.scene.bands import Band
 from optsim.scene.bright import BrightLight, bright_lights

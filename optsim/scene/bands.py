@@ -1,4 +1,4 @@
-"""Spectral bands: what may differ from band to band, and how one band is taken out of it."""
+"""Spectral bands: values that differ by band, and the selection of one band."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from optsim.core.config import Part, PartT
 from optsim.core.errors import ConfigError
 from optsim.scene.fields import Positive, Share
 
-# Where the one band of a scene without bands lies: there the eye's photopic efficacy is known to the scores.
+# Wavelength of a scene without bands: the scores use the eye's photopic efficacy there.
 MONO_NM = 550.0
 
 
 class Band(Part):
-    """A spectral band, narrow against what changes with wavelength.
+    """A spectral band, narrow enough for constant properties within it.
 
     Parameters
     ----------
     name : str
         Letters, digits and underscores, at most 16, since it becomes a channel's name.
     wavelength_nm : float
-        Centre, nm. Rendering has no use for it: materials and lamps say what they do in the band; the camera
-        that sees it works at this wavelength.
+        Centre, nm. Rendering does not use it: materials and lamps have values for the band. The camera works
+        at this wavelength.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,15}$")
@@ -47,7 +47,7 @@ def _number_or_table(
     return check
 
 
-# A number for all bands, or a table with one for each.
+# A number for all bands, or a table with one for each band.
 ByBand = float | dict[str, float]
 ShareByBand = Annotated[
     ByBand, WrapValidator(_number_or_table(TypeAdapter(Share), TypeAdapter(dict[str, Share])))
@@ -58,13 +58,13 @@ PositiveByBand = Annotated[
 
 
 def taken(part: PartT, band: str) -> PartT:
-    """Copy a part, with the number of a band in place of each of its tables by band."""
+    """Copy a part, with each table by band replaced by one band's number."""
     numbers = {key: table[band] for key, table in tables(part).items()}
     return part.model_copy(update=numbers) if numbers else part
 
 
 def tables(part: BaseModel) -> dict[str, dict[str, float]]:
-    """Tables by band that a material or a lamp has, by key."""
+    """Tables by band of a material or a lamp, by key."""
     found = {key: getattr(part, key, None) for key in ("reflectance", "radiance_w_m2_sr")}
     return {key: cast("dict[str, float]", value) for key, value in found.items() if isinstance(value, dict)}
 

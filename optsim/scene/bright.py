@@ -1,4 +1,4 @@
-"""The bright lights in the picture, found from lamps and pose alone: what far wings and glare come from."""
+"""Bright lights in the picture, the source of PSF tails and glare, found from lamps and pose alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class BrightLight:
     over_white : float
         Its radiance over the scene's declared white.
     share : float
-        Of the field that it covers, 0..1.
+        Share of the field that it covers, 0..1.
     """
 
     over_white: float
@@ -27,19 +27,19 @@ class BrightLight:
 
     @property
     def light(self) -> float:
-        """What it brings, over that of a whole picture in declared white."""
+        """Its light over that of a whole picture in declared white."""
         return self.over_white * self.share
 
 
 def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) -> list[BrightLight]:
-    """Find the lamps in the picture at time 0, that which brings most light first.
+    """Find the lamps in the picture at time 0, by the light they bring, largest first.
 
-    Whatever hides them is not looked at.
+    Occlusion is ignored.
 
     Parameters
     ----------
     scene : Scene
-        In one band.
+        Scene in one band.
     tan_half_width : float
         Tangent of the horizontal half field.
     rows_over_cols : float
@@ -62,7 +62,7 @@ def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) ->
         edge_u, edge_v = np.asarray(lamp.edge_u_m), np.asarray(lamp.edge_v_m)
         centre = np.asarray(lamp.center_m) - origin
         faces = float(np.cross(edge_u, edge_v) @ -centre)
-        # A lamp is seen in parts: a grid of its points, each of which is in the picture or not.
+        # A lamp may be partly in the picture: a grid of its points is tested.
         steps = np.linspace(-0.5, 0.5, 9)
         points = centre + steps[:, None, None] * edge_u + steps[:, None] * edge_v
         x, y, depth = np.moveaxis(points @ axes.T, -1, 0)

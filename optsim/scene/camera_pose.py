@@ -1,4 +1,4 @@
-"""Where the camera stands and looks, and how it moves: a pure function of time."""
+"""Pose and motion of the camera: a pure function of time."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from optsim.core.config import Part
 from optsim.scene import geometry
 from optsim.scene.fields import Vector
 
-# Rays start this share of the viewing distance (at most 1 cm) before the pinhole: what is nearer is not seen.
+# Rays start this share of the viewing distance (at most 1 cm) before the pinhole: nearer points are not
+# visible.
 _NEAREST = 1e-3
-# What is farther than this many viewing distances (at least 1 km) is not seen.
+# Points farther than this many viewing distances (at least 1 km) are not visible.
 _FARTHEST = 1e3
 
 
@@ -23,7 +24,7 @@ class CameraPose(Part):
     position_m, target_m : vector
         Pinhole, and a point on the optical axis, at time 0.
     velocity_m_s : vector
-        Of the pinhole; the target goes along, so the camera keeps its direction.
+        Velocity of the pinhole; the target moves with it, so the camera keeps its direction.
     sway_m, sway_hz : vector, float
         Amplitude and frequency of a sinusoidal shift of both, zero at time 0.
     pan_rad_s : float
@@ -62,12 +63,12 @@ class CameraPose(Part):
 
     @property
     def near_m(self) -> float:
-        """Depth below which nothing is seen, m."""
+        """Least visible depth, m."""
         return min(0.01, _NEAREST * self.distance_m)
 
     @property
     def far_m(self) -> float:
-        """Depth beyond which nothing is seen, m."""
+        """Greatest visible depth, m."""
         return max(1000.0, _FARTHEST * self.distance_m)
 
     def at(self, time_s: float) -> CameraPose:

@@ -1,7 +1,7 @@
-"""Measurement targets as textures: what is printed where is known exactly, so that pictures can be measured.
+"""Test charts as textures: their content is known exactly, so that pictures can be measured.
 
-All are reflectances (0 .. 1), row 0 at the lower edge, smoothed by one texel where a boundary is sharp, so
-that a boundary lies where its formula says to a small part of a texel.
+All are reflectances (0 .. 1) with row 0 at the lower edge. Sharp boundaries are smoothed by one texel, so
+that they match their formula to a small part of a texel.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def _inside(distance_texels: Doubles) -> Doubles:
 def siemens_star() -> Doubles:
     """Sinusoidal Siemens star: reflectance = mean + amplitude cos(36 angle) within a disc on grey.
 
-    At a radius r (pixels of the picture) the local frequency is 36 / (2 pi r) cycles per pixel and the
-    modulation before the camera is 0.8 (0.9 to 0.1). The centre, where a cycle is shorter than 8 texels, is
-    flat grey.
+    At a radius r (pixels of the picture) the local frequency is 36 / (2 pi r) cycles per pixel. The
+    modulation before the camera is 0.8 (0.9 to 0.1). The centre is flat grey where a cycle is shorter than 8
+    texels.
 
     Source: the sine-based Siemens star of ISO 12233:2014 (annex E; there 144 cycles, here 36, as for pictures
     of a few hundred pixels).
@@ -71,9 +71,9 @@ def slanted_edge() -> Doubles:
 def step_wedge() -> Doubles:
     """Eleven upright fields from left to right, reflectance 0.9 / 2^k: densities 0.046 + 0.301 k, 1024 : 1.
 
-    The step of 0.301 in density (one photographic stop) is that of coarse transmission step tablets; as a
-    reflectance the last ones (down to 0.00088) are darker than any paint, which is the purpose: the range
-    comes from one evenly lit plane.
+    The step of 0.301 in density (one photographic stop) is that of coarse transmission step tablets. As
+    reflectances the last ones (down to 0.00088) are darker than any paint. So one evenly lit plane gives the
+    whole range.
     """
     x, _ = _grid(64, 64 * WEDGE_STEPS)
     return PAPER / 2.0 ** np.floor(x * WEDGE_STEPS)
@@ -99,9 +99,9 @@ def bars() -> Doubles:
 
 
 def fiducial() -> Doubles:
-    """Make a mark whose centre is known: a quartered disc (bow tie), dark 0.05 on 0.9.
+    """Make a mark with a known centre: a quartered disc (bow tie), dark 0.05 on 0.9.
 
-    The centre is a saddle point, which can be found to a small part of a pixel. Own definition.
+    The centre is a saddle point, to be located to a small part of a pixel. Own definition.
     """
     n = 256
     x, y = _grid(n, n)

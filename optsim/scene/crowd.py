@@ -1,4 +1,4 @@
-"""A seeded crowd of different movers: material for training priors, unlike any scene that is scored."""
+"""Crowd of random movers: training material for priors, unlike any scored scene."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Crowd(Part):
     Parameters
     ----------
     seed : int
-        Which crowd.
+        Seed of the crowd.
     n_cards, n_small : int
         Large cards, and small fast ones.
     materials : tuple of str
-        Names of the scene's materials that the movers take in turn.
+        Names of the scene's materials, used by the movers in turn.
     near_m, far_m : float
         Range of distances from the camera.
     speed_m_s : float

@@ -1,10 +1,10 @@
 # pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-"""Footage of textured leaves that move and hide each other: material for priors, drawn without a renderer.
+"""Footage of the dead-leaves model in motion: training material for priors, drawn without a renderer.
 
-The dead leaves model, opaque shapes of power-law sizes laid on each other at random, has the scale
-invariance and the edges of natural images (Matheron, 1968; Lee, Mumford and Huang, Int. J. Comput. Vis. 41,
-35 (2001), doi:10.1023/A:1011109015675). Here each leaf carries a texture and moves: all with a camera, and
-some on their own. Speeds are spread evenly over their logarithm, and many things stand still.
+The dead-leaves model stacks opaque shapes of power-law sizes at random. It has the scale invariance and the
+edges of natural images (Matheron, 1968; Lee, Mumford and Huang, Int. J. Comput. Vis. 41, 35 (2001),
+doi:10.1023/A:1011109015675). Here each leaf has a texture. All leaves move with a camera, and some on their
+own. Speeds are uniform in their logarithm, and many leaves stand still.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from optsim.core.quantities import Doubles, Floats, Ints
 
 _POSES = 4  # poses a slot
 _RAYS = 4  # samples a pixel and pose
-# Of speeds, in pixels per slot: slower is still, faster crosses a patch in a few slots.
+# Range of speeds, pixels per slot: slower is still, faster crosses a patch in a few slots.
 _SLOW, _FAST = 0.02, 1.6
 _SMALL_PX = 2.5
-# Where rays fall in a pixel: one list for all, as long as a prime, so that neighbours differ.
+# Ray positions within a pixel: one list for all, of prime length, so that neighbours differ.
 _SHIFTS = 997
 _LEAF = np.dtype(
     [
@@ -50,7 +50,7 @@ def dead_leaves(
     textures : sequence of ndarray of shape (y, x), float32
         Reflectance maps; at least 32 texels a side.
     rng : numpy.random.Generator
-        Draws everything.
+        Generator of all random numbers.
     slots, size : int
         Slots, and side of the square picture in pixels.
 
@@ -62,7 +62,7 @@ def dead_leaves(
     count = int(_evenly(rng, 3, 40))
     leaves = _leaves(count, len(textures), size, rng)
     camera = _camera(rng)
-    # Some recordings are linear in light, others encoded; lenses blur by part of a pixel, or not at all.
+    # Some recordings are linear in light, others encoded; some lenses blur by part of a pixel.
     curve = float(rng.choice([1.0, rng.uniform(0.45, 1.0)]))
     encoded: list[Floats] = [np.power(each, np.float32(curve)) for each in textures]
     maps = [_at_scale(encoded[int(leaf["texture"])], leaf, rng) for leaf in leaves]
@@ -77,12 +77,12 @@ def dead_leaves(
 
 
 def _evenly(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number whose logarithm is evenly spread."""
+    """Draw a number whose logarithm is uniform."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
 def _camera(rng: np.random.Generator) -> Doubles:
-    """Draw what all leaves share: velocity (y, x), turn and growth a slot, shake (amplitude, rate, phase)."""
+    """Draw the common motion: velocity (y, x), rotation and growth a slot, shake (amplitude, rate, phase)."""
     if rng.random() < 0.5:
         return np.zeros(7)
     heading, speed = rng.uniform(0, 2 * np.pi), _evenly(rng, _SLOW, _FAST)
@@ -117,7 +117,7 @@ def _leaves(count: int, n_textures: int, size: int, rng: np.random.Generator) ->
                 leaf["ripple_rate"], leaf["ripple_phase"] = rng.uniform(0.02, 0.4), rng.uniform(0, 6.28)
         leaf["angle"] = rng.uniform(0, 2 * np.pi)
         leaf["parallax"] = rng.uniform(0.6, 1.4) if rng.random() < 0.5 else 1.0
-        # Density of radii falls as their power; by the inverse of the distribution.
+        # The density of radii is a power law, drawn by the inverse of its distribution.
         ends = np.array([_SMALL_PX, largest]) ** (1 - steep)
         leaf["radius"] = (ends[0] + rng.random() * (ends[1] - ends[0])) ** (1 / (1 - steep))
         leaf["aspect"] = np.exp(rng.uniform(-1.2, 1.2))
@@ -125,7 +125,7 @@ def _leaves(count: int, n_textures: int, size: int, rng: np.random.Generator) ->
         leaf["lobes"], leaf["lobe_phase"] = rng.integers(2, 7), rng.uniform(0, 6.28)
         leaf["lobe_size"] = rng.choice([0.0, rng.uniform(0, 0.4)])
         leaf["texture"] = rng.integers(n_textures)
-        # Few leaves are as contrasty as their texture; some are plain. Light falls off along them.
+        # Some leaves have the contrast of their texture, some less, some none. Light falls off along them.
         contrast = rng.choice([0.0, 1.0, rng.uniform(0.02, 1)], p=[0.2, 0.3, 0.5])
         leaf["shade"], leaf["shade_phase"] = rng.uniform(0, 0.6), rng.uniform(0, 6.28)
         leaf["shade_rate"] = 2 * np.pi / rng.uniform(30, 200)
@@ -136,7 +136,7 @@ def _leaves(count: int, n_textures: int, size: int, rng: np.random.Generator) ->
 
 
 def _at_scale(texture: Floats, leaf: Any, rng: np.random.Generator) -> Floats:
-    """Texture halved until a texel is about a pixel; sets the leaf's texels a pixel and where it begins."""
+    """Halve a texture until a texel is about a pixel; set the leaf's texels a pixel and its origin."""
     zoom = _evenly(rng, 0.35, 6)
     while zoom > 1.2 and min(texture.shape) >= 32:
         rows, cols = texture.shape[0] // 2 * 2, texture.shape[1] // 2 * 2
@@ -151,7 +151,7 @@ def _at_scale(texture: Floats, leaf: Any, rng: np.random.Generator) -> Floats:
 def _draw(
     clip: Floats, leaves: Any, camera: Doubles, texels: Floats, starts: Ints, sizes: Ints, shifts: Doubles
 ) -> None:
-    """Add up samples; leaves from the front to the back, each in its own turned frame."""
+    """Sum samples; leaves from the front to the back, each in its own rotated frame."""
     slots, rows, cols = clip.shape
     count = len(leaves)
     place = np.empty((count, 6))

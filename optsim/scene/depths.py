@@ -1,4 +1,4 @@
-"""How near and how far the picture reaches, found from shapes alone: what decides depth of field."""
+"""Depth range of the picture, found from shapes alone: it decides whether depth of field matters."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from optsim.scene.camera_pose import CameraPose
 from optsim.scene.materials import Diffuse
 from optsim.scene.scene import Scene
 
-# Instants at which movers and camera are looked at.
+# Number of instants at which movers and camera are evaluated.
 _INSTANTS = 9
-# Relative slack of the picture's borders: rounding must not lose a corner.
+# Relative slack of the picture's borders, so that rounding loses no corner.
 _SLACK = 1e-9
 
 
 def depth_range_m(
     scene: Scene, tan_half_width: float, rows_over_cols: float, duration_s: float
 ) -> tuple[float, float]:
-    """Find the least and the greatest depth in the picture; whatever hides it is not looked at.
+    """Find the least and the greatest depth in the picture; occlusion is ignored.
 
     Parameters
     ----------
     scene : Scene
-        Still shapes, lamps and movers; of shapes in a file of its own nothing is known.
+        Its still shapes, lamps and movers are used; shapes in its own file are unknown.
     tan_half_width, rows_over_cols : float
         Tangent of the horizontal half field, and shape of the picture.
     duration_s : float
@@ -34,8 +34,8 @@ def depth_range_m(
     Returns
     -------
     near_m, far_m : float
-        Depths along the axis, m. Far is infinite where a surface is glossy, clear or a mirror, in which one
-        may see arbitrarily far; near is the camera's least depth where shapes are unknown or nothing is seen.
+        Depths along the axis, m. Far is infinite if a surface is glossy, clear or a mirror, which may show
+        arbitrary depths. Near is the camera's least depth if shapes are unknown or none is in the picture.
     """
     half = np.array([tan_half_width, tan_half_width * rows_over_cols])
     still = [mesh.vertices_m[mesh.faces] for mesh in scene.still_meshes().values()]
@@ -59,7 +59,7 @@ def depth_range_m(
 
 
 def _depths(triangles: Doubles, pose: CameraPose, half: Doubles) -> Doubles:
-    """Depths of the corners of what the picture cuts out of triangles (n, 3, 3)."""
+    """Depths at the corners of triangles (n, 3, 3) clipped to the picture."""
     origin = np.asarray(pose.position_m)
     ahead = np.asarray(pose.target_m) - origin
     ahead = ahead / np.linalg.norm(ahead)
@@ -78,7 +78,7 @@ def _inside(points: Doubles) -> Doubles:
 
 
 def _cut_edges(corners: Doubles) -> Iterator[Doubles]:
-    """Depths at which edges of triangles leave the picture over its sides."""
+    """Depths at which edges of triangles cross the picture's sides."""
     start = corners.reshape(-1, 3)
     way = np.roll(corners, -1, axis=1).reshape(-1, 3) - start
     for axis in (0, 1):
@@ -90,10 +90,10 @@ def _cut_edges(corners: Doubles) -> Iterator[Doubles]:
 
 
 def _at_corners(corners: Doubles) -> Doubles:
-    """Depths at which the four corners of the picture see triangles."""
+    """Depths of triangles along the rays of the picture's four corners."""
     a, b, c = np.moveaxis(corners, 1, 0)
     rays = np.array([[x, y, 1.0] for x in (-1, 1) for y in (-1, 1)]).T
-    # On which side of the planes through the lens and each edge a ray is.
+    # Side of each ray against the planes through the lens and each edge.
     sides = np.stack([np.cross(p, q) @ rays for p, q in ((a, b), (b, c), (c, a))])
     within = (sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)
     normal = np.cross(b - a, c - a)

@@ -1,4 +1,4 @@
-"""Field types that all parts of a scene share."""
+"""Field types shared by all parts of a scene."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Triangle meshes by construction: pure functions of their dimensions, in metres, z up, texture included.
+"""Triangle meshes as pure functions of their dimensions, in metres, z up, texture included.
 
-Texture coordinates on flat surfaces are metres, so that a material says how large a texture tile is.
-A limb's mesh has the same topology whatever its pose: movers change vertices only.
+Texture coordinates on flat surfaces are metres, so a material sets the size of a texture tile. A limb's mesh
+has the same topology in every pose: movers change vertices only.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Mesh:
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of many."""
+    """Merge meshes into one."""
     offsets = np.cumsum([0] + [len(mesh.vertices_m) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices_m for mesh in meshes]),
@@ -51,7 +51,7 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def quad(corner_m: ArrayLike, edge_u_m: ArrayLike, edge_v_m: ArrayLike, uv: ArrayLike | None = None) -> Mesh:
-    """Parallelogram facing ``edge_u x edge_v``; texture in metres, or as ``uv`` (4, 2) says."""
+    """Parallelogram facing ``edge_u x edge_v``; texture coordinates in metres, or as ``uv`` (4, 2)."""
     corner, u, v = (np.asarray(x, np.float64) for x in (corner_m, edge_u_m, edge_v_m))
     if uv is None:
         width, height = np.linalg.norm(u), np.linalg.norm(v)
@@ -61,7 +61,7 @@ def quad(corner_m: ArrayLike, edge_u_m: ArrayLike, edge_v_m: ArrayLike, uv: Arra
 
 
 def box(center_m: ArrayLike, size_m: ArrayLike, yaw_rad: float = 0.0) -> Mesh:
-    """Box with outward faces, turned by ``yaw_rad`` about the vertical."""
+    """Box with outward faces, rotated by ``yaw_rad`` about the vertical."""
     half = np.asarray(size_m, np.float64) / 2
     sides: list[Mesh] = []
     for axis in range(3):
@@ -139,8 +139,8 @@ def limb(
 ) -> Mesh:
     """Tapered capsule between two points: the building block of bodies, blades and rods.
 
-    The cross-section's first axis is ``side`` made orthogonal to the limb (parallel transport for a limb
-    that never points along ``side``): the frame turns smoothly, so no facet jumps between poses.
+    The cross-section's first axis is ``side`` made orthogonal to the limb. This is parallel transport for a
+    limb that never points along ``side``. The frame rotates smoothly, so no facet jumps between poses.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def sheet(n_u: int, n_v: int) -> Mesh:
 
 @functools.cache
 def _grid_faces(rows: int, cols: int) -> Faces:
-    """Two triangles a cell of a (rows, cols) grid of vertices, row-major; kept, as each pose asks anew."""
+    """Two triangles a cell of a (rows, cols) grid of vertices, row-major; cached, as each pose needs them."""
     index = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])

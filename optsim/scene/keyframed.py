@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-"""Objects that move rigidly along keyframes and turn: doors, drawers, cars, wheels."""
+"""Rigid motion of objects along keyframes: doors, drawers, cars, wheels."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from optsim.scene.geometry import Mesh, merge
 from optsim.scene.movers import a_direction
 from optsim.scene.parts import StillObject
 
-# Keyframes that a periodic curve borrows on either side: a PCHIP's slope at a key looks no farther than this.
+# Keyframes added on either side of a periodic curve: a PCHIP's slope at a key depends on no more.
 _BORROWED = 2
 
 
 class Keyframed(Part):
-    """Some of the scene's objects, moving together as one rigid body.
+    """Objects of the scene that move together as one rigid body.
 
-    At any time, the body is spun about ``spin_axis`` through ``spin_center_m``, then turned by the yaw about
-    the vertical through ``pivot_m``, then shifted. Before the first and after the last keyframe it rests
-    (but for its steady spin), unless it repeats.
+    At any time the body is spun about ``spin_axis`` through ``spin_center_m``. Then it is rotated by the yaw
+    about the vertical through ``pivot_m``, and then shifted. Before the first and after the last keyframe it
+    rests (except for its steady spin), unless it repeats.
 
     Parameters
     ----------
     objects : tuple of str
-        Names in the scene's ``objects``, which no other mover may name.
+        Names in the scene's ``objects``; no other mover may name them.
     times_s : tuple of float
         Instants of the keyframes, increasing.
     positions_m : tuple of vector
-        Shift from the place at rest, one a keyframe; empty for none.
+        Shift from the rest position, one a keyframe; empty for none.
     yaw_rad : tuple of float
         Angle about the vertical, anticlockwise seen from above, one a keyframe; empty for none.
     pivot_m : vector
@@ -44,18 +44,18 @@ class Keyframed(Part):
     spin_axis : vector
         Axis of the spin, at rest; right-handed.
     spin_center_m : vector or None
-        Point on the axis of the spin, at rest; ``pivot_m`` without.
+        Point on the axis of the spin, at rest; by default ``pivot_m``.
     spin_hz : float
         Steady spin, revolutions per second.
     spin_rad : tuple of float
         Angle of the spin on top of the steady one, one a keyframe; empty for none.
     interpolation : "linear" or "smooth"
-        Between keyframes: straight, or the monotone cubic of F. N. Fritsch and J. Butland, "A method for
-        constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5 (1984) 300,
-        which never overshoots a keyframe.
+        Between keyframes: linear, or the monotone cubic of F. N. Fritsch and J. Butland, "A method for
+        constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5 (1984) 300.
+        The cubic never overshoots a keyframe.
     repeat : bool
-        Start again after the last keyframe, which must then be the pose of the first (angles: but for whole
-        turns), as a body that jumps has no path.
+        Start again after the last keyframe. It must have the pose of the first (angles: up to whole turns),
+        as a body that jumps has no path.
     """
 
     kind: Literal["keyframed"] = "keyframed"
@@ -106,7 +106,7 @@ class Keyframed(Part):
                 raise ValueError(f"repeat: {name} makes {turns:.6g} turns, expected a whole number of them")
 
     def placed(self, points_m: Doubles, time_s: float) -> Doubles:
-        """Move points from where they rest to where they are at a time: (n, 3), m."""
+        """Move points from their rest positions to those at a time: (n, 3), m."""
         pivot = np.asarray(self.pivot_m)
         center = pivot if self.spin_center_m is None else np.asarray(self.spin_center_m)
         spin = self._at(self.spin_rad, time_s) + 2 * np.pi * self.spin_hz * time_s
@@ -129,14 +129,14 @@ class Keyframed(Part):
             return (1 - share) * keys[after - 1] + share * keys[after]
         if self.repeat:
             times, keys = _unrolled(times, keys)
-        # It takes a while to import, and few scenes need it.
+        # Imported here: it is slow to import, and few scenes need it.
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(times, keys, axis=0)(time_s)
 
 
 def _unrolled(times: Doubles, keys: Doubles) -> tuple[Doubles, Doubles]:
-    """Keyframes of one lap with some of the laps before and after: a curve on these is periodic."""
+    """Keyframes of one period with some of the periods before and after: a curve on these is periodic."""
     laps = [(times + n * (times[-1] - times[0]), keys + n * (keys[-1] - keys[0])) for n in (-1, 0, 1)]
     before, here, after = laps
     n = _BORROWED
@@ -147,14 +147,14 @@ def _unrolled(times: Doubles, keys: Doubles) -> tuple[Doubles, Doubles]:
 
 
 def rotation(axis: Vector, angle_rad: float) -> Doubles:
-    """Matrix (3, 3) that turns column vectors about an axis through the origin, right-handed (Rodrigues)."""
+    """Matrix (3, 3) that rotates column vectors about an axis, right-handed (Rodrigues)."""
     x, y, z = np.asarray(axis, np.float64) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * (cross @ cross)
 
 
-class Carried(Part):
-    """The objects of one material that a keyframed motion carries: a single mover.
+class KeyframedObjects(Part):
+    """The objects of one material in a keyframed motion: a single mover.
 
     Parameters
     ----------
@@ -182,17 +182,19 @@ class Carried(Part):
 
 @functools.lru_cache(maxsize=512)
 def _resting(items: tuple[StillObject, ...]) -> Mesh:
-    """One mesh of objects where they rest; remembered, since every pose starts from it."""
+    """One mesh of objects at rest; cached, since every pose starts from it."""
     return merge([item.mesh() for item in items])
 
 
-def carried(name: str, motion: Keyframed, objects: dict[str, StillObject]) -> dict[str, Carried]:
+def keyframed_objects(
+    name: str, motion: Keyframed, objects: dict[str, StillObject]
+) -> dict[str, KeyframedObjects]:
     """Split a keyframed motion into one single mover a material, called ``<name>_<material>``."""
     groups: dict[str, tuple[StillObject, ...]] = {}
     for key in motion.objects:
         item = objects[key]
         groups[item.material] = (*groups.get(item.material, ()), item)
     return {
-        f"{name}_{material}": Carried.model_construct(material=material, motion=motion, items=items)
+        f"{name}_{material}": KeyframedObjects.model_construct(material=material, motion=motion, items=items)
         for material, items in groups.items()
     }

@@ -21,7 +21,7 @@ class Sine(Part):
     Parameters
     ----------
     frequency_hz : float
-        Of the light: 100 or 120 Hz on mains of 50 or 60 Hz.
+        Frequency of the light: 100 or 120 Hz on mains of 50 or 60 Hz.
     depth : float
         Amplitude over mean.
     phase_turns : float
@@ -64,8 +64,8 @@ class Pwm(Part):
         place = (self.frequency_hz * start_s + self.phase_turns) % 1.0
         if turns == 0:
             return 1 / self.duty if place < self.duty else 0.0
-        # Whole periods hold one pulse each; the rest meets this period's pulse and perhaps the next one's.
-        # Its overlap comes from differences below one period, so that a short interval loses no digits.
+        # Whole periods have one pulse each; the rest overlaps this period's pulse and perhaps the next one's.
+        # The overlap uses differences below one period, so that a short interval loses no precision.
         whole = np.floor(turns)
         rest = turns - whole
         lit = min(rest, max(0.0, self.duty - place)) + min(self.duty, max(0.0, rest - (1.0 - place)))
@@ -83,16 +83,16 @@ class Lamp(Part):
     center_m, edge_u_m, edge_v_m : vector
         Centre and full edges.
     radiance_w_m2_sr : float or dict
-        Radiance in the band, or a table of it by band: its mean over a period where it flickers; of the
-        picture's relative 1 where there is one.
+        Radiance in the band, or a table of it by band. With flicker it is the mean over a period. With a
+        picture it is that of the picture's relative 1.
     picture : str or None
-        Name of an outside in :mod:`optsim.scene.textures`; such a lamp is a window on the bright outside.
+        Name of an outside in :mod:`optsim.scene.textures`: the lamp is then a window with a view outside.
     sampling_weight : float
-        Share of light samples, relative to other lamps; for low noise about its share of the light.
+        Share of light samples, relative to other lamps; lowest noise at about its share of the light.
     flicker : Sine, Pwm or None
-        How the radiance changes with time; steady without.
+        Change of the radiance with time; None is steady.
     lit : bool
-        A lamp switched off stays as a black rectangle, so that the geometry is the same.
+        Whether it emits; an unlit lamp stays as a black rectangle, so that the geometry is the same.
     """
 
     center_m: Vector
@@ -122,12 +122,12 @@ class Lamp(Part):
         Parameters
         ----------
         start_s, stop_s : float
-            Interval, s; where both are the same, the instant itself.
+            Interval, s; if both are the same, the instant itself.
 
         Returns
         -------
         float
-            Closed form; 1 without flicker. A lamp that is not lit has a gain too: it just emits nothing.
+            Closed form; 1 without flicker. An unlit lamp has a gain too, but emits nothing.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class Lamp(Part):
 
 
 def flicker_key(lamp: Lamp) -> str:
-    """Name of a lamp's flicker, the same for lamps that flicker alike: ``steady``, or kind and numbers."""
+    """Name of a lamp's flicker, the same for lamps with the same flicker: ``steady``, or kind and numbers."""
     if lamp.flicker is None:
         return "steady"
     numbers = lamp.flicker.model_dump(exclude={"kind"})

@@ -1,4 +1,4 @@
-"""Materials: how a surface reflects, by kind; a reflectance is a number, or one for each band."""
+"""Materials: reflection of a surface, by kind; a reflectance is a number, or one for each band."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Roughness = Annotated[float, Field(gt=0, le=1)]
 
 
 def known_texture(name: str | None) -> str | None:
-    """Texture names, checked while the part is built, so that the error names the key."""
+    """Check a texture name while the part is built, so that the error names the key."""
     try:
         return None if name is None else check_texture(name)
     except ConfigError as error:
@@ -25,13 +25,12 @@ def known_texture(name: str | None) -> str | None:
 
 
 class Diffuse(Part):
-    """Lambertian surface, both sides alike; the kind of a material that names none.
+    """Lambertian surface, both sides equal; the default kind of a material.
 
     Parameters
     ----------
     reflectance : float or dict
-        Hemispherical reflectance in the band, or a table of it by band; multiplies the texture where there
-        is one.
+        Hemispherical reflectance in the band, or a table of it by band; multiplies the texture, if any.
     texture : str or None
         Name in :mod:`optsim.scene.textures`.
     tile_m : float
@@ -47,17 +46,17 @@ class Diffuse(Part):
 
 
 class Plastic(Part):
-    """Diffuse base under a smooth or rough clear coat, both sides alike: varnish, paint, wet ground.
+    """Diffuse base under a smooth or rough clear coat, both sides equal: varnish, paint, wet ground.
 
-    The gloss is polarised where the renderer is; one model serves both (Mitsuba's ``pplastic``, after
-    S.-H. Baek et al., "Simultaneous acquisition of polarimetric SVBRDF and normals", ACM TOG 37, 2018).
-    What the coat throws back at the base is lost: head-on it returns 0.04 + 0.87 reflectance at an ior of
-    1.5, so even a white base no more than 0.91.
+    The gloss is polarised if the renderer is; one model serves both (Mitsuba's ``pplastic``, after S.-H. Baek
+    et al., "Simultaneous acquisition of polarimetric SVBRDF and normals", ACM TOG 37, 2018). Light reflected
+    by the coat back to the base is lost. At normal incidence it returns 0.04 + 0.87 reflectance at an ior of
+    1.5, so even a white base returns at most 0.91.
 
     Parameters
     ----------
     reflectance, texture, tile_m
-        Of the base, as for :class:`Diffuse`.
+        Properties of the base, as for :class:`Diffuse`.
     ior : float
         Refractive index of the coat.
     roughness : float
@@ -75,15 +74,16 @@ class Plastic(Part):
 
 
 class Metal(Part):
-    """Bare metal, both sides alike; polarised where the renderer is.
+    """Bare metal, both sides equal; polarised if the renderer is.
 
     Parameters
     ----------
     metal : str
-        Chemical symbol; the complex refractive index is the measured one that the renderer carries, in the
-        one band its mean over the luminous spectrum.
+        Chemical symbol. The complex refractive index is the measured one in the renderer's tables; in the one
+        band it is the mean over the luminous spectrum.
     roughness : float
-        Root mean square slope of the facets; 0 is a mirror, which lamps cannot be sampled through: noisy.
+        Root mean square slope of the facets; 0 is a mirror: lamps cannot be sampled through it, which is
+        noisy.
     """
 
     kind: Literal["metal"] = "metal"
@@ -94,16 +94,16 @@ class Metal(Part):
 class Glass(Part):
     """Clear glass.
 
-    Lamps cannot be sampled through it, so what they light behind a pane is noisy: measured 18 times the
-    variance for a pane in a window. Put a window's loss into the radiance of what is outside instead.
+    Lamps cannot be sampled through it, so light behind a pane is noisy: measured 18 times the variance for a
+    pane in a window. Put a window's loss into the radiance of the outside instead.
 
     Parameters
     ----------
     ior : float
         Refractive index.
     thin : bool
-        A pane without thickness on one sheet of triangles, which doesn't bend the light; otherwise the
-        surface of a solid, whose mesh must be closed and face outward.
+        A pane without thickness on one sheet of triangles, which doesn't refract. Otherwise the surface of a
+        solid; its mesh must be closed and face outward.
     """
 
     kind: Literal["glass"] = "glass"
@@ -112,7 +112,7 @@ class Glass(Part):
 
 
 def _kind_of(value: object) -> str:
-    """Kind of a material, which is diffuse unless it says otherwise."""
+    """Kind of a material, by default diffuse."""
     if isinstance(value, Mapping):
         return str(cast("Mapping[str, Any]", value).get("kind", "diffuse"))
     return str(getattr(value, "kind", "diffuse"))
@@ -128,7 +128,7 @@ Material = Annotated[
 
 
 def polarises(material: Material) -> bool:
-    """Whether light that a surface sends back is polarised in the renderer: gloss, metal and solid glass.
+    """Whether a surface's reflection is polarised in the renderer: gloss, metal and solid glass.
 
     A matt surface depolarises all light; the renderer's thin panes do too, though real ones polarise.
     """

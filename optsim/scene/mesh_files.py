@@ -1,4 +1,4 @@
-"""Mesh files that a scene names, checked before the renderer reads them: it trusts what faces say."""
+"""Checks of a scene's mesh files before the renderer reads them: it trusts the faces' indices."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ _Numbers = NDArray[np.generic]
 # Vertices (n, 3), and the indices of all faces in a row.
 _Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 _LENGTH = "length of "
-# Mitsuba's serialized format: mark, versions with the width of an offset, flags with their numbers a vertex.
+# Mitsuba's serialized format: magic number, versions with the width of an offset, flags with the numbers per
+# vertex.
 _MARK, _OFFSET_BYTES, _DOUBLE = 0x041C, {3: 4, 4: 8}, 0x2000
 _FURTHER = {0x1: 3, 0x2: 2, 0x8: 3}
 _NAME_BYTES = 4096  # most that the name of a serialized mesh may take
-_STEP = 64  # rows looked at at once, more and more while all lists are as long
+_STEP = 64  # rows read at once, growing while all lists have the same length
 
 
 @dataclass(frozen=True)
@@ -51,20 +52,20 @@ class _Element:
 
 
 def check_mesh(path: Path, kind: str = "") -> None:
-    """Refuse a PLY, OBJ or serialized file whose faces or vertices can't be, and any STL file.
+    """Refuse a PLY, OBJ or serialized file with invalid faces or vertices, and any STL file.
 
     Parameters
     ----------
     path : Path
-        Files of other kinds are not looked at.
+        Mesh file; other kinds are not checked.
     kind : str
-        Type of the shape that names the file; by content and name where it is none of a mesh.
+        Type of the shape that names the file; if it is no mesh type, content and name decide.
 
     Raises
     ------
     StorageError
-        For a face that names a vertex that isn't there, a vertex that is not finite, a file without faces,
-        and one that is damaged; it names the file and the place.
+        For a face with a missing vertex, a vertex that is not finite, a file without faces, or a damaged one.
+        It names the file and the place.
     """
     readers = {"ply": _read_ply, "obj": _read_obj, "serialized": _read_serialized}
     if kind not in (*readers, "stl"):
@@ -94,7 +95,7 @@ def _check(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) 
 
 
 def _read_obj(path: Path) -> list[_Mesh]:
-    """Count from 0; one mesh."""
+    """Read its one mesh; indices count from 0."""
     vertices: list[list[float]] = []
     faces: list[int] = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -105,13 +106,13 @@ def _read_obj(path: Path) -> list[_Mesh]:
             named = [int(word.split("/")[0]) for word in words]
             if len(named) < 3:
                 raise ValueError(f"a face has {len(named)} corners")
-            # Negative ones count back from the vertex before; 0 is none.
+            # Negative indices count back from the last vertex; 0 is invalid.
             faces += [each - 1 if each > 0 else each + len(vertices) if each else -1 for each in named]
     return [(np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int64))]
 
 
 def _read_serialized(path: Path) -> list[_Mesh]:
-    """Read all meshes of a file: where each begins is listed at its end."""
+    """Read all meshes of a file; a table at its end lists their offsets."""
     content = path.read_bytes()
     width = _OFFSET_BYTES[_version(content, 0)]
     (count,) = struct.unpack_from("<I", content, len(content) - 4)
@@ -157,7 +158,7 @@ def _read_ply(path: Path) -> list[_Mesh]:
     order, elements = _header(head.decode("ascii", errors="replace"))
     body, at = content[content.index(b"\n", len(head)) + 1 :], 0
     if not order:
-        # Words become numbers of one type; from then on both are alike.
+        # Text becomes numbers of one type, and is then read like binary.
         body = np.array(body.split(), np.float64).tobytes()
     vertices, faces = np.zeros((0, 3)), np.zeros(0, np.int64)
     for element in elements:
@@ -171,7 +172,7 @@ def _read_ply(path: Path) -> list[_Mesh]:
 
 
 def _header(text: str) -> tuple[str, list[_Element]]:
-    """Byte order, empty for text, and what follows the header."""
+    """Read the byte order, empty for text, and the elements that follow the header."""
     lines = [line.split() for line in text.splitlines() if line.strip()]
     if not lines or lines[0] != ["ply"]:
         raise ValueError("it doesn't begin with 'ply'")
@@ -191,7 +192,7 @@ def _header(text: str) -> tuple[str, list[_Element]]:
 
 
 def _columns(element: _Element, body: bytes, at: int, order: str) -> tuple[dict[str, _Numbers], int]:
-    """Values of each property, those of lists one after the other; and where the next element begins."""
+    """Values of each property, those of lists concatenated; and the offset of the next element."""
     found: dict[str, list[_Numbers]] = {name: [] for name, _, _ in element.properties}
     done, step = 0, _STEP
     while done < element.rows:
@@ -200,7 +201,7 @@ def _columns(element: _Element, body: bytes, at: int, order: str) -> tuple[dict[
         if at + n_rows * row.itemsize > len(body):
             n_rows = (len(body) - at) // max(row.itemsize, 1)
         rows = np.frombuffer(body, row, n_rows, at)
-        # As far as all lists are as long as those of the first row.
+        # Read on while all lists are as long as those of the first row.
         same = np.ones(n_rows, np.bool_)
         for name in row.names or ():
             if name.startswith(_LENGTH):
@@ -216,7 +217,7 @@ def _columns(element: _Element, body: bytes, at: int, order: str) -> tuple[dict[
 
 
 def _row(element: _Element, body: bytes, at: int, order: str) -> np.dtype[np.void]:
-    """Layout of the row at a place: with as many numbers as its lists say they have."""
+    """Layout of the row at an offset, with the lengths of its lists."""
 
     def dtype(name: str) -> str:
         return order + _TYPES[name] if order else "f8"

@@ -1,7 +1,7 @@
-"""Things that move: pure functions of time that return vertices; the topology never changes.
+"""Movers: pure functions of time that return vertices; the topology never changes.
 
-A mover has ``rest()`` (its mesh at time 0: faces and texture coordinates hold for ever) and
-``vertices(time_s)``. Any instant can be evaluated alone. The walker has his own file.
+A mover has ``rest()``, its mesh at time 0, and ``vertices(time_s)``. Faces and texture coordinates never
+change. Any instant can be evaluated alone. The walker has its own file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from optsim.scene.geometry import Mesh
 
 
 def a_direction(axis: Vector) -> Vector:
-    """Axes, checked while the part is built, so that the error names the key."""
+    """Check an axis while the part is built, so that the error names the key."""
     if not np.linalg.norm(axis) > 0:
         raise ValueError("expected a direction, not the zero vector")
     return axis
@@ -35,7 +35,7 @@ def frame_about(axis: Vector) -> Doubles:
 
 
 class Fan(Part):
-    """Rotor of a fan: pitched blades and a hub, turning about an axis.
+    """Rotor of a fan: pitched blades and a hub, rotating about an axis.
 
     Parameters
     ----------
@@ -139,12 +139,12 @@ class Pendulum(Part):
 
 
 class BouncingBall(Part):
-    """Ball that bounces for ever to the same height, turning as it flies.
+    """Ball that bounces for ever to the same height, and spins.
 
     Parameters
     ----------
     floor_m : vector
-        Where its lowest point touches down at time 0.
+        Point where its lowest point touches down at time 0.
     radius_m, height_m : float
         Radius, and height of the apex of its lowest point; gravity is 9.81 m/s^2.
     velocity_m_s : vector

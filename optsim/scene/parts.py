@@ -1,4 +1,4 @@
-"""What stands still in a scene: its objects, as in ``scene.toml``."""
+"""Still objects of a scene, as in ``scene.toml``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optsim.scene.geometry import Mesh
 
 
 def check_edges(u_m: Vector, v_m: Vector, *, orthogonal: bool) -> None:
-    """Raise a ValueError unless two edges span an area, at right angles if need be; at any scale."""
+    """Raise a ValueError unless two edges span an area, at right angles if required; at any scale."""
     u, v = np.asarray(u_m), np.asarray(v_m)
     area = float(np.linalg.norm(u) * np.linalg.norm(v))
     if not np.linalg.norm(np.cross(u, v)) > 1e-6 * area or (orthogonal and abs(np.dot(u, v)) > 1e-6 * area):
@@ -28,7 +28,7 @@ class Quad(Part):
     Parameters
     ----------
     fit : bool
-        Stretch one texture tile over the whole (with the material's ``tile_m`` = 1), rather than by metres.
+        Stretch one texture tile over the whole (with the material's ``tile_m`` = 1), instead of by metres.
     """
 
     kind: Literal["quad"] = "quad"
@@ -50,7 +50,7 @@ class Quad(Part):
 
 
 class Box(Part):
-    """Box, turned about the vertical."""
+    """Box, rotated about the vertical."""
 
     kind: Literal["box"] = "box"
     material: str
@@ -130,11 +130,11 @@ class Plant(Part):
     Parameters
     ----------
     base_m : vector
-        Where the stalks start.
+        Point where the stalks start.
     height_m : float
-        Height of the highest leaf tip, about.
+        Approximate height of the highest leaf tip.
     n_leaves, seed : int
-        How many, and which.
+        Number of leaves, and seed of their shape.
     """
 
     kind: Literal["plant"] = "plant"

@@ -14,7 +14,7 @@ from optsim.scene.bands import MONO_NM, Band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
-from optsim.scene.keyframed import Carried, Keyframed, carried
+from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
@@ -30,33 +30,33 @@ Mover = Annotated[
     Field(discriminator="kind"),
 ]
 
-# What a renderer moves: each has ``material``, ``rest()`` and ``vertices(time_s)``.
-SingleMover = Single | Wheel | CarBody | Carried
+# Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.
+SingleMover = Single | Wheel | CarBody | KeyframedObjects
 
 
 class Scene(Part):
-    """Everything that a renderer must know, in SI; names are free and only used in messages and caches.
+    """All input of a renderer, in SI; names are free and only used in messages and caches.
 
     Parameters
     ----------
     name, variation : str
-        Folder name, and which of its variations this is.
+        Folder name, and name of the variation.
     description : str
         One line.
     white_w_m2_sr : float
-        Declared white: the radiance that scores take as their peak.
+        Declared white: the radiance that scores use as their peak.
     max_depth : int
         Longest light path, in segments.
     camera : CameraPose
-        The camera's pose and motion; its field of view is the camera's own business (``View``).
+        The camera's pose and motion; its field of view belongs to the camera (``View``).
     bands : tuple of Band
         Spectral bands; one at a time is rendered, see :meth:`in_band`. None: a single one at 550 nm.
     materials, lamps, objects, movers : dict
-        By name. Objects that a keyframed mover names move, all others stand still.
+        By name. Objects named by a keyframed mover move, all others are still.
     static : StaticShapes or None
-        More shapes that stand still; in ``scene.toml`` the name of a file in Mitsuba's XML beside it.
+        More still shapes; in ``scene.toml`` the name of a file in Mitsuba's XML beside it.
     reserved : bool
-        Kept for testing: nothing may be trained on it.
+        Reserved for testing: no prior may be trained on it.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Scene(Part):
         return lamps
 
     @model_validator(mode="after")
-    def _carries_what_exists(self) -> Scene:
+    def _keyframed_objects_exist(self) -> Scene:
         owner: dict[str, str] = {}
         for name, motion in self._motions().items():
             for key in motion.objects:
@@ -107,7 +107,7 @@ class Scene(Part):
                         "cure: let one mover carry it"
                     )
                 owner[key] = name
-            if clash := sorted(set(carried(name, motion, self.objects)) & set(self.movers)):
+            if clash := sorted(set(keyframed_objects(name, motion, self.objects)) & set(self.movers)):
                 raise ValueError(
                     f"movers.{name}: its part {clash[0]!r} has the name of another mover; cure: rename one"
                 )
@@ -143,11 +143,11 @@ class Scene(Part):
         return self
 
     def singles(self) -> dict[str, SingleMover]:
-        """Return the movers by name, all that have several parts resolved into them."""
+        """Return the movers by name; those with several parts are resolved into them."""
         found: dict[str, SingleMover] = {}
         for name, mover in self.movers.items():
             if isinstance(mover, Keyframed):
-                found |= carried(name, mover, self.objects)
+                found |= keyframed_objects(name, mover, self.objects)
             elif not isinstance(mover, Crowd | Car):
                 found[name] = mover
         return found
@@ -156,7 +156,7 @@ class Scene(Part):
         return {name: mover for name, mover in self.movers.items() if isinstance(mover, Keyframed)}
 
     def kind_of_change(self) -> Literal["static", "lamps", "movers", "camera"]:
-        """Say what changes with time, the most far-reaching first: camera, movers, lamps, or nothing.
+        """Kind of change with time, the most far-reaching one: camera, movers, lamps, or none.
 
         A scene of kind ``movers`` may have flickering lamps too, and one of kind ``camera`` anything.
         """
@@ -167,7 +167,7 @@ class Scene(Part):
         return "lamps" if any(lamp.lit and lamp.flicker for lamp in self.lamps.values()) else "static"
 
     def polarising(self) -> tuple[str, ...]:
-        """Name what may polarise light: materials that something is made of, and the file of shapes."""
+        """List the possible polarisers of light: materials in use, and the file of shapes."""
         used = {item.material for item in (*self.still_objects().values(), *self.singles().values())}
         found = [name for name in sorted(used) if polarises(self.materials[name])]
         if self.static is not None and self.static.polarises():
@@ -180,8 +180,8 @@ class Scene(Part):
         Returns
         -------
         dict
-            ``steady`` first where there is any, then one key a flicker, in the order of the lamps' names ->
-            names of its lamps, sorted.
+            Group -> sorted names of its lamps. ``steady`` comes first, if any, then one key a flicker, in the
+            order of the lamps' names.
         """
         groups: dict[str, tuple[str, ...]] = {}
         for name, lamp in sorted(self.lamps.items(), key=lambda item: (item[1].flicker is not None, item[0])):
@@ -191,12 +191,13 @@ class Scene(Part):
         return groups
 
     def in_band(self, name: str | None = None) -> Scene:
-        """Return the scene as it is in one of its bands: every table by band becomes that band's number.
+        """Return the scene in one of its bands: every table by band becomes that band's number.
 
         Parameters
         ----------
         name : str, optional
-            Which band; by default the one nearest to 550 nm. A scene without bands is returned as it is.
+            Name of the band; by default the one nearest to 550 nm. A scene without bands is returned
+            unchanged.
 
         Raises
         ------
@@ -229,12 +230,12 @@ class Scene(Part):
         Parameters
         ----------
         names : iterable of str
-            At least one lamp; one that is not lit here is lit there.
+            At least one lamp; an unlit one becomes lit.
 
         Raises
         ------
         ConfigError
-            For no name at all, or one of no lamp.
+            For no name, or an unknown one.
         """
         wanted = set(names)
         if not wanted:
@@ -245,7 +246,7 @@ class Scene(Part):
         return self.model_copy(update={"lamps": lamps})
 
     def still_objects(self) -> dict[str, StillObject]:
-        """Return the objects that no mover carries, in the order of the file."""
+        """Return the objects of no mover, in the order of the file."""
         moving = {key for motion in self._motions().values() for key in motion.objects}
         return {key: item for key, item in self.objects.items() if key not in moving}
 
@@ -258,7 +259,7 @@ class Scene(Part):
 
 
 def scenes_folder() -> Path:
-    """Where the shipped scenes are: inside the installed package, or beside it in a checkout."""
+    """Folder of the shipped scenes: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     shipped = package / "shipped_scenes"
     return shipped if shipped.is_dir() else package.parent / "scenes"
@@ -281,15 +282,15 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     name_or_path : str or Path
         Name of a shipped scene, a folder with a ``scene.toml``, or such a file.
     variation : str
-        ``main``, a table of overrides under ``[variations.<name>]``, or a whole number as text: every key
-        of ``[ranges]`` is drawn anew, by the scene's name and this number alone.
+        ``main``, a table of overrides under ``[variations.<name>]``, or a whole number as text: every key of
+        ``[ranges]`` is drawn anew, by the scene's name and this number alone.
 
     Raises
     ------
     ConfigError
         For an unknown scene, variation, key, kind, material, texture or object, a missing photograph, no
-        lamp, a bad shapes file, or a number out of range, be it at the end of a range that this variation
-        does not reach.
+        lamp, or a bad shapes file. Also for a number out of range, even at an end of a range that this
+        variation does not reach.
     """
     text = str(name_or_path)
     if "/" in text or text.endswith(".toml"):

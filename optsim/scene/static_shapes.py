@@ -1,4 +1,7 @@
-"""Shapes beside ``scene.toml`` in Mitsuba's XML, checked here without Mitsuba; nothing else may be in it."""
+"""Still shapes in Mitsuba's XML beside ``scene.toml``, checked without Mitsuba.
+
+Only shapes and surfaces are allowed in the file.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from optsim.scene.mesh_files import check_mesh
 
 _MATT = ("diffuse", "twosided", "mask", "bumpmap", "normalmap", "blendbsdf")
 _TOP_LEVEL = ("shape", "bsdf", "texture", "default")
-# Element -> where what it wants to say belongs; all other elements inside a shape are Mitsuba's affair.
+# Element -> the right place for its content; other elements inside a shape are left to Mitsuba.
 _BANNED = {
     "emitter": "lamps belong in [lamps] of scene.toml",
     "sensor": "the camera belongs in [camera] of scene.toml",
@@ -32,7 +35,7 @@ _BANNED = {
 
 
 class StaticShapes(Part):
-    """Text of such a file, which must hold at least one shape and neither sensor nor emitter.
+    """Text of a shapes file, with at least one shape and neither sensor nor emitter.
 
     Parameters
     ----------
@@ -43,7 +46,7 @@ class StaticShapes(Part):
     files : dict
         Files it refers to, by their name relative to the folder -> hash of their content.
     folder : str
-        Where these files are; not part of what decides a render.
+        Folder of these files; it does not affect a render's identity.
     """
 
     name: str
@@ -58,11 +61,11 @@ class StaticShapes(Part):
         return text
 
     def polarises(self) -> bool:
-        """Whether a surface in it may polarise light: any that is not matt, or a wrapper of matt ones."""
+        """Whether a surface in it may polarise light: any that is neither matt nor a wrapper of matt ones."""
         return any(surface.get("type") not in _MATT for surface in _parsed(self.text).iter("bsdf"))
 
     def ready(self, unit_m: float = 1.0) -> str:
-        """XML with whole paths, in lengths of ``unit_m``.
+        """XML with absolute paths, in lengths of ``unit_m``.
 
         Parameters
         ----------
@@ -74,7 +77,7 @@ class StaticShapes(Part):
             element.set(key, str(Path(self.folder) / element.get(key, "")))
         if unit_m != 1.0:
             for shape in root.findall("shape"):
-                if shape.get("type") != "shapegroup":  # its instances are what stands in the scene
+                if shape.get("type") != "shapegroup":  # only its instances are in the scene
                     place = shape.find("transform[@name='to_world']")
                     if place is None:
                         place = ElementTree.SubElement(shape, "transform", name="to_world")
@@ -88,8 +91,8 @@ def read_static(folder: Path, name: str) -> StaticShapes:
     Raises
     ------
     ConfigError
-        When the file or one that it names is missing or outside the folder, is not such XML, holds no
-        shape, or holds a sensor, an emitter or anything else that is no shape or surface.
+        When the file or one that it names is missing or outside the folder, or is not such XML. Also when it
+        has no shape, or has a sensor, an emitter or another element.
     """
     path = folder / name
     if Path(name).name != name or not path.is_file():
@@ -112,7 +115,7 @@ def read_static(folder: Path, name: str) -> StaticShapes:
 
 
 def _parsed(text: str) -> ElementTree.Element:
-    # Entities may refer to other files or blow up; shapes need none.
+    # Entities may refer to other files or expand without limit; shapes need none.
     if re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise ValueError("a document type or entity is not allowed; cure: remove it")
     try:

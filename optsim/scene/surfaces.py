@@ -39,7 +39,7 @@ def _cells(size: int, count: int, seed: int) -> tuple[NDArray[np.int64], Doubles
     seeds = np.random.default_rng(seed).random((count, 2)) * size
     rows, cols = np.indices((size, size))
     places = np.stack([rows.ravel(), cols.ravel()], -1) + 0.5
-    # It takes a while to import, and few scenes need it.
+    # Imported here: it is slow to import, and few scenes need it.
     from scipy.spatial import KDTree
 
     distance, index = (np.asarray(found) for found in KDTree(seeds, boxsize=size).query(places, k=2))

@@ -2,8 +2,8 @@
 """Textures by name: reflectance maps (0 .. 1, linear) and the bright outside (relative radiance).
 
 Photographs come from the scikit-image wheel (its ``data`` folder; only files inside the wheel, nothing is
-ever downloaded), read as 8-bit sRGB and made linear; the others are procedural and seeded.
-Row 0 of every map is its lower edge, since texture v points up.
+downloaded). They are read as 8-bit sRGB and made linear. The others are procedural and seeded. Row 0 of every
+map is its lower edge, since texture v points up.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _blades() -> Doubles:
 
 
 def _quarters() -> Doubles:
-    """For a ball: light and dark gores, so that its turning shows."""
+    """For a ball: light and dark gores, so that its rotation shows."""
     rows, cols = np.indices((128, 256))
     return np.where((cols // 32 + rows // 32) % 2 == 0, 0.78, 0.07)
 
@@ -152,10 +152,10 @@ def _wardrobe() -> Doubles:
 
 
 def _street() -> Doubles:
-    """Draw what is outside: sky with clouds over two rows of facades, trees and a road; relative radiance.
+    """Draw an outside view: sky with clouds over two rows of facades, trees and a road; relative radiance.
 
-    The relative scale is that of a sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07,
-    foliage 0.03 (no source; sensible defaults).
+    The relative scale is that of a sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07, foliage
+    0.03 (no source; sensible defaults).
     """
     from scipy.ndimage import zoom
 
@@ -226,7 +226,7 @@ def photograph(name: str) -> Traversable:
     Raises
     ------
     ConfigError
-        When the installed scikit-image does not carry it.
+        When the installed scikit-image does not include it.
     """
     path = files("skimage") / "data" / PHOTOGRAPHS[name]
     if not path.is_file():
@@ -245,7 +245,7 @@ def reflectance_map(name: str) -> Floats:
     Raises
     ------
     ConfigError
-        For an unknown name, or a photograph that the installed scikit-image does not carry.
+        For an unknown name, or a photograph that the installed scikit-image does not include.
     """
     if check_texture(name) in PROCEDURAL:
         return np.clip(PROCEDURAL[name](), 0, 0.95).astype(np.float32)

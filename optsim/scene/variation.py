@@ -1,7 +1,7 @@
-"""Variations of a scene: named tables of changes, and numbers that draw every range anew.
+"""Variations of a scene: named tables of changes, and numbered random draws of its ranges.
 
-Each key draws from a stream of its own, so one range more or less leaves all others bitwise as they were.
-``3,light=7`` is variation 3 under the light of variation 7: an aspect may follow a number of its own.
+Each key draws from its own random stream, so adding or removing a range leaves all others bitwise the same.
+``3,light=7`` is variation 3 under the light of variation 7: an aspect may have its own number.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ASPECTS = {
 
 @dataclass(frozen=True)
 class Range:
-    """What a key may be.
+    """Allowed values of a key.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Range:
         return float(rng.uniform(self.low, self.high))
 
     def extreme(self, index: int) -> Any:
-        """Choice of this index, round and round, or the low and the high end in turn."""
+        """Choice of this index, modulo their number, or the low and the high end in turn."""
         if self.choices:
             return self.choices[index % len(self.choices)]
         return (self.low, self.high)[index % 2]
@@ -79,7 +79,7 @@ def _number_of(variation: str, key: str) -> int:
 
 
 def varied(table: Table, variation: str, where: str) -> Table:
-    """Table of a scene in one variation, without ``variations`` and ``ranges``.
+    """Build the table of a scene in one variation, without ``variations`` and ``ranges``.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _stream(scene: str, key: str, variation: str) -> np.random.Generator:
 
 
 def extremes(table: Table, where: str) -> Iterator[Table]:
-    """Tables that hold both ends of every interval and every choice at least once: what must be valid."""
+    """Yield tables that cover both ends of every interval and every choice: all must be valid."""
     ranges = find_ranges(table, where)
     plain = {key: value for key, value in table.items() if key not in ("variations", "ranges")}
     for index in range(max((len(item.choices) or 2 for item in ranges), default=0)):
@@ -133,7 +133,7 @@ def find_ranges(table: Table, where: str) -> list[Range]:
     Raises
     ------
     ConfigError
-        When a range is neither ``[low, high]`` nor a table of choices, or for a key that is not there.
+        When a range is neither ``[low, high]`` nor a table of choices, or for an unknown key.
     """
     ranges = table.get("ranges", {})
     if not isinstance(ranges, Mapping):
@@ -174,7 +174,7 @@ def _choices(key: str, value: Table, where: str) -> Range:
 
 
 def _check_place(table: Table, key: str, where: str) -> None:
-    """Check that the table that a key belongs to is there: a range must not bring a thing into the scene."""
+    """Check that a key's table exists: a range must not add an object to the scene."""
     place: Any = table
     for step in key.split(".")[:-1]:
         if isinstance(place, list) and step.isdigit() and int(step) < len(cast("list[Any]", place)):
@@ -211,7 +211,7 @@ def _index(place: Any, step: str) -> int | str:
 
 
 def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> Table:
-    """Table with nested changes laid over it; a name mapped to the empty string is removed."""
+    """Merge nested changes into a table; a name mapped to the empty string is removed."""
     result = dict(table)
     for key, value in changes.items():
         if value == "":
@@ -224,7 +224,7 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> Table:
 
 
 def named_variations(table: Table) -> dict[str, Table]:
-    """Tables of changes by the variation's name, which is neither ``main`` nor a number.
+    """Tables of changes by the variation's name; ``main`` and numbers are no names.
 
     Raises
     ------

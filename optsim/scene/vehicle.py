@@ -26,7 +26,7 @@ _PAINT, _WINDOW, _LAMP = (0.01, 0.49), (0.55, 0.7), (0.8, 0.95)
 
 
 class Wheel(Part):
-    """Wheel of a tyre, spokes and a hub, turning about its axle, at rest or going along.
+    """Wheel of a tyre, spokes and a hub, rotating about its axle, in place or moving along.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Wheel(Part):
     turns_hz : float
         Revolutions per second.
     velocity_m_s : vector
-        Of the hub.
+        Velocity of the hub.
     """
 
     kind: Literal["wheel"] = "wheel"
@@ -113,13 +113,13 @@ class Car(Part):
     Parameters
     ----------
     material, wheel_material : str
-        Of the body (made for the texture ``bodywork``) and of the wheels (``spokes``).
+        Materials of the body (made for the texture ``bodywork``) and of the wheels (``spokes``).
     ground_m : vector
         Point on the ground below its middle at time 0.
     heading_rad : float
-        Azimuth of the way it drives, from the x axis.
+        Azimuth of its driving direction, from the x axis.
     speed_m_s : float
-        Speed; the treads stand still on the ground where they touch it.
+        Speed; the wheels roll without slip.
     """
 
     kind: Literal["car"] = "car"

@@ -1,7 +1,7 @@
 """An articulated person of tapered capsules whose joints follow sinusoids of time.
 
-The gait is a free choice with the phases of human walking (arms against legs, knee bending in the swing
-phase, the trunk bobbing twice a cycle); amplitudes have no source, they are sensible defaults.
+The gait has the phases of human walking: arms against legs, knees bent in the swing phase, two bobs of the
+trunk a cycle. Its amplitudes have no source, they are sensible defaults.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Walker(Part):
     height_m : float
         Height.
     heading_rad : float
-        Azimuth of the direction he faces, from the x axis; -pi/2 is towards a camera that looks along +y.
+        Azimuth of the facing direction, from the x axis; -pi/2 is towards a camera that looks along +y.
     steps_hz : float
         Gait cycles (two steps) per second.
     stride_rad, arm_rad, knee_rad : float
@@ -66,7 +66,7 @@ class Walker(Part):
         return self._posed(time_s).vertices_m
 
     def _posed(self, time_s: float) -> Mesh:
-        """Pose the body in its own frame (x forward, y left, z up), then scaled, turned and placed."""
+        """Pose the body in its own frame (x forward, y left, z up); then scale, rotate and place it."""
         phase = 2 * np.pi * self.steps_hz * (time_s + self.phase_s)
         sway = self.sway_m / 1.75 * self.height_m
         trunk = np.array([0.0, sway * np.sin(phase), sway * np.cos(2 * phase)])
@@ -155,7 +155,7 @@ def _at(x: float, y: float, z: float) -> Doubles:
 
 
 def _swung(angle_rad: float, outward_rad: float = 0.0) -> Doubles:
-    """Return the unit vector that hangs down, swung forward by an angle and outward (to +y) by another."""
+    """Return the unit vector downwards, swung forward by an angle and outward (to +y) by another."""
     return np.array(
         [
             np.sin(angle_rad) * np.cos(outward_rad),

@@ -32,7 +32,7 @@ _LENS = Objective(
     magnification=1.0,
     transmission=0.8,
     glare_share=0.0,
-    wing_share=0.05,
+    tail_share=0.05,
 )
 _RADIANCE = 3.0
 

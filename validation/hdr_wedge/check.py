@@ -34,7 +34,7 @@ FILES = (
     "optsim/calibration/glare.py",
     "optsim/decoding/partial.py",
     "optsim/coding/hdr_mosaic.py",
-    "optsim/coding/tiles.py",
+    "optsim/coding/periodic.py",
     "optsim/calibration/calibration.py",
     "optsim/calibration/demixed.py",
     "optsim/optics/motion.py",

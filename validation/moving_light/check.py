@@ -85,7 +85,7 @@ def _worst() -> float:
         "aberration_m": _SIGMA_M,
         "natural_vignetting": False,
     }
-    lens = prototype().objective.model_copy(update={**plain, "wing_share": 1e-3})
+    lens = prototype().objective.model_copy(update={**plain, "tail_share": 1e-3})
     base, blocks = _scene()
     video = RadianceVideo(
         rows=_ROWS, cols=_COLS, samples_per_pitch=_PITCH, slot_s=1.0, instants_per_slot=1,

@@ -32,7 +32,7 @@ from optsim.coding import (
     RandomExposure,
     Scheme,
 )
-from optsim.coding.tiles import TiledCode
+from optsim.coding.periodic import PeriodicCode
 from optsim.core.quantities import Block, ExposureCode, RadianceVideo, Segment, made_radiance
 from optsim.scene import BrightLight
 
@@ -267,7 +267,7 @@ def _code(camera: CodedCamera, scheme: Scheme) -> ExposureCode:
         if isinstance(each, MotionAdaptive):
             return np.where(np.arange(cols) < cols // 3, levels(each.static), levels(each.moving))
         tiles = each.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(3))
-        return TiledCode(tiles, (rows, cols)).levels(0)
+        return PeriodicCode(tiles, (rows, cols)).levels(0)
 
     return ExposureCode(levels(scheme), np.ones((rows, cols), np.bool_))
 

@@ -56,7 +56,7 @@ _CYCLES = np.arange(1, 11) / 20  # a panel pixel
 _EDGE = Edge(row=0.5, col=0.5, slope=24 / 290, rows=290, reach=128)
 _PANEL = (200, 240)
 _RATIOS = (2.88, 3.0)
-_WING_SHARE = 1e-3  # of the lenses' light that their windows may miss
+_TAIL_SHARE = 1e-3  # of the lenses' light that their windows may miss
 _BRIGHT, _DARK = 0.15, 0.03  # W m^-2 sr^-1: 12 ke- at most
 
 
@@ -86,7 +86,7 @@ def _worst(objective: dict[str, object], relay: dict[str, object]) -> float:
 def _camera(ratio: float, objective: dict[str, object], relay: dict[str, object]) -> CodedCamera:
     """Middle of the prototype, its lenses without what has no closed form or is not blur."""
     camera = prototype()
-    plain = {"wavefront": Wavefront(), "glare_share": 0.0, "wing_share": _WING_SHARE}
+    plain = {"wavefront": Wavefront(), "glare_share": 0.0, "tail_share": _TAIL_SHARE}
     even = {"nonuniformity_rms": 0.0, "stuck_share": 0.0}
     straight = {"ghost_share": 0.0, "distortion": 0.0, "magnification": ratio * _CCD_PITCH_M / _PITCH_M}
     rows, cols = (2 * round(ratio * n / 2) for n in _PANEL)
@@ -180,7 +180,7 @@ def _cut_wings(frequency: np.ndarray, f_number: float, cell_m: float) -> np.ndar
     other, that has a closed form.
     """
     spread_m = _WAVELENGTH_M * f_number
-    half_m = (np.ceil(2 * spread_m / (np.pi**2 * cell_m * _WING_SHARE)) + 0.5) * cell_m
+    half_m = (np.ceil(2 * spread_m / (np.pi**2 * cell_m * _TAIL_SHARE)) + 0.5) * cell_m
     step_m = 1 / (2 * frequency[-1])
     x = np.fft.fftfreq(2 * len(frequency) - 2) * (2 * len(frequency) - 2) * step_m
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Data-sheet instances, a source beside each number."""
+"""Hardware from data sheets, with a source beside each number: cameras, sensors and the panel."""
 
 from collections.abc import Callable
 

@@ -36,7 +36,7 @@ def prototype_relay() -> Relay:
 
 
 def _objective(focal_length_m: float) -> Objective:
-    """Lens data of the prototype's was not found; its aberrations are taken to be those of the relay."""
+    """Objective of the prototype; no lens data was found, so it has the relay's aberrations."""
     return Objective(
         # Tokina, f = 12.5 mm (the paper); its f-number is not given, f/4 is a sensible default. 1.5 is a
         # design choice (no source) that gives a field of 35.5 x 30 degrees.
@@ -71,9 +71,9 @@ def prototype() -> CodedCamera:
 def demo() -> CodedCamera:
     """Return a hypothetical small camera: 160 x 120 panel pixels at exactly 3 CCD pixels each.
 
-    The lens does not exist: its focal length is shortened with the panel, so that the horizontal field
-    is the prototype's 35.5 degrees; so is its aperture, which makes its depth of field that much deeper.
-    The CCD reads a region of interest that leaves 4 pixels around.
+    The lens does not exist. Its focal length shrinks with the panel, so the horizontal field stays at the
+    prototype's 35.5 degrees. Its aperture shrinks too, which increases its depth of field. The CCD reads a
+    region of interest with a margin of 4 pixels.
     """
     full = prototype()
     return full.model_copy(

@@ -1,4 +1,4 @@
-"""Sources of the data sheets' numbers: the comments beside them, which stay the one place that tells them."""
+"""Sources of the data sheets' numbers, read from the comments beside them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from functools import cache
 
 @cache
 def sources(make: Callable[[], object]) -> dict[tuple[str, str], str]:
-    """Return (class, key) -> source, of the numbers in a data sheet or else in what stands around it.
+    """Return (class, key) -> source, for the numbers of a data sheet.
 
-    A comment holds for the key below it and for those that follow it, up to the next comment.
+    A comment holds for the key below it and the following keys, up to the next comment.
     """
     whole = inspect.getsource(inspect.getmodule(make) or make)
     return _in_text(whole) | _in_text(inspect.getsource(make))
@@ -33,7 +33,7 @@ def _in_text(text: str) -> dict[tuple[str, str], str]:
 
 
 def _comment_above(lines: list[str], line: int) -> str:
-    """Comment that ends above a line, which is counted from 1."""
+    """Comment that ends above a line; lines count from 1."""
     comment: list[str] = []
     for above in reversed(lines[: line - 1]):
         if not above.lstrip().startswith("# "):

@@ -1,4 +1,4 @@
-"""The camera's parts with their true parameters."""
+"""The camera's parts with their true parameters: objective, splitter, modulator, relay and CCD."""
 
 from optsim.camera.parts.ccd import Ccd
 from optsim.camera.parts.chain import leak, leak_budget, stage_transmissions, throughput

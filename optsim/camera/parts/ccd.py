@@ -6,10 +6,10 @@
 Source: EMVA Standard 1288, release 4.0 Linear (2021), section 2; the order of clip and noise is that of an
 interline CCD, whose well clips before its output amplifier adds noise.
 
-Smear: while a row is shifted down its column to the output, a little light gets under the shield of each
-row that it passes. Over one readout every pixel of a column passes, in the same time, all of its rows; so it
-collects the column's sum times the shield's leak times the dwell in a row over the exposure. What the column
-sees meanwhile is taken to be what it saw in this very exposure; really it is the beginning of the next.
+Smear: while charge is shifted down its column to the output, a little light leaks under the shield of each
+row it passes. In one readout every pixel passes all rows of its column in the same time. So it collects the
+column's sum times the shield's leak times the dwell in a row over the exposure. The light during readout is
+taken from the frame's own exposure; really it is the start of the next one.
 
 Not modelled: blooming, lag, charge-transfer loss, hot pixels, fixed row and column patterns.
 """
@@ -29,15 +29,15 @@ from optsim.core.quantities import Doubles, Floats, Words
 from optsim.core.threads import side_by_side
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-# Up to this, and this share of the brightest pixel, what is under zero is rounding of the optics' transforms,
-# not negative light: next to 1e12 electrons they round by more than any fixed bound.
+# Below zero by up to this, or this share of the brightest pixel, is rounding of the optics' transforms, not
+# negative light. Next to 1e12 electrons they round by more than any fixed bound.
 _ROUNDING_E, _ROUNDING_SHARE = 1e-6, 1e-14
-# More than any well holds and less than the most that a Poisson generator takes.
+# More than any full well, and less than the largest mean of a Poisson generator.
 _MOST_E = 1e18
 _STREAMS = 8
 _FEWEST_BITS, _MOST_BITS = 8, 16
 _LEAST_RANGE = 10  # of the converter, in standard deviations of read noise; no source
-# Where dark currents are stated.
+# Temperature at which dark currents are stated.
 _DATA_SHEET_C = 25.0
 _PATTERN = 0x63636421  # separates the sensor's fixed patterns from the panel's
 
@@ -48,13 +48,13 @@ class Ccd(Part):
     Parameters
     ----------
     rows, cols : int
-        Pixels read out: the region of interest, in the middle of the chip.
+        Pixels read out: the region of interest, at the centre of the chip.
     pitch_m : float
         Pixel pitch, m.
     quantum_efficiency : float
         Electrons per photon at 550 nm.
     spectral_response : tuple of (float, float)
-        Wavelength, m, and quantum efficiency over that at 550 nm, wavelengths rising; straight between them,
+        Wavelength, m, and quantum efficiency over that at 550 nm, in rising wavelengths. Linear between them,
         unknown beyond. Empty: known at 550 nm only.
     full_well_e : float
         Electrons at which a pixel's well clips (not the EMVA saturation capacity, which lies a little below).
@@ -63,36 +63,35 @@ class Ccd(Part):
     dark_current_e_s : float
         Electrons a second and pixel at 25 degrees C.
     temperature_c : float
-        Temperature of the chip, degrees C, negative in frost. At its default a data sheet's dark
-        current holds as it stands: sheets seldom say at which temperature it was measured.
+        Temperature of the chip, degrees C, may be negative. At the default the data sheet's dark current
+        holds: sheets seldom state the temperature of their measurement.
     dark_doubling_k : float
-        Rise of the temperature that doubles the dark current (EMVA 1288, release 4.0 Linear, section 7.2);
-        7 K has no source, a sensible default for silicon.
+        Rise of the temperature that doubles the dark current (EMVA 1288, release 4.0 Linear, section 7.2); 7
+        K has no source, a sensible default for silicon.
     prnu : float
         Photo response non-uniformity: rms over the pixels, relative to their mean response.
     dsnu_e : float
-        Dark signal non-uniformity: rms over the pixels, whatever the exposure.
+        Dark signal non-uniformity: rms over the pixels, independent of the exposure.
     gain_e : float
         Electrons per digital number.
     bits : int
-        Bits of the converter's digital numbers, of which ``gain_e`` and ``black_dn`` count.
+        Bits of the converter's digital numbers, the units of ``gain_e`` and ``black_dn``.
     black_dn : float
         Black level: the digital number of a pixel without a signal.
     finer_bits : int
-        Bits that the converter has beyond ``bits``, fewer where negative, for the same range of light, of
-        which ``gain_e`` and ``black_dn`` then tell no more than before; 8 to 16 in all, since frames hold no
-        more.
+        Bits of the converter beyond ``bits``, fewer if negative, for the same range of light. ``gain_e`` and
+        ``black_dn`` still refer to ``bits``. In all 8 to 16, the most that frames hold.
     bend_at_full_well : float
-        Share of the signal that is missing at the full well; grows with the fifth power of the signal up to
-        there and stays beyond, where smear may take it.
+        Share of the signal that is missing at the full well. It grows with the fifth power of the signal up
+        to there, and stays constant beyond, which smear may reach.
     readout_s : float
-        Time to read out ``readout_rows`` rows, as a data sheet tells it of the whole chip. A region of
-        interest takes as long a row: rows around it are taken to be dumped in no time. Cameras differ; of an
-        ICX674, 25.0 ms binned 2 x 2 against 39.1 ms hint at up to 0.3 of a row's time for each.
+        Time to read out ``readout_rows`` rows, as a data sheet states it for the whole chip. A region of
+        interest takes the same time a row. Rows around it are assumed to be dumped instantly. Cameras differ:
+        for an ICX674, 25.0 ms binned 2 x 2 against 39.1 ms suggest up to 0.3 of a row's time for each.
     readout_rows : int or None
-        Rows that ``readout_s`` is of; by default those that are read.
+        Rows that ``readout_s`` refers to; by default those that are read.
     smear_share : float
-        Share of the light on a pixel that gets under the shield of its column's register; 0 for CMOS.
+        Share of a pixel's light that leaks under the shield of its column's register; 0 for CMOS.
     """
 
     rows: int = Field(ge=1)
@@ -133,7 +132,7 @@ class Ccd(Part):
         if self.zero_dn >= self.max_dn:
             raise ValueError(
                 f"black_dn: got {self.black_dn:g}, expected less than {2**self.bits - 1}, the most "
-                f"that {self.bits} bits tell; lower it, or take more bits"
+                f"number of {self.bits} bits; lower it, or take more bits"
             )
         least_e = _LEAST_RANGE * max(self.read_noise_e, 1.0)
         if self.range_e < least_e:
@@ -164,7 +163,7 @@ class Ccd(Part):
         Raises
         ------
         ConfigError
-            Where it is not known, or more than 1.
+            Where the efficiency is unknown, or more than 1.
         """
         if wavelength_m == MONO_WAVELENGTH_M:
             return self.quantum_efficiency
@@ -190,7 +189,7 @@ class Ccd(Part):
 
     @property
     def frame_readout_s(self) -> float:
-        """Time to read out a frame: the rows of the region of interest, s."""
+        """Time to read out the rows of the region of interest, s."""
         return self.row_s * self.rows
 
     @property
@@ -233,22 +232,22 @@ class Ccd(Part):
 
     def bent(self, electrons: Doubles) -> Doubles:
         """Signal after the non-linearity, electrons: e (1 - bend min(e / full well, 1)^5)."""
-        # Smear passes the full well. The fifth power, known up to the well only, turns back at 1.4 of it and
-        # reaches zero at twice: a column under a very bright lamp would read black.
+        # Smear may exceed the full well. The fifth power is known up to the well only. It turns back at 1.4
+        # of it and reaches zero at twice: a column under a very bright lamp would read black.
         x = np.minimum(electrons / self.full_well_e, 1)
-        # Repeated products: a general power takes ten times as long on a whole frame.
+        # Repeated products: a general power takes ten times as long on a frame.
         x2 = x * x
         return electrons * (1 - self.bend_at_full_well * x2 * x2 * x)
 
     def smear_e(self, expected_e: Doubles, exposure_s: float) -> Doubles:
-        """Electrons that smear adds to every pixel of a column on average, (x,): wells never limit it.
+        """Mean electrons that smear adds to every pixel of a column, (x,); the well does not limit it.
 
         Parameters
         ----------
         expected_e : ndarray of shape (y, x), float64
-            Electrons of the exposure on average. The dark ones are no light: nothing of them is smeared.
+            Expected electrons of the exposure. Dark electrons are not smeared.
         exposure_s : float
-            Time in which they were collected.
+            Exposure time, s.
         """
         dwell_s, dark_e = self.row_s, self.dark_rate_e_s * exposure_s
         light_e = np.maximum(expected_e, dark_e).sum(axis=0) - len(expected_e) * dark_e
@@ -270,23 +269,23 @@ class Ccd(Part):
         Parameters
         ----------
         expected_e : ndarray of shape (y, x), float64
-            Before any clip; negative where the light is (Monte-Carlo noise).
+            Expected electrons before any clip; negative where the light is (Monte-Carlo noise).
         exposure_s : float
-            Time in which they were collected.
+            Exposure time, s.
         serial_number : int
             Seed of the fixed patterns.
         rng : Generator
-            Of this frame's shot and read noise.
+            Generator of this frame's shot and read noise.
 
         Returns
         -------
         dn : ndarray of shape (y, x), uint16
             Raw frame.
         negative_light : int
-            Pixels whose expected light was negative, taken as dark.
+            Pixels with negative expected light, exposed as dark.
         """
         smear = self.smear_e(expected_e, exposure_s)
-        # Its shot noise is Gaussian where it is more than read noise.
+        # Smear's shot noise is Gaussian wherever it exceeds the read noise.
         noise = np.sqrt(self.read_noise_e**2 + smear).astype(np.float32)
         dark = self.dark_signal_e(serial_number)
         dn = np.empty(expected_e.shape, np.uint16)
@@ -304,7 +303,7 @@ class Ccd(Part):
             np.clip(np.rint(signal / self.step_e + self.zero_dn), 0, self.max_dn, out=signal)
             dn[rows] = signal
 
-        # As many streams of noise as strips, whatever the number of cores: frames don't depend on it.
+        # One noise stream a strip, so frames don't depend on the number of cores.
         side_by_side(lambda n=n, draw=draw: strip(n, draw) for n, draw in enumerate(rng.spawn(_STREAMS)))
         return dn, int(negative.sum())
 

@@ -1,4 +1,4 @@
-"""What splitter, polarisers and panel let through together: contrast is an output, never an input."""
+"""Joint transmission of splitter, polarisers and panel: contrast is an output, never an input."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from optsim.core.quantities import Doubles
 from optsim.optics.mueller import UNPOLARISED
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-_PERFECT = 1e12  # contrast of a polariser that lets nothing else through
+_PERFECT = 1e12  # contrast of an ideal polariser
 
 
 def stage_transmissions(
@@ -21,7 +21,7 @@ def stage_transmissions(
     x_m: Doubles,
     wavelength_m: float = MONO_WAVELENGTH_M,
 ) -> Doubles:
-    """Power transmission of the way in, of the panel and of the way out, for unpolarised light.
+    """Power transmission of the path in, of the panel and of the path out, for unpolarised light.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ def stage_transmissions(
     retardance_rad : float
         Round-trip retardance of the panel: 0 dark, pi bright.
     panel_f_number : float
-        Of the cone that lands on the panel, taken as evenly filled.
+        f-number of the cone on the panel, taken as evenly filled.
     x_m : ndarray of shape (point,), float64
-        Places on the panel from the axis, along its rows.
+        Positions on the panel from the axis, along its rows.
     wavelength_m : float
-        Of the light, m; in it the panel has the given retardance.
+        Wavelength of the light, m; the retardance holds in it.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def stage_transmissions(
     out = (splitter.outbound(rays, wavelength_m) @ back[..., None])[..., 0]
     passed = np.stack([stokes[..., 0].mean(axis=-1) for stokes in (at_panel, back, out)])
     before = passed[:-1].copy()
-    # Of no light nothing passes: a coating far from its angle, or ideal polarisers that are crossed.
+    # No light in gives no light out: a coating far from its angle, or crossed ideal polarisers.
     passed[1:] = np.divide(passed[1:], before, out=np.zeros_like(before), where=before > 0)
     return passed
 
@@ -77,7 +77,7 @@ def leak(
 ) -> Doubles:
     """Transmission fully off over fully on at points of the panel, (point,): one over the system contrast.
 
-    0 where nothing passes at all.
+    0 where no light passes at all.
     """
     ends = (0.0, modulator.white_rad(wavelength_m))
     off, on = (throughput(splitter, modulator, g, panel_f_number, x_m, wavelength_m) for g in ends)
@@ -91,9 +91,9 @@ def leak_budget(
     x_m: Doubles,
     wavelength_m: float = MONO_WAVELENGTH_M,
 ) -> dict[str, Doubles]:
-    """Leak of each source by itself, and of all together, at points of the panel, (point,).
+    """Leak by each source alone and by all together, at points of the panel, (point,).
 
-    Arguments as of :func:`leak`. One over the contrast is nearly the sum of what each source would leave with
+    Arguments as of :func:`leak`. One over the contrast is nearly the sum of the leaks of each source with
     everything else perfect.
     """
     perfect_cube = splitter.model_copy(update={"placement": "collimated", "cleanup_contrast": _PERFECT})
@@ -116,7 +116,7 @@ def leak_budget(
 
 
 def _only(modulator: Modulator, *flaws: str) -> Modulator:
-    """Return a panel that leaks in these ways alone."""
+    """Return a panel with these flaws alone."""
     leaks = {"depolarised_share", "gap_reflectivity"}
     return modulator.model_copy(update=dict.fromkeys(leaks - {*flaws}, 0.0))
 

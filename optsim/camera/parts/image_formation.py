@@ -1,5 +1,8 @@
 # pyright: reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
-"""The objective applied to a video: lazy, negative light kept; linear, but that it makes none itself."""
+"""The objective applied to a lazy video: scene radiance -> irradiance on the modulator.
+
+It is linear, and negative Monte-Carlo light is kept; it makes no negative light itself.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ from optsim.optics.integrate import cell_means
 from optsim.optics.moving_blur import blur_moving
 from optsim.optics.pixel_splines import draw_row, splines
 from optsim.optics.psf import Blur, extend, make_blur
+from optsim.optics.psf_tails import Ring, cut_softly, far_light, keep_above_zero, make_tails, moving_ends
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
-from optsim.optics.wings import Ring, cut_softly, far_light, keep_above_zero, make_wings, moving_ends
 
 
 def form_image(
@@ -32,9 +35,9 @@ def form_image(
 ) -> IrradianceVideo:
     """Irradiance on the modulator: blur, cos^4, radiance to irradiance, veiling glare.
 
-    The far wings of the PSF and the veiling glare get moving light as the straight line in time that fits
-    it best within a segment; what deviates from the line is dropped (far below the wings and the glare). With
-    a ``moving_wing_share`` of 0 every instant is imaged as a still picture is.
+    PSF tails and veiling glare see moving light as its best straight line in time within a segment. The
+    deviation from the line is dropped (far below the tails and the glare). With a ``moving_tail_share`` of 0
+    every instant is imaged like a still picture.
 
     Parameters
     ----------
@@ -47,19 +50,19 @@ def form_image(
     kept_segments : int
         Segments kept for the next use.
     wavelength_m : float
-        Of the light, m.
+        Wavelength of the light, m.
 
     Returns
     -------
     IrradianceVideo
-        On the same grid; nothing is computed until a segment is asked for.
+        On the same grid; a segment is computed when it is read.
     """
     shape = (radiance.rows, radiance.cols)
     pitch = radiance.samples_per_pitch
     cell_m = pitch_m / pitch
     f_number = objective.working_f_number
     psf = objective.psf(f_number, cell_m, shape, 0.0, wavelength_m)
-    moving_share = objective.moving_wing_share
+    moving_share = objective.moving_tail_share
     core_half = (
         objective.half_width(f_number, cell_m, moving_share, wavelength_m) if moving_share else psf.half
     )
@@ -72,7 +75,7 @@ def form_image(
         return blurs.collected(image) * factor
 
     def key_image(image: Floats) -> Doubles:
-        """Image of a key, remembered: a segment starts with the key that the last one stopped with."""
+        """Image of a key, remembered: a segment starts with the last one's final key."""
         for seen, result in seen_keys:
             if seen is image or np.array_equal(seen, image):
                 return result
@@ -96,15 +99,15 @@ def form_image(
             float(key.mean()) + float(np.einsum("yx,yx->", line, factor)) / key.size
             for key, line in zip(keys, moving, strict=True)
         ]
-        if not blurs.wings:
+        if not blurs.tails:
             ends = [_with_glare(key, flux, share) for key, flux in zip(keys, fluxes, strict=True)]
         else:
-            far = far_light(moving, blurs.wings, pitch)
+            far = far_light(moving, blurs.tails, pitch)
             ends = [
                 _with_far_light(key, wide, near, flux * share, 1 - share)
                 for key, wide, flux in zip(keys, far, fluxes, strict=True)
             ]
-        # A base that is below zero is no light but the difference of two.
+        # A negative base is not light but the difference of two lights.
         if min(end.min() for end in ends) < 0 <= min(segment.start.min(), segment.stop.min()):
             keep_above_zero(ends[0], ends[1])
         blocks = blur_moving(segment.blocks, blurs.core, pitch, near)
@@ -125,32 +128,32 @@ def form_image(
 
 @dataclass(frozen=True, eq=False)
 class _Blurs:
-    """A PSF made ready for a field, turned by half a turn.
+    """A PSF prepared for a field, rotated by half a turn.
 
-    Along a ray radiance stays, so a point of the image collects from around with weights that sum to one.
+    Radiance is constant along a ray, so a point of the image collects with weights that sum to one.
 
     Parameters
     ----------
     core : FieldPsf
-        What moving light gets in each instant.
-    wings : tuple of Ring
-        What it gets as a straight line in time.
+        PSF core, applied to moving light in each instant.
+    tails : tuple of Ring
+        PSF tails, applied to the straight line in time.
     reach : int
-        Half width of the whole.
+        Half width of the whole PSF.
     common : Blur
-        Part that is the same everywhere, on the field and ``reach`` around it.
+        Part that is the same everywhere, on the field and a margin of ``reach``.
     varying : FieldBlur or None
-        The other part, on the field.
+        The part that varies, on the field.
     """
 
     core: FieldPsf
-    wings: tuple[Ring, ...]
+    tails: tuple[Ring, ...]
     reach: int
     common: Blur
     varying: FieldBlur | None
 
     def collected(self, image: Floats) -> Doubles:
-        """Image of a picture that does not end where the panel does."""
+        """Image of a picture that continues beyond the panel's edge."""
         reach = self.reach
         wide = extend(image, reach).astype(np.float64)
         light = self.common.adjoint(wide)[reach : reach + len(image), reach : reach + image.shape[1]]
@@ -160,15 +163,15 @@ class _Blurs:
         return light + self.varying.collect(wide[rest : len(wide) - rest, rest : wide.shape[1] - rest])
 
 
-# Kept, since a camera takes many videos; two, since they are as large as many pictures.
+# Cached, since a camera takes many videos; only two, since each is as large as many pictures.
 @lru_cache(maxsize=2)
 def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) -> _Blurs:
     turned = reversed_psf(psf)
-    core, wings = cut_softly(turned, core_half)
+    core, tails = cut_softly(turned, core_half)
     wide = (shape[0] + 2 * psf.half, shape[1] + 2 * psf.half)
     return _Blurs(
         core,
-        make_wings(wings, pitch, shape),
+        make_tails(tails, pitch, shape),
         psf.half,
         make_blur(turned.common, wide, wraps=True),
         varying_blur(turned.cores, shape) if psf.cores.size else None,
@@ -178,7 +181,7 @@ def _blurs(psf: FieldPsf, core_half: int, pitch: int, shape: tuple[int, int]) ->
 def _each_instant(
     segment: Segment, still: Callable[[Floats], Doubles], glare_share: float
 ) -> tuple[Block, ...]:
-    """Image of moving light in each instant, as of a picture of its own: it covers the field."""
+    """Image moving light instant by instant, each as a picture of the whole field."""
     if not segment.blocks:
         return ()
     dark = np.zeros_like(segment.start)
@@ -195,17 +198,17 @@ def _with_own_glare(image: Doubles, share: float) -> Floats:
 
 
 def _with_glare(image: Doubles, flux: float, share: float) -> Floats:
-    """Take a share of the light away and spread as much of the mean light evenly over the field."""
+    """Spread a share of the light evenly over the field."""
     return ((1 - share) * image + share * flux).astype(np.float32)
 
 
 def _with_far_light(key: Doubles, far: Doubles, factor: Floats, evenly: float, kept: float) -> Floats:
-    """Keep a share of a key's image; add far light, given as splines of panel pixels, and glare."""
+    """Keep a share of a key's image; add glare, and the light of PSF tails as splines of panel pixels."""
     shares = splines(len(key) // len(far))
     if key.size < FEW:
         return (kept * key + factor * fine_image(far, shares) + evenly).astype(np.float32)
     result = np.empty(key.shape, np.float32)
-    # Beyond the panel's edge the nearest pixel counts.
+    # Beyond the panel's edge the nearest pixel's value is used.
     around = np.pad(far, 1, mode="edge")
     in_bands(len(key), lambda a, b: _add_far(key, around, shares, factor, evenly, kept, a, b, result))
     return result

@@ -1,8 +1,10 @@
-"""What objective and relay have in common: a blur with aberrations, and a veil."""
+"""Base of objective and relay: a PSF with aberrations, and veiling glare."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -13,38 +15,43 @@ from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.psf import kernel_half_width, psf_kernel
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-LARGEST_WING_SHARE = 0.1  # of a PSF's energy: windows then end at the second dark ring of an Airy pattern
-# Half of the largest window of a PSF, cells: 0.5 GB, and a few times that while it is made.
+LARGEST_TAIL_SHARE = 0.1  # of a PSF's energy: windows then end at the second dark ring of an Airy pattern
+# Half width of the largest PSF window, cells: 0.5 GB, and a few times that while it is made.
 _LARGEST_HALF = 4096
-# Rms waves of a wavefront, all aberrations together: worse lenses make no picture, and take minutes to model.
+# Rms waves of a wavefront, all aberrations together: worse lenses form no image, and take minutes to model.
 _MOST_WAVES = 3.0
 
 
 class LensGroup(Part):
-    """A group of lenses that makes an image.
+    """A group of lenses that forms an image.
 
     Parameters
     ----------
     aberration_m : float
-        Standard deviation in its image of a Gaussian that stands for whatever the wavefront leaves out.
+        Standard deviation in its image of a Gaussian that stands for aberrations outside ``wavefront``.
     diffraction : bool
-        Whether its aperture blurs, and with it its wavefront; the Gaussian does anyway.
+        Whether aperture and wavefront blur; the Gaussian does anyway.
     wavefront : Wavefront
-        Its third-order aberrations, path differences that are the same in every light.
+        Its third-order aberrations; the path differences are the same at every wavelength.
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over its image.
-    wing_share : float
-        Share of the PSF's energy that may lie outside its window; it stays with its point.
+    tail_share : float
+        Share of the PSF's energy that may lie outside its window; it is added to the central cell.
     field_error : float
-        Share of a point's light that may be misplaced since the PSF is interpolated over the field; 1 makes
-        it the same everywhere.
+        Share of a point's light that interpolating the PSF over the field may misplace; 1 makes the PSF the
+        same everywhere.
     """
+
+    OLD_KEYS: ClassVar[Mapping[str, str]] = {
+        "wing_share": "tail_share",
+        "moving_wing_share": "moving_tail_share",
+    }
 
     aberration_m: float = Field(ge=0)
     diffraction: bool = True
     wavefront: Wavefront = Wavefront()
     glare_share: float = Field(ge=0, lt=1)
-    wing_share: float = Field(default=1e-3, ge=1e-4, le=LARGEST_WING_SHARE)
+    tail_share: float = Field(default=1e-3, ge=1e-4, le=LARGEST_TAIL_SHARE)
     field_error: float = Field(default=0.02, ge=1e-3, le=1)
 
     def psf(
@@ -60,7 +67,7 @@ class LensGroup(Part):
         Parameters
         ----------
         f_number : float
-            Of the cone that lands there.
+            f-number of the cone on the image.
         cell_m : float
             Side of a cell, m.
         sides : tuple of int
@@ -68,41 +75,41 @@ class LensGroup(Part):
         defocus_m : float
             Distance from the sharp image, m.
         wavelength_m : float
-            Of the light, m.
+            Wavelength of the light, m.
 
         Raises
         ------
         ConfigError
-            When its window would be too large for any memory.
+            When its window would not fit into memory.
         """
         self._check_window(f_number, cell_m, defocus_m, wavelength_m)
         wavefront = self.wavefront.in_light_of(wavelength_m)
-        numbers = (self.aberration_m, self.wing_share, self.field_error, f_number, cell_m, defocus_m)
-        # A frozen model has a hash, which its types don't tell.
+        numbers = (self.aberration_m, self.tail_share, self.field_error, f_number, cell_m, defocus_m)
+        # A frozen model is hashable, but its type does not declare it.
         return _psf(wavefront, self.diffraction, sides, *numbers, wavelength_m)  # pyright: ignore[reportArgumentType]
 
     def half_width(
-        self, f_number: float, cell_m: float, wing_share: float, wavelength_m: float = MONO_WAVELENGTH_M
+        self, f_number: float, cell_m: float, tail_share: float, wavelength_m: float = MONO_WAVELENGTH_M
     ) -> int:
-        """Cells from the centre to the edge of a PSF's window that misses a share of the light.
+        """Half width in cells of a PSF window that misses a share of the light.
 
         Parameters
         ----------
         f_number, cell_m, wavelength_m : float
             As in :meth:`psf`.
-        wing_share : float
+        tail_share : float
             Share of the light.
         """
-        return kernel_half_width(wavelength_m, f_number, cell_m, wing_share)
+        return kernel_half_width(wavelength_m, f_number, cell_m, tail_share)
 
     def _check_window(self, f_number: float, cell_m: float, defocus_m: float, wavelength_m: float) -> None:
         part = f"camera.{type(self).__name__.lower()}"
-        half = self.half_width(f_number, cell_m, self.wing_share, wavelength_m)
+        half = self.half_width(f_number, cell_m, self.tail_share, wavelength_m)
         if self.diffraction and half > _LARGEST_HALF:
             raise ConfigError(
-                f"{part}.wing_share: got {self.wing_share:g}, at f/{f_number:.3g} and cells of "
+                f"{part}.tail_share: got {self.tail_share:g}, at f/{f_number:.3g} and cells of "
                 f"{cell_m * 1e6:.3g} um the PSF would reach {half} cells, expected at most {_LARGEST_HALF}; "
-                f"raise it to {self.wing_share * half / _LARGEST_HALF * 1.05:.2g}, or lower the f-number"
+                f"raise it to {self.tail_share * half / _LARGEST_HALF * 1.05:.2g}, or lower the f-number"
             )
         waves = sum(abs(value) for _, value in self.wavefront)
         if self.diffraction and not waves <= _MOST_WAVES:
@@ -118,14 +125,14 @@ class LensGroup(Part):
             )
 
 
-# Kept by the numbers that matter: cameras are copied with other densities all the time.
+# Cached by the relevant numbers only: cameras are often copied with another neutral density.
 @lru_cache(maxsize=16)
 def _psf(
     wavefront: Wavefront,
     diffraction: bool,
     sides: tuple[int, int],
     sigma_m: float,
-    wing_share: float,
+    tail_share: float,
     field_error: float,
     f_number: float,
     cell_m: float,
@@ -134,9 +141,9 @@ def _psf(
 ) -> FieldPsf:
     disc_m = abs(defocus_m) / f_number
     kernel = psf_kernel(
-        f_number, sigma_m, cell_m, wavelength_m, wing_share, disc_m=disc_m, diffraction=diffraction
+        f_number, sigma_m, cell_m, wavelength_m, tail_share, disc_m=disc_m, diffraction=diffraction
     )
-    # Without diffraction the plane out of focus blurs by geometry's disc, which the kernel holds.
+    # Without diffraction defocus blurs by the geometrical disc, which is part of the kernel.
     if not diffraction:
         return uniform(kernel)
     return field_psf(

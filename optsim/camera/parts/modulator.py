@@ -17,7 +17,7 @@ from optsim.optics.rims import RimModel, Rims
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
 _TAU_PER_DEGREE = 0.03
-_SHARP_PX = 1e-3  # narrower borders have no rims to speak of
+_SHARP_PX = 1e-3  # narrower borders need no fringe-field correction
 _FARTHEST = 4.0  # standard deviations of jitter at most: it lies beyond once in 16 000 frames
 _Drive = Annotated[float, Field(ge=0.5, le=1.5)]
 
@@ -30,54 +30,55 @@ class Modulator(Part):
     pitch_m : float
         Pixel pitch, m.
     rows, cols : int
-        Pixels of the whole panel, of which the camera uses some in the middle.
+        Pixels of the whole panel; the camera uses some around its centre.
     field_rate_hz : float
         Patterns a second: one slot lasts one field.
     mirror_reflectivity : float
         Share of the light that the pixels' mirrors reflect, gaps left out.
     fill_factor : float
-        Share of a pitch cell that its mirror covers. The fine grid is too coarse to show the gaps, so
-        their loss and their light are spread evenly.
+        Share of a pitch cell that its mirror covers. The fine grid does not resolve the gaps, so their loss
+        and light are spread evenly.
     gap_reflectivity : float
-        Share of the light that the gaps between the mirrors reflect. Nothing drives the crystal there, and
-        all states of polarisation come back: as unpolarised light.
+        Share of the light that the gaps between the mirrors reflect. The crystal is not driven there, and the
+        light comes back unpolarised.
     tau_on_s, tau_off_s : float
         Time constants towards larger and smaller retardance, at 25 degrees C.
     temperature_c : float
-        Temperature of the crystal, degrees C, negative in frost: the time constants fall by 3 % a degree (no
+        Temperature of the crystal, degrees C, may be negative: the time constants fall by 3 % a degree (no
         source, a sensible default).
     half_wave_m : float
-        Wavelength at which level 255 is a half wave there and back, the brightest there is: in other light
-        its retardance is larger or smaller by the ratio of the two, since the path difference is taken to be
-        the same (dispersion of the crystal's birefringence is not modelled). 550 nm has no source.
+        Wavelength at which level 255 is a half wave there and back, the brightest state. At another
+        wavelength the retardance scales with the ratio of the two, for a constant path difference (dispersion
+        of the birefringence is not modelled). 550 nm has no source.
     stated_half_wave_m : float or None
-        ``half_wave_m`` as a data sheet tells it, which is all that a bench is told; None: the data sheet is
-        right. Where it is 2 % wrong the bench's weights of slots are 0.12 % off, rms; 5 % make 0.31 %: the
-        grey curve's exponent and ``tau_on_s``, 8 and 20 % off, take up the rest.
+        ``half_wave_m`` as stated in the data sheet, the only value given to a bench. None: the data sheet is
+        right. An error of 2 % puts the bench's slot weights off by 0.12 % rms, 5 % by 0.31 %. The grey
+        curve's exponent and ``tau_on_s``, 8 and 20 % off, absorb the rest.
     drive_exponent : float
         Exponent of retardance against drive level: white times (level / 255) to this power.
     field_drive : tuple of three float
         Relative retardance of the three colour fields, shown in turn; all 1 for a panel without colours.
     polarity_drive : float
-        Relative change of the retardance with the sign of the voltage, which turns from slot to slot.
+        Relative change of the retardance with the sign of the voltage, which alternates from slot to slot.
     delay_s : float
-        When the first row of the used panel turns to a slot's level, after the shutter's clock; negative is
-        early. The last slot of a frame then ends with the level of its first: the next code isn't known yet.
+        Delay at which the first used row is driven to a slot's level, after the shutter's clock. If negative,
+        it is early: the last slot of a frame then ends with the level of its first, since the next code isn't
+        known yet.
     scan_s : float
-        How much later than the first the row after the panel's last one would turn; rows go downwards.
+        Duration of the scan: from the first row to one after the panel's last; rows go downwards.
     jitter_s : float
-        Standard deviation of the delay from frame to frame, which is never more than four of these off.
+        Standard deviation of the delay from frame to frame, cut at four of these.
     fringing_px : float
-        Standard deviation of the blur that fringing fields make of the retardance, panel pixels.
+        Standard deviation of the retardance blur by fringing fields, panel pixels.
     rim_model : {"fine", "coarse", "mixed"}
-        How finely the rims that they bend are found (:mod:`optsim.optics.rims`); ``mixed`` leaves it at
-        mixing the weights of neighbours.
+        Accuracy of the fringe-field correction at pixel edges (:mod:`optsim.optics.rims`); ``mixed`` only
+        mixes the weights of neighbours.
     depolarised_share : float
         Share of the reflected light that is no longer polarised; half of it passes the analyser.
     nonuniformity_rms : float
-        Rms of the relative reflectivity over the panel, smooth.
+        Rms of the relative reflectivity over the panel; the pattern is smooth.
     stuck_share : float
-        Share of the pixels that stand still, dark or bright.
+        Share of stuck pixels, dark or bright.
     """
 
     pitch_m: float = Field(gt=0, le=1e-3)
@@ -122,12 +123,12 @@ class Modulator(Part):
 
     @property
     def reflectivity(self) -> float:
-        """Of the mirrors, on a whole pitch cell."""
+        """Reflectivity of the mirrors, averaged over a pitch cell."""
         return self.mirror_reflectivity * self.fill_factor
 
     @property
     def drives(self) -> tuple[float, ...]:
-        """Relative retardance of six successive slots: three colours, whose sign turns from slot to slot."""
+        """Relative retardance of six successive slots: three colours with alternating sign."""
         signs = (1, -1) * 3
         return tuple(
             field * (1 + sign * self.polarity_drive)
@@ -139,23 +140,23 @@ class Modulator(Part):
         return np.pi * (self.half_wave_m / wavelength_m)
 
     def stated_white_rad(self, wavelength_m: float) -> float:
-        """Return what :meth:`white_rad` is by the data sheet, rad."""
+        """Return :meth:`white_rad` by the data sheet, rad."""
         return np.pi * ((self.stated_half_wave_m or self.half_wave_m) / wavelength_m)
 
     def response(self, leak: float, rows: int, wavelength_m: float = MONO_WAVELENGTH_M) -> PanelResponse:
-        """How the panel answers its drive.
+        """Temporal response of the panel to its drive.
 
         Parameters
         ----------
         leak : float
             Off over on of the whole chain.
         rows : int
-            Rows used, from the middle of the panel.
+            Rows used, around the centre of the panel.
         wavelength_m : float
-            Of the light, m.
+            Wavelength of the light, m.
         """
         slower = np.exp(-_TAU_PER_DEGREE * (self.temperature_c - 25))
-        # More rows than there are don't fit (geometry.py says so); here they only scan as a larger panel's.
+        # More rows than the panel has are refused by geometry.py; here they scan like a larger panel's.
         there = max(self.rows, rows)
         first = (there - rows) / 2 / there
         drive = self.drives
@@ -180,14 +181,14 @@ class Modulator(Part):
         leaks: Doubles,
         pitch: int,
     ) -> Rims | None:
-        """Rims of pixels of ``pitch`` fine cells, else as :class:`Rims`; None where mixing has to do."""
+        """Fringe-field correction for pixels of ``pitch`` fine cells; None where mixing suffices."""
         if self.fringing_px < _SHARP_PX or self.rim_model == "mixed":
             return None
         blur = self.fringing_px, pitch, self.rim_model
         return Rims(levels, start, response, slot_s, instants_per_slot, leaks, *blur)
 
     def lateness_s(self, slots_shown: int, serial_number: int) -> float:
-        """How much more than ``delay_s`` a frame is late that begins after so many slots, s."""
+        """Extra delay beyond ``delay_s`` of a frame that begins after so many slots, s."""
         if not self.jitter_s:
             return 0.0
         rng = np.random.default_rng([serial_number, _PATTERN, 2, slots_shown])
@@ -196,8 +197,8 @@ class Modulator(Part):
     def mueller(self, retardance_rad: float) -> Doubles:
         """Mueller matrix of the panel in reflection, the mirror's flip included once.
 
-        The round-trip retardance is that of one equivalent retarder before the mirror: with the flip
-        after it, retardance 0 stays dark and pi is bright between crossed polarisers.
+        The round-trip retardance is that of one equivalent retarder before the mirror. With the flip after
+        it, retardance 0 is dark and pi is bright between crossed polarisers.
         """
         retarder = mirror() @ retarder_45(retardance_rad)
         pixels = self.reflectivity * depolariser(self.depolarised_share) @ retarder
@@ -208,7 +209,7 @@ class Modulator(Part):
         return _smooth_pattern(rows, cols, self.nonuniformity_rms, serial_number)
 
     def stuck(self, rows: int, cols: int, serial_number: int) -> tuple[Bools, Bytes]:
-        """Pixels that stand still, (v, u), and the level, 0 or 255, that each would stand at."""
+        """Stuck pixels, (v, u), and the level, 0 or 255, at which each pixel would be stuck."""
         rng = np.random.default_rng([serial_number, _PATTERN, 1])
         stuck = rng.random((rows, cols)) < self.stuck_share
         return stuck, rng.integers(0, 2, (rows, cols), dtype=np.uint8) * np.uint8(255)
@@ -216,7 +217,7 @@ class Modulator(Part):
 
 @lru_cache(maxsize=8)
 def _smooth_pattern(rows: int, cols: int, rms: float, serial_number: int) -> Floats:
-    """One plus a random mixture of the 15 lowest cosines of the rectangle, of a given rms."""
+    """One plus a random mixture of the 15 lowest cosines over the rectangle, of a given rms."""
     rng = np.random.default_rng([serial_number, _PATTERN, 0])
     y = (np.arange(rows) + 0.5) / rows
     x = (np.arange(cols) + 0.5) / cols
@@ -225,8 +226,8 @@ def _smooth_pattern(rows: int, cols: int, rms: float, serial_number: int) -> Flo
         for j in range(4):
             if i or j:
                 pattern += rng.standard_normal() * np.outer(np.cos(np.pi * i * y), np.cos(np.pi * j * x))
-    # A line of pixels sees the cosines across it as a constant, and a single pixel has no spread.
+    # On a line of pixels the cosines across it are constant, and a single pixel has no spread.
     pattern -= pattern.mean()
     spread = pattern.std()
-    # The largest rms may reach below nothing in a corner.
+    # The largest rms may give a negative reflectivity in a corner.
     return np.maximum(1 + rms * pattern / (spread if spread > 0 else 1), 0).astype(np.float32)

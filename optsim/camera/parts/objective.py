@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optsim.camera.parts.lens import LARGEST_WING_SHARE, LensGroup
+from optsim.camera.parts.lens import LARGEST_TAIL_SHARE, LensGroup
 from optsim.core.quantities import Doubles
 from optsim.core.units import parse_quantity
 from optsim.optics.lens import STRONGEST_DISTORTION
@@ -15,17 +15,18 @@ from optsim.optics.radiometry import clipped_pupil, cos4, irradiance_factor
 
 _FOCUS_WORDS = ("target", "everywhere")
 _EITHER_WORD = ", ".join(_FOCUS_WORDS)
-# What plans mostly take for a tenth of the noise. Where all of the prototype's field moves, a window in it, a
-# frame is then off by half of that (`optsim bench capture`), by what is not straight in time.
-MOVING_WING_SHARE = 3.5e-3
+# The share that plans mostly choose at a tolerance of a tenth of the noise. If the prototype's whole field
+# moves, with a window in it, a frame is off by half of that (`optsim bench capture`), by light that is not
+# straight in time.
+MOVING_TAIL_SHARE = 3.5e-3
 
 
 class Objective(LensGroup):
-    """A thin lens with distortion whose image is laid on the modulator at a magnification.
+    """A thin lens with distortion; its image is relayed onto the modulator at a magnification.
 
-    What depends on depth, and which way it looks, is the renderer's business: it begins its paths on the
-    lens. The scale of the image is that of a focus at infinity: the image moves away from the lens by the
-    share focal length over focus, 0.2 % for 12.5 mm at 7 m, which the magnification is taken to undo.
+    Defocus by depth and the lens's direction belong to the renderer: it starts its paths on the lens. The
+    image scale is that of a focus at infinity. For a nearer focus the image moves away from the lens by focal
+    length over focus, 0.2 % for 12.5 mm at 7 m. The magnification is assumed to undo this.
 
     Parameters
     ----------
@@ -44,22 +45,22 @@ class Objective(LensGroup):
     glare_share : float
         Share of the light that veiling glare (ISO 9358) spreads evenly over the field; 0.25 % has no source.
     natural_vignetting : bool
-        Whether irradiance falls with cos^4 of the field angle, as distortion crowds or spreads it.
+        Whether irradiance falls with cos^4 of the field angle, corrected for distortion.
     clipped_share : float
-        Share of the pupil that a rim hides at the corners of the used field: mechanical vignetting. It takes
-        light; the shape of the PSF and of what is out of focus stays that of the whole pupil.
+        Mechanical vignetting: share of the pupil hidden by a lens rim at the corners of the used field. It
+        takes light; PSF and bokeh keep the shape of the whole pupil.
     focus_m : float, "target" or "everywhere"
-        Depth in focus along the axis, m; that of the scene camera's target; or no depth of field at all. No
-        source: whoever takes a picture focuses on its subject.
+        Depth in focus along the axis, m; "target" is the scene camera's target; "everywhere" has no defocus.
+        The default has no source: a photographer focuses on the subject.
     defocus_per_m : float
-        By how much the focus lies too near, dioptres: 1/m.
+        Focus error, positive if too near, dioptres: 1/m.
     distortion : float
-        Relative displacement of what belongs into the corner of the used panel, growing with the square of
-        the distance from the middle; positive is a pincushion, negative
-        a barrel, as in the relay.
-    moving_wing_share : float
-        Share of the PSF's energy that moving light gets as its wings, coarser and along straight lines in
-        time, and with it its veiling glare (see forward/wings.py); 0 images every instant by itself.
+        Relative radial displacement at the corner of the used panel; it grows with the square of the distance
+        from the centre. Positive is a pincushion, negative a barrel, as in the relay.
+    moving_tail_share : float
+        Share of the PSF's energy in its tails for moving light (:mod:`optsim.optics.psf_tails`). Tails and
+        veiling glare are computed on a coarser grid and on straight lines in time. 0 images every instant
+        separately.
     """
 
     focal_length_m: float = Field(default=12.5e-3, gt=0, le=1)
@@ -74,12 +75,12 @@ class Objective(LensGroup):
     focus_m: float | Literal["target", "everywhere"] = "target"
     defocus_per_m: float = Field(default=0.0, ge=0, le=10)
     distortion: float = Field(default=0.0, ge=-STRONGEST_DISTORTION, le=STRONGEST_DISTORTION)
-    moving_wing_share: float = Field(default=MOVING_WING_SHARE, ge=0, le=LARGEST_WING_SHARE)
+    moving_tail_share: float = Field(default=MOVING_TAIL_SHARE, ge=0, le=LARGEST_TAIL_SHARE)
 
     @field_validator("focus_m", mode="before")
     @classmethod
     def _distance_or_word(cls, value: object) -> object:
-        """Read a length with its unit; the two words stay."""
+        """Read a length with its unit; the two words pass unchanged."""
         if not isinstance(value, str) or value in _FOCUS_WORDS:
             return value
         try:

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false
-"""The relay from the panel to the CCD: its numbers and the operator they give."""
+"""The relay from the panel to the CCD: its parameters, geometry and linear operator."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from scipy import sparse
 from optsim.camera.parts.lens import LensGroup
 from optsim.optics.field_blur import FieldPsf, make_field_blur
 from optsim.optics.psf import SomeBlur
+from optsim.optics.psf_tails import near_half, with_tails
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 from optsim.optics.relay import Ghost, RelayGeometry, RelayOperator, overlap_operator
-from optsim.optics.wings import near_half, winged
 
-# A PSF's wings, which work on panel pixels, begin so far from its middle or farther, and have at most so much
-# of its light: of the prototype's 0.4 %, and 0.02 % comes to lie up to two fine cells off.
-_NEAR_PIXELS, _WINGS_SHARE = 8, 5e-3
-_COLOURS_M = 200e-9  # of which lateral colour is told
+# PSF tails are computed on panel pixels. They begin at this distance from the centre or farther, and have at
+# most this share of the light. For the prototype they have 0.4 %, and 0.02 % is misplaced by up to two fine
+# cells.
+_NEAR_PIXELS, _TAILS_SHARE = 8, 5e-3
+_COLOURS_M = 200e-9  # range of lateral colour
 
 
 class Relay(LensGroup):
@@ -29,14 +30,14 @@ class Relay(LensGroup):
     magnification : float
         Magnification from the panel to the CCD, without ``magnification_error``.
     f_number : float
-        f-number of the fastest cone that it lets onto the CCD.
+        f-number of the fastest cone that it passes onto the CCD.
     transmission : float
         Share of the light that passes its lenses, all passes together.
     defocus_m : float
-        Distance of the CCD from the sharp image; positive where its share in the wavefront is, as of positive
-        curvature. Without diffraction it blurs by a disc, as in geometrical optics.
+        Distance of the CCD from the sharp image; positive has a positive wavefront term, like positive field
+        curvature. Without diffraction it blurs by the disc of geometrical optics.
     ghost_share : float
-        Share of the light that comes back from a face, mirrored through the axis and out of focus.
+        Share of the light reflected back from a face, mirrored through the axis and out of focus.
     ghost_blur_px : float
         Standard deviation of the ghost's blur, panel pixels; no source.
     shift_y_px, shift_x_px : float
@@ -45,16 +46,16 @@ class Relay(LensGroup):
         Rotation of the panel's image, rad; positive from the columns' axis x towards the rows' axis y, which
         is clockwise in a picture whose rows go down.
     magnification_error : float
-        By how much larger than ``magnification`` says the panel's image is, relative; smaller where negative.
+        Relative excess of the image scale over ``magnification``; negative is smaller.
     keystone_y, keystone_x : float
-        By how much smaller the last used row, or column, is imaged than the middle one, relative; larger
-        where negative.
+        Relative reduction of the last used row's, or column's, image against the middle one; negative is
+        larger.
     distortion : float
         Relative change of the distance from the centre at the corners of the used panel; positive is a
         pincushion, negative a barrel.
     lateral_colour : float
-        Relative growth of the image, about its centre, from light of 450 nm to light of 650 nm, even in
-        wavelength, smaller where negative; in 550 nm it is as large as ``magnification`` says.
+        Relative growth of the image about its centre from 450 nm to 650 nm, linear in wavelength; negative
+        shrinks. At 550 nm the scale is ``magnification``.
     """
 
     magnification: float = Field(gt=0)
@@ -87,7 +88,7 @@ class Relay(LensGroup):
         cell_px: float,
         wavelength_m: float = MONO_WAVELENGTH_M,
     ) -> RelayGeometry:
-        """Where (y, x) cells on the panel, each of so many CCD pixels in 550 nm, land on a CCD of (y, x)."""
+        """Image of (y, x) panel cells, each ``cell_px`` CCD pixels wide at 550 nm, on a CCD of (y, x)."""
         larger = 1 + self.lateral_colour * (wavelength_m - MONO_WAVELENGTH_M) / _COLOURS_M
         larger *= 1 + self.magnification_error
         return RelayGeometry(
@@ -114,22 +115,22 @@ class Relay(LensGroup):
         samples_per_pitch: int,
         wavelength_m: float = MONO_WAVELENGTH_M,
     ) -> RelayOperator:
-        """Operator from the fine panel grid to the CCD; kept for the next call with the same numbers.
+        """Operator from the fine panel grid to the CCD; cached for the same numbers.
 
         Parameters
         ----------
         geometry : RelayGeometry
-            Where the fine grid lands.
+            Geometry of the fine grid's image.
         panel_f_number : float
             f-number of the cone that leaves the panel.
         cell_m : float
             Side of a fine cell on the panel, m.
         transmission : float
-            Of everything that the operator stands for; at most 1.
+            Transmission of all that the operator stands for; at most 1.
         samples_per_pitch : int
             Fine cells to a panel pixel.
         wavelength_m : float
-            Of the light, m.
+            Wavelength of the light, m.
         """
         f_number = self.image_f_number(panel_f_number)
         shape = (geometry.rows, geometry.cols)
@@ -146,7 +147,7 @@ class Relay(LensGroup):
         )
 
 
-# Kept apart, so that a change of shift, rotation or focus makes only its own part anew.
+# Cached separately, so that a change of shift, rotation or focus recomputes only its own part.
 @lru_cache(maxsize=4)
 def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
     return overlap_operator(geometry, transmission)
@@ -154,5 +155,5 @@ def _overlap(geometry: RelayGeometry, transmission: float) -> sparse.csc_array:
 
 @lru_cache(maxsize=4)
 def _blur(psf: FieldPsf, shape: tuple[int, int], pitch: int) -> SomeBlur:
-    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _WINGS_SHARE))
-    return winged(make_field_blur(near, shape), psf.kernel, near.half, pitch)
+    near = psf.middle(near_half(psf.kernel, _NEAR_PIXELS * pitch, _TAILS_SHARE))
+    return with_tails(make_field_blur(near, shape), psf.kernel, near.half, pitch)

@@ -1,4 +1,4 @@
-"""The polarising beam splitter with its clean-up polarisers: p goes in, s comes out."""
+"""The polarising beam splitter with its clean-up polarisers: p goes to the panel, s comes back to the CCD."""
 
 from __future__ import annotations
 
@@ -14,21 +14,20 @@ from optsim.core.quantities import Doubles
 from optsim.optics.mueller import polariser, turned
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 
-# Rings of equal area over the cone, rays of each: the leak of skew rays is then off by less than 0.5 %.
+# Rings of equal area over the cone, and rays per ring: the leak of skew rays is then off by less than 0.5 %.
 _RINGS, _RAYS = 8, 12
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """How rays meet the splitter.
+    """Angles of rays on the splitter.
 
     Parameters
     ----------
     incidence_rad : ndarray of shape (..., n), float64
-        Angle of incidence on the coating less 45 degrees, in glass.
+        Angle of incidence on the coating minus 45 degrees, in glass.
     skew_rad : ndarray of shape (..., n), float64
-        By how much the coating's p and s are turned about the ray, on the way in; by as much the other way on
-        the way out.
+        Rotation of the coating's p and s about the ray on the way in; opposite on the way out.
     """
 
     incidence_rad: Doubles
@@ -38,47 +37,46 @@ class Rays:
 class Splitter(Part):
     """A cube that transmits p towards the panel and reflects the returning s towards the CCD.
 
-    Defaults of the coating: typical broadband visible cube; no data sheet was at hand, so they have no
-    source. Clean-up polarisers stand before and behind, each with its transmission and contrast.
+    Defaults of the coating are those of a typical broadband visible cube; no data sheet was at hand, so they
+    have no source. Clean-up polarisers stand before and behind it, each with its transmission and contrast.
 
-    Of polarised light the camera sees p only. Irradiance on the modulator is unpolarised-equivalent, so the
-    scene's radiance is then twice the component along p, S0 + S1 cos 2a + S2 sin 2a. Not modelled: the
-    crossed component that gets in with it, ts over tp times cleanup_contrast, 1.1e-6 of what is polarised
-    across (1.1e-3 without a clean-up polariser).
+    For a polarised scene only p reaches the panel. Irradiance on the modulator is unpolarised-equivalent, so
+    the scene's radiance is then twice the component along p, S0 + S1 cos 2a + S2 sin 2a. The crossed
+    component is not modelled: ts over tp times cleanup_contrast, 1.1e-6 of the crossed light (1.1e-3 without
+    a clean-up polariser).
 
     Parameters
     ----------
     tp, ts : float
         Transmittance of the coating for p and for s at 45 degrees, towards the panel.
     rs, rp : float
-        Reflectance of the coating for s and for p at 45 degrees, towards the CCD: with the transmittance at
-        most 1, the rest is absorbed.
+        Reflectance of the coating for s and for p at 45 degrees, towards the CCD. With the transmittance it
+        is at most 1; the rest is absorbed.
     azimuth_rad : float
-        Direction of p in the picture: from its rows, positive anticlockwise, negative clockwise, as one
-        looks at the upright picture. 0, p along the rows, is how a coating stands whose plane of incidence
-        is along the rows. Other values turn what is analysed, as a half-wave plate in front would, not the
-        angles on the coating.
+        Direction of p in the upright picture, from its rows, positive anticlockwise. 0 is p along the rows:
+        the coating's plane of incidence is along them. Other values rotate the analysed direction, as a
+        half-wave plate in front would. They do not change the angles on the coating.
     scene_light : {"auto", "polarised", "unpolarised"}
-        Whether the scene is rendered with its polarisation; auto: where any of its materials polarises.
-        Unpolarised light stands for a perfect depolariser in front.
+        Whether the scene is rendered with its polarisation; auto: if any of its materials polarises.
+        "unpolarised" models a perfect depolariser in front.
     placement : {"collimated", "converging"}
-        Where it stands. In collimated space a point of the panel sees the coating under one angle, which
-        varies over its columns, and light comes back along its own way: a dark panel leaks no more for being
-        skew. A bright one passes 1.2 % less 5 mm above or below the middle row, where p is turned: not
-        modelled. In converging space every point sees the whole cone, and skew rays leak, since for them p
-        and s are turned.
+        Position in the beam. In collimated space all light of a panel point meets the coating at one angle,
+        which varies over the columns. It returns along its own path, so skew adds no leak in a dark panel. A
+        bright one passes 1.2 % less 5 mm above or below the middle row, where p is rotated: not modelled. In
+        converging space every point gets the whole cone. There skew rays leak, since p and s are rotated for
+        them.
     collimator_m : float
         Focal length between splitter and panel, for collimated space; no source.
     glass_index : float
         Refractive index of the cube's glass; 1.52 is that of common crown glass (no source).
     acceptance_rad : float
-        Up to this angle from 45 degrees, in glass, the coating does what it says; beyond, ts and rp grow with
-        the square of the angle over it, and take from tp and rs what they gain (about 2 degrees; no source).
+        Angle from 45 degrees, in glass, within which the coating keeps its values. Beyond it ts and rp grow
+        with the square of the angle over it, at the expense of tp and rs (about 2 degrees; no source).
     chromatic_m : float
-        So far from 550 nm ts and rp are twice what they are there, and grow with the square of the distance;
-        100 nm has no source. Polarisers and faces are the same in every light.
+        Distance from 550 nm at which ts and rp double; they grow with the square of the distance. 100 nm has
+        no source. Polarisers and faces are the same at every wavelength.
     shortest_m, longest_m : float
-        Between these the coating is known: the usual range of broadband visible cubes; no data sheet was at
+        Range in which the coating is known: the usual one of broadband visible cubes; no data sheet was at
         hand. A design that is flat even from 400 to 700 nm: Appl. Opt. 35(13), 2221 (1996).
     face_transmission : float
         Share of the light that the cube's faces pass, all together, both passes; no source.
@@ -117,7 +115,7 @@ class Splitter(Part):
         return self
 
     def check_band(self, wavelength_m: float) -> None:
-        """Refuse light in which the coating is not known.
+        """Refuse light for which the coating is not known.
 
         Raises
         ------
@@ -132,14 +130,14 @@ class Splitter(Part):
             )
 
     def rays(self, x_m: Doubles, panel_f_number: float) -> Rays:
-        """Rays that meet points of the panel: arrays (point, ray).
+        """Rays through points of the panel: arrays (point, ray).
 
         Parameters
         ----------
         x_m : ndarray of shape (point,), float64
-            Place on the panel from the axis, in the coating's plane of incidence: along its rows.
+            Position on the panel from the axis, in the coating's plane of incidence: along its rows.
         panel_f_number : float
-            Of the cone that lands on the panel.
+            f-number of the cone on the panel.
         """
         if self.placement == "collimated":
             angle = np.arcsin(np.sin(np.arctan(x_m / self.collimator_m)) / self.glass_index)
@@ -162,15 +160,15 @@ class Splitter(Part):
         return turned(coating, rays.skew_rad) @ polariser(wanted, wanted / self.cleanup_contrast)
 
     def outbound(self, rays: Rays, wavelength_m: float = MONO_WAVELENGTH_M) -> Doubles:
-        """Mueller matrices from the panel to the relay, one a ray; carry the transmission of the faces."""
+        """Mueller matrices from the panel to the relay, one a ray, with the transmission of the faces."""
         wanted = self.cleanup_transmission * self.face_transmission
         growth = self._growth(rays, wavelength_m)
         coating = polariser(np.minimum(self.rp * growth, 1), np.maximum(self.rs - self.ts * (growth - 1), 0))
-        # Turned the other way, seen from behind the mirror: the same angle.
+        # Rotated the other way, seen from behind the mirror: the same angle.
         return polariser(wanted / self.cleanup_contrast, wanted) @ turned(coating, rays.skew_rad)
 
     def growth_of_leak(self, wavelength_m: float) -> float:
-        """Ts and rp at 45 degrees in light of a wavelength, over those at 550 nm."""
+        """Ratio of ts and rp at 45 degrees at a wavelength to those at 550 nm."""
         return 1 + ((wavelength_m - MONO_WAVELENGTH_M) / self.chromatic_m) ** 2
 
     def _growth(self, rays: Rays, wavelength_m: float) -> Doubles:

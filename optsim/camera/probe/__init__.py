@@ -1,4 +1,4 @@
-"""A small camera and a made scene, by which the sizes of effects are known before anything is rendered."""
+"""Probes: a small camera and a synthetic scene that predict the sizes of effects before rendering."""
 
 from optsim.camera.probe.frames import FINEST_FIELD, NOTHING, PLAIN, Probe, compared_with
 from optsim.camera.probe.made_code import Schemes

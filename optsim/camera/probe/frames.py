@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""What a change of the camera does to a probe's frame.
+"""Size of a change of the camera in a probe's frame.
 
-The size of a change is its rms in a frame, over pixels that don't saturate, relative to the rms of the
-frame's predicted noise; noise that it brings adds in squares. What a calibration takes out again, such as
-shading, counts in full. There is a frame for each scheme, and the largest size counts.
+It is the rms change of a frame relative to the rms of its predicted noise, over pixels that don't saturate.
+Added noise counts in squares. Effects that a calibration removes, such as shading, count in full. There is a
+frame for each scheme, and the largest size counts.
 """
 
 from __future__ import annotations
@@ -17,24 +17,25 @@ import numpy as np
 
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.camera.effects import Changes, changed
-from optsim.camera.parts.objective import MOVING_WING_SHARE
+from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.camera.probe.made_code import Schemes, made_code
 from optsim.core.quantities import Bools, Doubles, Floats, RadianceVideo
 
 T = TypeVar("T")
 
 NOTHING: Changes = {}
-# Probes mix the rims of panel pixels, let PSFs be the same all over the field and far light of movers follow
-# straight lines, which saves most of their time and changes other sizes by at most a sixth for the nominal
-# camera (the sensor's bend by a quarter), a third for a pessimistic one. Effects that are about these are
-# compared with a model that has them.
+# Plain probes only mix the weights at pixel edges, keep PSFs constant over the field, and put the PSF tails
+# of movers on straight lines in time. This saves most of their time. It changes other sizes by at most a
+# sixth for the nominal camera (the sensor's bend by a quarter), and a third for a pessimistic one. Effects
+# that concern these are compared with a model that has them.
 PLAIN: Changes = {
     "modulator": {"rim_model": "mixed"},
-    "objective": {"field_error": 1.0, "moving_wing_share": MOVING_WING_SHARE},
+    "objective": {"field_error": 1.0, "moving_tail_share": MOVING_TAIL_SHARE},
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
-# Where rims are a part of an effect, 5 % of theirs is enough; the finest take three times as long.
+# Where an effect includes fringe fields, an error of 5 % of their part is enough; the finest model takes
+# three times as long.
 _RIMS: Changes = {"modulator": {"rim_model": "coarse"}}
 _OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
 _RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
@@ -46,30 +47,30 @@ _WHOLE: dict[str, Changes] = {
     "relay_blur": _RELAY,
 }
 MARGIN_PX = 4
-"""CCD pixels around a small panel's image, by as many of which pixels may be moved."""
+"""CCD pixels around a small panel's image: the largest displacement of its pixels."""
 
 
 def compared_with(name: str) -> Changes:
-    """Return what an effect is compared with: nothing, or what a plain probe lacks."""
+    """Return the baseline of an effect: nothing, or the model parts that a plain probe lacks."""
     return _WHOLE.get(name, NOTHING)
 
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """A small camera before its scene.
+    """A small camera and its scene.
 
     Parameters
     ----------
     camera : CodedCamera
-        Behind the neutral density of the light rule.
+        Small camera, with the neutral density of the light rule.
     radiance : RadianceVideo
         The scene.
     schemes : mapping
-        Whose codes its panel shows: name -> scheme.
+        Schemes that give the codes: name -> scheme.
     lamp_px : float
-        Panel pixels that the brightest light covers, not of this camera but of the one that it stands for.
+        Panel pixels that the brightest light covers on the large camera that the probe stands for.
     mapping : Changes
-        What moves the pixels of this probe's image as far as those of the camera that it stands for.
+        Changes that displace the pixels of the probe's image as far as those of the large camera.
     """
 
     camera: CodedCamera
@@ -78,7 +79,7 @@ class Probe:
     lamp_px: float
     mapping: Changes = field(default_factory=dict[str, dict[str, float]])
 
-    # Most changes leave most of what a frame is made from as it is.
+    # Most changes keep most inputs of a frame: they are cached.
     @cached_property
     def _made(self) -> dict[object, Any]:
         return {}
@@ -89,7 +90,7 @@ class Probe:
         return self._made[key]
 
     def frame(self, changes: Changes, scheme: str) -> tuple[Doubles, Bools]:
-        """Signal without noise of a camera with changed parts, electrons, and where it does not clip."""
+        """Noise-free signal of a camera with changed parts, electrons, and the pixels that do not clip."""
         camera = changed(self.camera, changes)
         expected = camera.electrons_of(self._image(camera, scheme))
         edges = (min(2 * MARGIN_PX, (n - 1) // 2) for n in expected.shape)
@@ -119,9 +120,9 @@ class Probe:
         return self._once(("image", behind, relay, camera.relay_geometry()), image)
 
     def change_e(self, changes: Changes, of: Changes, scheme: str) -> float:
-        """Rms difference that changes make to a frame with the changes ``of``, electrons.
+        """Rms difference between a frame with ``changes`` on top of ``of`` and one with ``of``, electrons.
 
-        Infinite where every pixel clips, with the changes or without.
+        Infinite where every pixel clips in either frame.
         """
         more = {part: {**of.get(part, {}), **changes.get(part, {})} for part in of.keys() | changes.keys()}
         whole, usable = self._whole(of, scheme)
@@ -133,18 +134,18 @@ class Probe:
         return float(np.sqrt(np.mean((whole - without)[both] ** 2) + abs(dark - less)))
 
     def sizes(self, changes: Changes, of: Changes = NOTHING) -> Iterator[tuple[float, str]]:
-        """Rms difference that changes make to a frame with the changes ``of``, over the frame's noise.
+        """Rms difference between frames with ``changes`` on top of ``of`` and with ``of``, over the noise.
 
-        One for each scheme, with its name. Infinite where every pixel clips, with the changes or without.
+        One for each scheme, with its name. Infinite where every pixel clips in either frame.
         """
         for scheme, (noise_e, _) in self.noise_e.items():
             yield self.change_e(changes, of, scheme) / noise_e, scheme
 
     @cached_property
     def noise_e(self) -> dict[str, tuple[float, float]]:
-        """Noise of a frame, rms, electrons, by its scheme: all of it, and what of it is the light's own.
+        """Rms noise of a frame by its scheme, electrons: all of it, and the shot noise alone.
 
-        Of a frame that has no pixels or clips in all of them, it is that of the dark.
+        For a frame without pixels, or with all of them clipped, it is the noise in the dark.
         """
         return {scheme: self._noise_e(scheme) for scheme in self.schemes}
 
@@ -166,13 +167,13 @@ def cone_and_sample(camera: CodedCamera, part: str) -> tuple[float, float]:
 
 
 def _gate(camera: CodedCamera) -> tuple[object, bytes]:
-    """Key of what decides how long pixels of the panel are open, and what they let through."""
+    """Key of the inputs that decide the panel's exposure times and transmission."""
     opening = camera.modulator.model_dump_json(), camera.column_leaks.tobytes(), camera.coded_slots
     return opening, camera.panel_gain.tobytes()
 
 
 def _image_of(camera: CodedCamera, part: str) -> tuple[str, int]:
-    """Key of the image of objective or relay: errors over the field that have as many nodes have one."""
+    """Key of the image of objective or relay; field errors with the same number of nodes share one."""
     lens, view = getattr(camera, part), camera.view
     defocus_m = camera.relay.defocus_m if part == "relay" else 0.0
     psf = lens.psf(*cone_and_sample(camera, part), (view.rows, view.cols), defocus_m, camera.wavelength_m)

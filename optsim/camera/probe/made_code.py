@@ -1,7 +1,7 @@
-"""What the panels of probes show: codes of the experiment's own schemes.
+"""Codes for the panels of probes, from the experiment's own schemes.
 
-How much of a frame's noise an imperfection is depends on the code by more than a decade: a panel that is open
-for a twelfth of a frame lets a leak in for the rest, and has less light whose noise would hide it.
+The size of an imperfection in a frame's noise depends on the code by more than a decade. A panel that is open
+for a twelfth of a frame leaks for the rest of it, and has less light whose noise would hide the leak.
 """
 
 from __future__ import annotations
@@ -12,22 +12,23 @@ import numpy as np
 
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.coding import MotionAdaptive, Scheme
-from optsim.coding.tiles import TiledCode
+from optsim.coding.periodic import PeriodicCode
 from optsim.core.quantities import Bytes, ExposureCode, RadianceVideo
 
 Schemes = Mapping[str, Scheme]
 _SEED = 36
-# Of the panel, in which the adaptive scheme shows its two codes in turn: both are before what moves.
+# Stripes of the panel in which the adaptive scheme alternates its two codes: both lie before the moving
+# patch.
 _STRIPES = 8
-# A light of fewer panel pixels doesn't see all exposures of a code.
+# A light on fewer panel pixels does not meet all exposures of a code.
 _FEW_PX = 8
 
 
 def made_code(scheme: Scheme, camera: CodedCamera, radiance: RadianceVideo, lamp_px: float) -> ExposureCode:
-    """Code that a scheme shows in its first frame; before a light of few pixels one of its exposures.
+    """Code of a scheme's first frame; before a light of few pixels one of its exposures.
 
-    That is the longest, which is there in some frame of a sequence, if the light really is of few pixels
-    (``lamp_px``), or else the one nearest to the mean.
+    It is the longest exposure, which occurs in some frame of a sequence, if the light really covers few
+    pixels (``lamp_px``). Otherwise it is the exposure nearest to the mean.
     """
     levels = levels_of(scheme, camera)
     bright = radiance.load(0).start > radiance.white_w_m2_sr
@@ -48,4 +49,4 @@ def levels_of(scheme: Scheme, camera: CodedCamera) -> Bytes:
         stripe = np.arange(camera.panel_cols) * _STRIPES // camera.panel_cols
         return np.where(stripe % 2 == 0, static, moving)
     tiles = scheme.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(_SEED))
-    return TiledCode(tiles, (camera.panel_rows, camera.panel_cols)).levels(0)
+    return PeriodicCode(tiles, (camera.panel_rows, camera.panel_cols)).levels(0)

@@ -1,8 +1,7 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""What probes look at.
+"""Synthetic scene of a probe: reflectances over a decade and a half, a moving patch, and a bright light.
 
-Reflectances over a decade and a half, something that moves, and, where the experiment has a bright light in
-the picture, one.
+It has a bright light only where the experiment has one in the picture.
 """
 
 from __future__ import annotations
@@ -15,21 +14,22 @@ from optsim.camera.camera import CodedCamera
 from optsim.core.quantities import Block, Floats, RadianceVideo, Segment, made_radiance
 from optsim.scene import BrightLight
 
-# Declared white over the interior's bright places: about that of window_room, whose interior is lit by its
-# window alone; in brighter rooms a lamp in the picture is then taken for too bright.
+# Declared white over the interior's bright places: about that of window_room, lit by its window alone. In
+# brighter rooms it overestimates a lamp in the picture.
 WHITE_OVER_INTERIOR = 40.0
 _WAY_PX = 30  # fine samples that the patch moves
-# Of a frame, of which it moves in the first: with 36 slots, the longest that a renderer's straight lines are.
+# Parts of a frame; the patch moves in the first. With 36 slots it is as long as the longest segment of a
+# rendered video.
 _PARTS = (2, 3, 5, 1)
 
 
 def made_scene(camera: CodedCamera, white_w_m2_sr: float, bright: BrightLight | None) -> RadianceVideo:
-    """Make a scene of which a camera sees a frame.
+    """Make a scene that lasts for one frame of a camera.
 
     Parameters
     ----------
     camera : CodedCamera
-        Small, as the cost is that of its frame.
+        Small camera: the cost is that of its frame.
     white_w_m2_sr : float
         Radiance of the brightest reflectance.
     bright : BrightLight or None
@@ -41,28 +41,28 @@ def made_scene(camera: CodedCamera, white_w_m2_sr: float, bright: BrightLight | 
     if bright is not None:
         side = np.sqrt(bright.share)
         height, width = max(1, round(view.rows * side)), max(1, round(view.cols * side))
-        # A lamp smaller than a sample brings as much light by a less bright one.
+        # A lamp smaller than a sample becomes a dimmer one with the same light.
         over = bright.over_white * bright.share * view.rows * view.cols / (height * width)
-        # Its left part is in the way of what moves.
+        # Its left part lies in the path of the moving patch.
         row, col = (view.rows - height) // 3, (view.cols - width) // 4
         base[row : row + height, col : col + width] = over * WHITE_OVER_INTERIOR * float(base.mean())
     parts = next(n for n in _PARTS if n_slots % n == 0)
     n = n_slots // parts
     height, width = view.rows // 3, view.cols // 3
-    # A panel of a few pixels leaves less way to go.
+    # On a panel of a few pixels the path is shorter.
     reach = min(_WAY_PX, view.cols // 3)
     row, col = view.rows * 5 // 12, max(0, (view.cols - width - reach) // 2)
     width = min(width, view.cols - col - reach)
     patch = white_w_m2_sr * _reflectances(rng, height, width)
 
     def picture(share: float) -> Floats:
-        """Patch a share of its way along."""
+        """Picture with the patch at a share of its path."""
         left, seen = col + round(share * reach), base.copy()
         seen[row : row + height, left : left + width] = patch
         return seen
 
     start, stop = picture(0.0), picture(1.0)
-    # It moves for a part of the frame, and stands: to move in all parts takes as many times as long.
+    # The patch moves in one part of the frame only: motion in all parts would multiply the run time.
     still = Segment(stop, stop, (), n)
     lines = Segment(start, stop, (), n)
     window = np.s_[row : row + height, col : col + width + reach]

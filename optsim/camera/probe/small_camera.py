@@ -1,11 +1,11 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""A small camera that stands for a large one.
+"""Small cameras that stand for large ones in probes.
 
-It has fewer pixels of the same size, its focal lengths shortened with the panel: field angles, blur in pixels
-and light per pixel stay as they are. Its neutral density follows the experiment's light rule.
+A small camera has fewer pixels of the same size, and focal lengths shortened with the panel. Field angles,
+blur in pixels and light per pixel stay the same. Its neutral density follows the experiment's light rule.
 
-Its image lies in the middle and is, relatively, as little distorted as the camera's, so that its few pixels
-are hardly moved. ``mapping`` moves them as far.
+Its image lies in the middle with the camera's relative distortion, so its few pixels are hardly displaced.
+``mapping`` displaces them as far as on the large camera.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ITSELF, Changes, changed
-from optsim.camera.parts.lens import LARGEST_WING_SHARE
+from optsim.camera.parts.lens import LARGEST_TAIL_SHARE
 from optsim.camera.probe.frames import MARGIN_PX, Probe, cone_and_sample
 from optsim.camera.probe.made_code import Schemes, levels_of
 from optsim.camera.probe.made_scene import made_scene
@@ -27,20 +27,20 @@ from optsim.optics.psf import share_beyond
 from optsim.scene import BrightLight
 
 _COLS = 40
-# Wings of a near probe lose this share of the light or more: what reaches beyond its length has no room.
-_NEAR_WINGS = 1e-3
-# Side of a lamp that lenses spread about as far as it reaches, fine samples; by trial.
+# PSF windows of a probe miss at least this share of the light: tails longer than its panel have no room.
+_NEAR_TAILS = 1e-3
+# Side of a lamp as wide as its blur by the lenses, fine samples; by trial.
 _POINT = 5.0
 _SHIFTS = ("shift_y_px", "shift_x_px")
-# Of digital numbers: a probe's frame is of electrons.
+# Fields of the converter: a probe's frame is in electrons.
 _CONVERTER = ("gain_e", "black_dn", "bits", "finer_bits")
-# Fields of the relay that move what is far from the middle the farther.
+# Fields of the relay whose displacement grows with the distance from the centre.
 _SCALES = ("rotation_rad", "magnification_error", "keystone_y", "keystone_x", "distortion", "lateral_colour")
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """What a probe is told of the light.
+    """Light of the experiment as a probe needs it.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Illumination:
     percentile, saturation_share : float
         The light rule: this percentile of the interior fills this share of the full well under all-on.
     lights : tuple of BrightLight
-        In the picture, that which brings most light first.
+        Lights in the picture, by the light they bring, largest first.
     """
 
     white_w_m2_sr: float
@@ -59,17 +59,17 @@ class Illumination:
 
     @property
     def bright(self) -> BrightLight | None:
-        """The one that a probe's scene holds."""
+        """The brightest one, used in a probe's scene."""
         return self.lights[0] if self.lights else None
 
 
 def make_probe(camera: CodedCamera, light: Illumination, schemes: Schemes) -> Probe:
-    """Make the probe of a camera, for each of some schemes that differ; far wings would leave its panel.
+    """Make the probe of a camera for some schemes; PSF tails are cut at the probe's panel.
 
     Raises
     ------
     ConfigError
-        For a scheme that the slots don't allow, with its name.
+        For a scheme that does not fit the slots, with its name.
     """
     different: dict[str, str] = {}
     for name, scheme in schemes.items():
@@ -91,11 +91,11 @@ def _lamp_px(camera: CodedCamera, light: Illumination) -> float:
 
 
 def _as_much(camera: CodedCamera, small: CodedCamera, light: Illumination) -> Illumination:
-    """Light whose bright source does as much to a small camera's frame as the given one to the camera's.
+    """Light whose bright source affects a small camera's frame as the given one affects the camera's.
 
-    A lamp keeps its share of the picture. What an effect does along its rim is then as large, or larger. A
-    lamp of fewer than :data:`_POINT` samples is a point to the lens: a picture of a k-th of the sides has a
-    k-th of a k-th of its light, so that what an effect does around it would be k times too small, rms.
+    A lamp keeps its share of the picture. Effects along its edge are then as large, or larger. A lamp of
+    fewer than :data:`_POINT` samples is a point to the lens. In a picture with sides k times shorter it would
+    have k^2 times less light, and effects around it would be k times too small, rms.
     """
     if light.bright is None:
         return light
@@ -105,26 +105,26 @@ def _as_much(camera: CodedCamera, small: CodedCamera, light: Illumination) -> Il
 
 
 def _window_within(small: CodedCamera) -> Changes:
-    """Wings that reach no farther than a small camera's panel is long."""
+    """Limit PSF windows to the length of a small camera's panel."""
     length = max(small.view.rows, small.view.cols)
 
     def share(part: str) -> float:
-        least = max(_NEAR_WINGS, share_beyond_window(small, part, length))
-        return max(getattr(small, part).wing_share, min(least, LARGEST_WING_SHARE))
+        least = max(_NEAR_TAILS, share_beyond_window(small, part, length))
+        return max(getattr(small, part).tail_share, min(least, LARGEST_TAIL_SHARE))
 
-    return {part: {"wing_share": share(part)} for part in ("objective", "relay")}
+    return {part: {"tail_share": share(part)} for part in ("objective", "relay")}
 
 
 def share_beyond_window(camera: CodedCamera, part: str, half: int) -> float:
-    """Share of its light that the PSF of objective or relay has farther off than so many fine samples."""
+    """Share of the PSF of objective or relay farther from the centre than ``half`` fine samples."""
     f_number, sample_m = cone_and_sample(camera, part)
     return share_beyond(camera.wavelength_m, f_number, half * sample_m)
 
 
 def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
-    """Shift, rotation and scales that move the pixels of a small camera as far as those of the camera.
+    """Shift, rotation and scales that displace a small camera's pixels as far as the camera's.
 
-    But not out of its picture: a pixel that moves as far as its margin gets quite other light than before.
+    The displacement stays within the margin: beyond it a pixel would get unrelated light.
     """
     relay, (times, most) = camera.relay, _scale(camera, small)
     shifts = {name: _within(getattr(relay, name), MARGIN_PX) for name in _SHIFTS}
@@ -133,7 +133,7 @@ def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
 
 
 def drifted_as_far(camera: CodedCamera, now: CodedCamera, small: CodedCamera) -> dict[str, Changes | None]:
-    """Say for each key in which a camera differs from a calibrated one how a small camera would.
+    """Translate the drift of a camera to a small camera, key by key.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def drifted_as_far(camera: CodedCamera, now: CodedCamera, small: CodedCamera) ->
     Returns
     -------
     dict
-        ``part.key`` -> change of the small camera; None where its number isn't the camera's.
+        ``part.key`` -> change of the small camera; None where the camera's number does not translate.
     """
     found: dict[str, Changes | None] = {}
     for part, own in camera:
@@ -178,7 +178,7 @@ def _as_drifted(camera: CodedCamera, small: CodedCamera, key: str, before: Any, 
 
 
 def _scale(camera: CodedCamera, small: CodedCamera) -> tuple[float, float]:
-    """How much more a small camera's image must turn or grow, and how much it may at most."""
+    """Factor by which a small camera's image must rotate or grow more, and its limit."""
     most = MARGIN_PX / (np.hypot(small.panel_rows, small.panel_cols) / 2 * small.ratio)
     return camera.panel_cols / small.panel_cols, float(most)
 
@@ -191,7 +191,7 @@ def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, lamp_px: fl
     """Probe behind the density of the light rule."""
     radiance = made_scene(camera, light.white_w_m2_sr, light.bright)
     share = 1 - light.bright.share if light.bright else 1.0
-    # Of the interior: a bright light, where there is one, is the brightest part.
+    # Percentile of the interior: a bright light, if any, is the brightest part.
     bright = float(np.percentile(radiance.load(0).start, light.percentile * share))
     all_on = {row.stage: row.value for row in camera.with_nd(1.0).ledger(bright)}["electrons a frame"]
     nd = min(1.0, light.saturation_share * camera.sensor.most_e / all_on)
@@ -199,7 +199,7 @@ def _lit(camera: CodedCamera, light: Illumination, schemes: Schemes, lamp_px: fl
 
 
 def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
-    """Return a camera of the same pixels, but fewer, that sees the same field."""
+    """Return a camera with fewer of the same pixels and the same field of view."""
     share = min(1.0, cols / camera.panel_cols)
     rows, cols = max(1, round(camera.panel_rows * share)), round(camera.panel_cols * share)
     panel, relay, lens, splitter = camera.modulator, camera.relay, camera.objective, camera.splitter
@@ -216,7 +216,7 @@ def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
                     "cols": max(cols, round(panel.cols * share)),
                 }
             ),
-            # A ghost covers as large a part of the picture.
+            # A ghost covers the same part of the picture.
             "relay": relay.model_copy(
                 update={
                     "shift_y_px": 0.0,
@@ -225,7 +225,7 @@ def shrunk(camera: CodedCamera, cols: int = _COLS) -> CodedCamera:
                     "ghost_blur_px": relay.ghost_blur_px * share,
                 }
             ),
-            # Smear and slots lost to the readout are those of the camera: its whole readout stays.
+            # Smear and slots lost to the readout stay those of the camera: its whole readout is kept.
             "sensor": camera.sensor.model_copy(
                 update={
                     "rows": int(np.ceil(rows * camera.ratio)) + around,

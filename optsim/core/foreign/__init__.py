@@ -1,6 +1,6 @@
-"""Files that others wrote: one place where what their readers raise becomes a message with the file's name.
+"""Readers of files from other programs: their errors become one message with the file's name.
 
-No exception of a foreign reader reaches a user, and nothing is allocated on the word of a header alone.
+No exception of a foreign reader reaches a user. Nothing is allocated because a header alone demands it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from optsim.core.errors import OptsimError, StorageError
 
-# What zlib's format can do at most: no honest file is larger than this times its compressed bytes.
+# Largest expansion in zlib's format: no valid file exceeds this times its compressed bytes.
 DEFLATE_LIMIT = 1032
 
 
@@ -20,7 +20,7 @@ DEFLATE_LIMIT = 1032
 def reading(
     path: Path, what: str, cure: str = "copy it again, whole, or write it anew"
 ) -> Generator[None, None, None]:
-    """Turn whatever a reader of others' files raises into one line that names the file.
+    """Turn any exception of a foreign reader into one line that names the file.
 
     Keep the block as short as the reader's own calls: an error of ours would be called one of the file.
 
@@ -29,9 +29,9 @@ def reading(
     path : Path
         The file that is read.
     what : str
-        What it is read as: "PNG", "a MATLAB file".
+        Expected format: "PNG", "a MATLAB file".
     cure : str
-        What to do about it, with the reader's reason before it.
+        Remedy, printed after the reader's reason.
 
     Raises
     ------
@@ -57,16 +57,16 @@ def reading(
 
 
 def one_line(error: BaseException) -> str:
-    """Say in one line what an exception says; its name where it says nothing."""
+    """Put an exception's text into one line; its type name where it has no text."""
     text = " ".join(str(error).split())
     if len(text) > 200:
         text = text[:200] + "..."
-    # A KeyError or an IndexError says next to nothing without its name.
+    # The text of a KeyError or IndexError means little without the type name.
     return text if text and not isinstance(error, LookupError) else f"{type(error).__name__} {text}".strip()
 
 
 def check_memory(path: Path, n_bytes: float, what: str) -> None:
-    """Refuse a size that a header declares and memory can't hold, before anything is allocated.
+    """Refuse a size declared in a header that memory can't hold, before anything is allocated.
 
     Raises
     ------
@@ -82,12 +82,12 @@ def check_memory(path: Path, n_bytes: float, what: str) -> None:
 
 
 def _available_bytes() -> float:
-    """Memory that could be allocated: what the machine has free, the container's and the process's limits."""
+    """Memory that can be allocated, by the machine's free memory and the limits of container and process."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     allowed = (
         float("inf") if limit == resource.RLIM_INFINITY else limit - _kib("/proc/self/status", "VmSize:", 0)
     )
-    # The container's limit as a whole: its use counts cached files too, which give way.
+    # The container's whole limit: its usage includes cached files, which are freed on demand.
     found = [allowed, _kib("/proc/meminfo", "MemAvailable:", float("inf"))]
     for path in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
         # Absent, or "max".
@@ -97,7 +97,7 @@ def _available_bytes() -> float:
 
 
 def _kib(path: str, key: str, otherwise: float) -> float:
-    """Bytes of a line such as "VmSize: 123 kB"."""
+    """Read a line such as "VmSize: 123 kB" as bytes."""
     with suppress(OSError):
         for line in Path(path).read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith(key):

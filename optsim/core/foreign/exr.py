@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingTypeStubs=false
-"""OpenEXR files part by part; what a header says of its pixels is honoured or refused."""
+"""OpenEXR files part by part; what their headers declare about pixels is honoured or refused."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from optsim.core.errors import StorageError, ValueCheckError
 from optsim.core.foreign import check_memory, one_line, reading
 
 _WHAT = "OpenEXR"
-# The library prints what is damaged: to be caught by one reader at a time.
+# The library prints damage to stderr: one reader at a time may capture it.
 _PRINTED = Lock()
 
 
 @dataclass(frozen=True, eq=False)
 class ExrPart:
-    """A part of a file: its name, empty where the file has one; kind, header, channels by name, as stored."""
+    """A part of a file: name (empty if the only part), kind, header, and channels by name as stored."""
 
     name: str
     kind: str
@@ -38,7 +38,7 @@ class ExrPart:
         Raises
         ------
         ValueCheckError
-            For deep or subsampled pixels, pixels that are not square, and a data window of another place.
+            For deep, subsampled or non-square pixels, and for a data window other than the display window.
         """
         where = f"{path}: part {self.name}" if self.name else str(path)
         if self.kind.startswith("deep"):
@@ -115,7 +115,7 @@ def _kind(part: Any) -> str:
 
 
 def _declared(head: Mapping[str, Any]) -> float:
-    """Bytes of a part's pixels in memory, as its header declares; of deep ones at least."""
+    """Bytes of a part's pixels in memory by its header; a lower bound for deep ones."""
     low, high = head["dataWindow"]
     return (
         float(np.prod([float(b) - float(a) + 1 for a, b in zip(low, high, strict=True)]))
@@ -134,7 +134,7 @@ def _window(corners: tuple[int, ...]) -> str:
 
 
 def _source(path: Path) -> Any:
-    """Give the binding a path, or the content of a file whose name is not UTF-8."""
+    """Return a path that the binding accepts, or the content of a file whose name is not UTF-8."""
     try:
         str(path).encode()
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""Names of what files say R, G and B mean: numbers of ITU-T H.273 (tables 2 and 3), and chromaticities."""
+"""Names for the meaning of R, G and B in files: codes of ITU-T H.273 (tables 2 and 3), and chromaticities."""
 
 from __future__ import annotations
 

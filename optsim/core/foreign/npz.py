@@ -1,4 +1,4 @@
-"""Arrays that numpy wrote, one (npy) or several (npz); the size that a header declares must be there."""
+"""Arrays that numpy wrote, one (npy) or several (npz). A file must hold the size that its header declares."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-# Bytes that one of a member can stand for, by its compression.
+# Most bytes that a compressed byte can expand to, by the compression.
 _MOST = {ZIP_STORED: 1, ZIP_DEFLATED: DEFLATE_LIMIT}
 
 
@@ -65,7 +65,7 @@ def npy_on_disk(path: Path) -> NDArray[Any]:
 
 
 def _members(archive: ZipFile) -> dict[str, ZipInfo]:
-    """Arrays of an archive by name; one of two that are named alike would hide the other."""
+    """List the arrays of an archive by name; of two with the same name one would hide the other."""
     found: dict[str, ZipInfo] = {}
     for member in archive.infolist():
         name = member.filename.removesuffix(".npy")
@@ -77,7 +77,7 @@ def _members(archive: ZipFile) -> dict[str, ZipInfo]:
 
 
 def _declared(stream: IO[bytes], n_bytes: int) -> int:
-    """Bytes of an array as its header declares them; as many must be there."""
+    """Bytes of an array by its header; the file must hold as many."""
     version = np.lib.format.read_magic(stream)
     if version not in _HEADERS:
         raise ValueError(f"its format {version[0]}.{version[1]} is not read here")

@@ -23,14 +23,14 @@ _CHANNELS = {0: 1, 2: 3}
 
 
 class PngHead(NamedTuple):
-    """What a file says of itself.
+    """Properties declared in a file's header.
 
     Parameters
     ----------
     rows, cols, channels, bits : int
-        Of the picture.
+        Size and depth of the picture.
     curve, primaries : str or None
-        What its values mean: "linear", "srgb" or another curve; "BT.709" or others. None: it doesn't say.
+        Meaning of its values: "linear", "srgb" or another curve; "BT.709" or others. None: not stated.
     """
 
     rows: int
@@ -42,14 +42,14 @@ class PngHead(NamedTuple):
 
 
 def png_head(path: Path) -> PngHead:
-    """Look through the chunks of a file, every checksum included.
+    """Read the chunks of a file and verify every checksum.
 
     Raises
     ------
     StorageError
         When the file is missing, damaged, incomplete, or declares more than it can hold.
     ValueCheckError
-        For a palette, transparency, an animation, other bits than 8 and 16, a turn, or oblong pixels.
+        For a palette, transparency, an animation, other bits than 8 and 16, a rotation, or oblong pixels.
     """
     with reading(path, _WHAT):
         chunks, n_packed = _chunks(path.read_bytes())
@@ -86,13 +86,13 @@ def png_pixels(path: Path, head: PngHead) -> NDArray[Any]:
     """
     from PIL.PngImagePlugin import PngImageFile
 
-    # Not by Image.open, which refuses a large picture whatever memory there is: the size is checked.
+    # Image.open would refuse a large picture whatever the memory; the size is already checked here.
     with reading(path, _WHAT), path.open("rb") as stream, PngImageFile(stream) as picture:
         return np.asarray(picture).astype(np.uint8 if head.bits == 8 else np.uint16)
 
 
 def _chunks(content: bytes) -> tuple[dict[bytes, bytes], int]:
-    """Chunks by name, without the pixels, and how many bytes those have; every checksum is looked at."""
+    """Return chunks by name without the pixels, and the bytes of those; every checksum is verified."""
     if content[:8] != _SIGNATURE:
         raise ValueError("it doesn't begin as one")
     found: dict[bytes, bytes] = {}
@@ -117,11 +117,11 @@ def _chunks(content: bytes) -> tuple[dict[bytes, bytes], int]:
 
 
 def _check_shape(path: Path, chunks: Mapping[bytes, bytes]) -> None:
-    """Refuse a turn, and pixels that aren't square."""
+    """Refuse a rotation and pixels that aren't square."""
     if b"pHYs" in chunks:
         with reading(path, _WHAT):
             across, down, _ = struct.unpack(">IIB", chunks[b"pHYs"])
-        # 0: not known.
+        # 0 means unknown.
         if across and down and across != down:
             raise ValueCheckError(
                 f"{path}: chunk pHYs says {across} x {down} pixels a unit, expected square pixels; cure: "

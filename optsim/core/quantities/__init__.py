@@ -1,4 +1,4 @@
-"""The values that cross rooms: each array knows its unit, axes and dtype, and is checked once.
+"""Values that cross rooms: each array has a unit, axes and dtype, and is checked once.
 
 Axes are [row, column], pixel centres at +0.5. Their names, everywhere:
 
@@ -9,8 +9,8 @@ Axes are [row, column], pixel centres at +0.5. Their names, everywhere:
 ``y, x``  fine samples on the modulator plane (3 a panel pixel), or CCD pixels where it says so
 ========  =====================================================================================
 
-Light is float32; a negative value is an error except in a :class:`Video`, whose Monte-Carlo
-estimates are unbiased and may dip below zero: there negative values stay in every sum.
+Light is float32, and a negative value is an error. Only a :class:`Video` may have some: its Monte-Carlo
+estimates are unbiased and may dip below zero. There negative values stay in every sum.
 """
 
 from optsim.core.quantities.arrays import Bools, Bytes, Doubles, Floats, Ints, Words, checked

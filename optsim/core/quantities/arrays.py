@@ -1,4 +1,4 @@
-"""Names of array types, and the one check that every value makes."""
+"""Names of array types, and the one check that every value runs."""
 
 from __future__ import annotations
 

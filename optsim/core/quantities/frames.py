@@ -1,4 +1,4 @@
-"""What panel, camera and decoder exchange: codes, panel state, coded frames, reconstructions."""
+"""Values that panel, camera and decoder exchange: codes, panel state, coded frames, reconstructions."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from optsim.core.quantities.arrays import Bools, Bytes, Floats, Words, checked
 
 @dataclass(frozen=True, eq=False)
 class ExposureCode:
-    """What one coded frame shows on the panel.
+    """The commanded code of one coded frame.
 
     Parameters
     ----------
     levels : ndarray of shape (slot, v, u), uint8
         Drive level, 0 (dark) to 255 (bright).
     moving : ndarray of shape (v, u), bool
-        Pixels that carry a temporal code, for the sparse decoder; the others are coded as static.
+        Pixels with a temporal code, for the sparse decoder; the others are coded as static.
     """
 
     levels: Bytes
@@ -36,16 +36,16 @@ class ExposureCode:
 
 @dataclass(frozen=True, eq=False)
 class PanelState:
-    """What the panel remembers from one frame to the next.
+    """The panel's memory from one frame to the next.
 
     Parameters
     ----------
     retardance_rad : ndarray of shape (v, u), float32
         Round-trip retardance: 0 is dark, pi brightest.
     levels : ndarray of shape (v, u), uint8
-        Drive levels of the last slot: rows whose turn comes late go on towards them.
+        Drive levels of the last slot: rows that are driven late still relax towards them.
     slots_shown : int
-        Slots since the panel was switched on: which of its fields comes next.
+        Slots since the panel was switched on; decides the field that comes next.
     """
 
     retardance_rad: Floats
@@ -73,9 +73,9 @@ class CodedFrame:
     dn : ndarray of shape (y, x), uint16
         Raw digital numbers on the CCD.
     code : ExposureCode
-        What the panel was told to show.
+        Commanded code.
     negative_light : int
-        CCD pixels whose expected light was negative (Monte-Carlo noise of the truth) and was taken as dark.
+        CCD pixels with negative expected light (Monte-Carlo noise of the truth), exposed as dark.
     """
 
     index: int
@@ -89,7 +89,7 @@ class CodedFrame:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What a decoder says the scene was during one coded frame.
+    """A decoder's estimate of the scene during one coded frame.
 
     Parameters
     ----------
@@ -98,14 +98,14 @@ class Reconstruction:
     irradiance_w_m2 : ndarray of shape (slot, v, u), float32
         Mean irradiance on the modulator in each slot, objective shading divided out.
     valid : ndarray of shape (v, u), bool
-        False where the decoder has nothing to go on; not scored, but counted.
+        False where the decoder has no measurement; not scored, but counted.
     interpolated : ndarray of shape (v, u), bool
         Filled from neighbours rather than measured.
     moving : ndarray of shape (v, u), bool
-        Pixels whose light the decoder took for changing.
+        Pixels whose light the decoder treated as changing.
     uncertainty_w_m2 : ndarray of shape (slot, v, u), float32, or None
-        Standard deviation of the irradiance as the decoder itself predicts it, before negative light is
-        clipped; without meaning where not valid. 0 where the decoder doesn't know, None if nowhere.
+        Standard deviation of the irradiance as the decoder predicts it, before negative light is clipped. It
+        has no meaning where not valid. 0 where the decoder predicts none, None if it predicts none anywhere.
     """
 
     index: int

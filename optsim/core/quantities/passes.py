@@ -1,4 +1,4 @@
-"""What a scene is at one instant, without light: surfaces, objects, motion, camera and poses."""
+"""Geometry of a scene at one instant, without light: surfaces, objects, motion, camera and poses."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Ids = NDArray[np.uint32]
 
 @dataclass(frozen=True, eq=False)
 class ObjectPose:
-    """Where a mover is at the three instants of a :class:`Passes`.
+    """Pose of a mover at the three instants of a :class:`Passes`.
 
     Parameters
     ----------
     matrices : ndarray of shape (3, 4, 4), float64, or None
         World at time 0 -> world at t-, t, t+: a rigid motion. None for a mover that deforms.
     reason : str
-        Why there is no matrix, with the largest deviation from a rigid motion; empty for a rigid mover.
+        Reason for a missing matrix, with the largest deviation from rigid motion; empty for a rigid mover.
     center_m : ndarray of shape (3, 3), float64
         Mean of the mover's vertices at t-, t, t+, m: the reference point of a mover that deforms.
     """
@@ -44,19 +44,19 @@ class ObjectPose:
 class Passes:
     """Passes of one instant t on the fine grid: one ray through the centre of every sample, never filtered.
 
-    A sample shows the first surface along its ray, be it glass, a mirror or a lamp. Where there is none, the
-    object id is 0, every other pass is 0 and both occlusion masks are set: no infinity, no NaN.
+    A sample shows the first surface along its ray, be it glass, a mirror or a lamp. Without a surface all
+    passes are 0, the object id included, and both occlusion masks are set. There is no infinity and no NaN.
 
-    Flow is where the surface point of a sample is seen at another instant minus where it is now, in fine
-    samples: forward at t+, backward at t-. The surface point is carried along by its object, and the camera
-    moves too. Flow is also given for a point that is hidden then, or outside of the picture; the occlusion
-    mask says so. A point then behind the camera has flow 0 and is masked.
+    Flow is the displacement of a sample's surface point in the image, in fine samples. Forward flow leads to
+    its position at t+, backward flow to that at t-. The point moves with its object, and the camera moves
+    too. Flow is also given for a point that is hidden then or outside the picture; the occlusion mask marks
+    it. A point then behind the camera has flow 0 and is masked.
 
-    The camera frame is that of OpenCV: x right, y down, z forward. ``intrinsics_px`` takes it to (column,
-    row), whose origin is the outer corner of the first sample, so that sample centres are at +0.5. Before
-    that, a lens that distorts displaces x/z and y/z by the factor 1 + ``radial_k1`` ((x/z)^2 + (y/z)^2).
+    The camera frame is that of OpenCV: x right, y down, z forward. ``intrinsics_px`` maps it to (column,
+    row). Their origin is the outer corner of the first sample, so sample centres are at +0.5. Before that,
+    distortion multiplies x/z and y/z by 1 + ``radial_k1`` ((x/z)^2 + (y/z)^2).
 
-    The ray through a sample is its chief ray, through the middle of the lens: passes are never out of focus.
+    The ray through a sample is its chief ray, through the centre of the lens: passes are never out of focus.
 
     Parameters
     ----------

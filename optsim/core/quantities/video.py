@@ -1,4 +1,4 @@
-"""Time, field of view, and light as a lazy video: nothing is computed until a segment is asked for."""
+"""Time, field of view, and light as a lazy video: a segment is computed when it is read."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class View:
-    """What part of the scene the fine grid sees, and through what: a pinhole, or a thin lens, before it.
+    """Field of view of the fine grid, through a pinhole or a thin lens before it.
 
     Parameters
     ----------
@@ -52,13 +52,13 @@ class View:
     aperture_m : float
         Diameter of the thin lens, m; 0 is a pinhole.
     focus_m : float or None
-        Depth in focus along the axis, m; None is the distance of the scene camera's target. What a pinhole
-        sees doesn't depend on it.
+        Depth in focus along the axis, m; None is the distance of the scene camera's target. It has no effect
+        on a pinhole.
     defocus_per_m : float
-        By how much the focus misses that, towards the camera, 1/m.
+        Focus error against ``focus_m``, towards the camera, 1/m.
     distortion : float
-        Relative displacement of what belongs into the grid's corner, growing with the square of the distance
-        from the middle; negative is a barrel (``forward.lens``).
+        Relative radial displacement at the grid's corner; it grows with the square of the distance from the
+        centre. Negative is a barrel (:mod:`optsim.optics.lens`).
     """
 
     rows: int
@@ -73,7 +73,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Excess over a segment's interpolated base in a rectangle: what moves there.
+    """Excess over a segment's interpolated base in a rectangle: the light of what moves there.
 
     Parameters
     ----------
@@ -102,15 +102,15 @@ class Block:
 class Segment:
     """A stretch of a video between two key instants: a linear base plus moving blocks.
 
-    During instant i (counted from 0 inside the segment, of n) the signal is
-    ``(1 - a) start + a stop + sum of blocks`` with ``a = (i + 0.5) / n``.
+    During instant i (counted from 0 inside the segment, of n) the signal is ``(1 - a) start + a stop + sum of
+    blocks`` with ``a = (i + 0.5) / n``.
 
     Parameters
     ----------
     start, stop : ndarray of shape (y, x), float32
         Signal at the two ends where nothing moves, in the unit of the video.
     blocks : tuple of Block
-        Excess of the moving places; blocks may overlap, then their excesses add.
+        Excess where something moves; the excesses of overlapping blocks add.
     n_instants : int
         Instants in the segment.
     """
@@ -147,7 +147,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """A lazy light video on the fine grid: nothing is computed until a segment is asked for.
+    """A lazy light video on the fine grid: a segment is computed when it is read.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class Video:
     n_slots : int
         Slots in the whole video.
     load : callable
-        Segment index -> Segment. Called once for each use: cheap, or cached by its maker.
+        Segment index -> Segment. Called at every use, so it must be cheap or cached.
     """
 
     UNIT: ClassVar[str] = "of the light"
@@ -199,7 +199,7 @@ class Video:
         return self.rows // self.samples_per_pitch, self.cols // self.samples_per_pitch
 
     def segments(self, first_slot: int, last_slot: int) -> Iterator[tuple[int, Segment]]:
-        """Segments that make up slots first_slot .. last_slot - 1, each with its first slot."""
+        """Segments of slots first_slot .. last_slot - 1, each with its first slot."""
         n = self.slots_per_segment
         if first_slot % n or last_slot % n or not 0 <= first_slot <= last_slot <= self.n_slots:
             raise ValueCheckError(
@@ -225,10 +225,10 @@ class RadianceVideo(Video):
     white_w_m2_sr : float
         The scene's declared white: the peak of every PSNR (PHYSICS: never the maximum found).
     outside : ndarray of shape (y, x), bool
-        Where the bright outside is seen directly when nothing moves.
+        Samples that see the bright outside directly when nothing moves.
     half_difference : RadianceVideo or None
-        (half A - half B) / 2 of two independent renders, on the same grid: its variance is the variance of
-        the noise of this video. None for footage without Monte-Carlo noise.
+        (half A - half B) / 2 of two independent renders, on the same grid. Its variance is the noise variance
+        of this video. None for footage without Monte-Carlo noise.
     """
 
     UNIT: ClassVar[str] = "W m^-2 sr^-1"
@@ -260,7 +260,7 @@ def made_radiance(
     n_slots: int,
     white_w_m2_sr: float = 1.0,
 ) -> RadianceVideo:
-    """Video on a camera's view and slots, one instant a slot, of light that isn't rendered.
+    """Make a video of light that isn't rendered, on a camera's view and slots, one instant a slot.
 
     Parameters
     ----------

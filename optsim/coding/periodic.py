@@ -1,4 +1,4 @@
-"""Codes that repeat: a small tile of drive levels, repeated over the panel and over the frames."""
+"""Periodic codes: a small tile of drive levels, repeated over the panel and over the frames."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ OPEN = 255
 
 
 @dataclass(frozen=True, eq=False)
-class TiledCode:
-    """The state of a scheme that never changes its mind: its tiles and the panel's size.
+class PeriodicCode:
+    """State of a static scheme: its tiles and the panel's size.
 
     Parameters
     ----------
@@ -41,10 +41,10 @@ class TiledCode:
         return tile[:, rows[:, None], cols]
 
 
-class TiledScheme(Part, ABC):
+class PeriodicScheme(Part, ABC):
     """A scheme whose code does not depend on the scene; a subclass gives its tiles.
 
-    ``TEMPORAL`` says whether its pixels are for the sparse decoder.
+    ``TEMPORAL`` marks schemes whose pixels need the sparse decoder.
     """
 
     TEMPORAL: ClassVar[bool]
@@ -53,7 +53,7 @@ class TiledScheme(Part, ABC):
     def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
         """Levels of shape (frame, slot, y, x), dark in slots >= coded_slots."""
 
-    def init(self, calibration: Calibration, rng: np.random.Generator) -> TiledCode:
+    def init(self, calibration: Calibration, rng: np.random.Generator) -> PeriodicCode:
         """Choose the tiles once; all randomness of the scheme is here.
 
         Parameters
@@ -64,12 +64,12 @@ class TiledScheme(Part, ABC):
             The scheme's own stream.
         """
         tiles = self.tiles(calibration.slots_per_frame, calibration.coded_slots, rng)
-        return TiledCode(tiles, calibration.shape)
+        return PeriodicCode(tiles, calibration.shape)
 
     def next(
-        self, index: int, arrived: Sequence[CodedFrame], state: TiledCode
-    ) -> tuple[ExposureCode, TiledCode]:
-        """Code of frame ``index``; what has arrived does not matter."""
+        self, index: int, arrived: Sequence[CodedFrame], state: PeriodicCode
+    ) -> tuple[ExposureCode, PeriodicCode]:
+        """Code of frame ``index``, independent of the frames that have arrived."""
         del arrived
         moving: Bools = np.full(state.shape, self.TEMPORAL)
         return ExposureCode(state.levels(index), moving), state

@@ -1,18 +1,18 @@
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
-"""The far wings of a PSF: coarse in space, and on moving light a straight line in time.
+"""PSF tails: coarse in space, and for moving light on straight lines in time.
 
-A PSF window wide enough for a bright window's wings is far larger than all that changes from one fine sample
-to the next. So wings work on panel pixels, behind the panel as before it. Those of the relay are even within
-a pixel, which misplaces a share of them by less than two pixels, the smaller the farther from the middle they
+A PSF window wide enough for the tails of a bright window is far larger than the detail of the fine grid. So
+tails work on panel pixels, before and behind the panel. Those of the relay are uniform within a pixel. This
+misplaces a share of them by less than two pixels; the share is smaller the farther from the centre they
 begin.
 
-Such a window is also far larger than the movers that cross it, and would be paid for in every instant. So
-moving blocks get the PSF's core in each instant, and its wings on the straight line in time that fits the
-block best within its segment. What is left out is the wings' share of what deviates from that line: nothing
-for light that comes and goes evenly, and nothing at all in the mean over the segment. Where the line of a
-flash leaves less than no light in the dark around it, light begins or ends there, with the same mean. Core
-and wings pass softly into each other, so that pixels hold the wings between their splines. These are two
-rings, the outer one on cells of several panel pixels: relative to its distance no coarser than the inner.
+Such a window is also far larger than the movers that cross it, and would cost time in every instant. So
+moving blocks get the PSF core in each instant. They get the tails only along the straight line in time that
+fits the block best within its segment. The error is the tails' share of the deviation from that line. It is
+zero for light that changes evenly, and zero in the mean over the segment. The line of a flash may go below
+zero in the dark around it. There light begins or ends at zero instead, with the same mean. Core and tails
+blend smoothly, so that splines on pixels can represent the tails. There are two rings. The outer one has
+cells of several panel pixels: relative to its distance no coarser than the inner.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from optsim.optics.pixel_splines import spline_kernel, splines, spread
 from optsim.optics.psf import Blur, SomeBlur, extend, make_blur
 from optsim.optics.tap_blur import Grid, Patch
 
-# Of moving light's wings, panel pixels: where the outer ring begins, the side of its cells, room for splines.
+# Tails of moving light, panel pixels: inner radius of the outer ring, side of its cells, margin for splines.
 _RING_HALF, _CELL, _ROOM = 40, 4, 8
-# Share of a core's half width within which it has all of the PSF, and cells beyond what varies to its edge. A
-# sharp cut would be off by four times as much, and pixels that are even by nine times.
+# Share of a core's half width within which it has the whole PSF, and cells from the varying part to its edge.
+# The error of a sharp cut is four times as large, that of uniform pixels nine times.
 _WHOLE, _SOFT_CELLS = 0.6, 6
 
 
@@ -63,7 +63,7 @@ def line_ends(n: int) -> Doubles:
 
 
 def moving_ends(segment: Segment) -> Floats:
-    """Find the ends of straight lines through all moving light of a segment: array (2, y, x), float32."""
+    """Fit straight lines in time to the moving light of a segment: their ends, array (2, y, x), float32."""
     ends = np.zeros((2, *segment.start.shape), np.float32)
     lines = line_ends(segment.n_instants).astype(np.float32)
     for block in segment.blocks:
@@ -76,7 +76,7 @@ def moving_ends(segment: Segment) -> Floats:
     return ends
 
 
-# Not BLAS: after a product its threads wait for the next one at full speed, in the way of all others.
+# Not BLAS: after a product its threads spin at full speed and slow all others.
 @compiled(fastmath=True)
 def _add_lines(ends: Floats, excess: Floats, lines: Floats, top: int, bottom: int) -> None:
     width = excess.shape[2]
@@ -93,7 +93,7 @@ def _add_lines(ends: Floats, excess: Floats, lines: Floats, top: int, bottom: in
 
 
 def keep_above_zero(start: Floats, stop: Floats) -> None:
-    """Let light begin and end at zero where straight lines would leave less; its mean stays, if positive.
+    """Raise negative ends of straight lines to zero; the mean is kept, if positive.
 
     Parameters
     ----------
@@ -108,16 +108,16 @@ def keep_above_zero(start: Floats, stop: Floats) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """A ring of a PSF's wings, made ready for moving light that does not end where the panel does.
+    """A ring of PSF tails, prepared for moving light that continues beyond the panel's edge.
 
     Parameters
     ----------
     blur : Blur
-        On cells, of the field and ``reach`` around it.
+        Blur on cells, of the field and a margin of ``reach``.
     reach : int
         Half width of the ring, cells.
     cell : int
-        Panel pixels to the side of a cell.
+        Side of a cell, panel pixels.
     """
 
     blur: Blur
@@ -129,29 +129,30 @@ class Ring:
         rows, cols = images.shape[1:]
         whole = np.pad(images, ((0, 0), (0, -rows % self.cell), (0, -cols % self.cell)), mode="edge")
         cells = np.stack([extend(cell_means(image, self.cell), self.reach) for image in whole])
-        # In double precision: the noise of single one would be negative light far from a very bright lamp.
+        # In double precision: rounding in single precision would give negative light far from a very bright
+        # lamp.
         inner = slice(self.reach, -self.reach)
         found = self.blur.apply(cells)[:, inner, inner]
         return found.repeat(self.cell, axis=1)[:, :rows].repeat(self.cell, axis=2)[:, :, :cols]
 
 
 def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
-    """Cut a PSF in a core and wings that add up to it.
+    """Cut a PSF into a core and tails that add up to it.
 
     Parameters
     ----------
     psf : FieldPsf
-        What each point collects.
+        PSF with which each point collects.
     half : int
-        Cells from the middle of the core to its edge; more where the PSF varies so far, all of the PSF where
-        it is no wider.
+        Half width of the core, cells. It is larger if the PSF varies farther out, and the whole PSF if that
+        is no wider.
 
     Returns
     -------
     core : FieldPsf
-        Falling to nothing towards its edge.
-    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
-        The same everywhere.
+        Core, falling to zero towards its edge.
+    tails : ndarray of shape (2 h + 1, 2 h + 1), float64
+        Tails, the same everywhere.
     """
     half = max(half, psf.core_half + _SOFT_CELLS)
     if half >= psf.half:
@@ -161,36 +162,36 @@ def cut_softly(psf: FieldPsf, half: int) -> tuple[FieldPsf, Doubles]:
     far = np.abs(np.arange(-half, half + 1))
     fall = np.clip((np.maximum(far[:, None], far) - whole) / (half + 1 - whole), 0, 1)
     kept = core.kernel * np.cos(np.pi / 2 * fall) ** 2
-    wings = psf.kernel.copy()
+    tails = psf.kernel.copy()
     inner = slice(psf.half - half, psf.half + half + 1)
-    wings[inner, inner] -= kept
-    return FieldPsf(kept, core.cores), wings
+    tails[inner, inner] -= kept
+    return FieldPsf(kept, core.cores), tails
 
 
-def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
-    """Prepare a PSF's wings for moving light on a fine grid of one shape; none if there are none.
+def make_tails(tails: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring, ...]:
+    """Prepare PSF tails for moving light on a fine grid of one shape; empty if there are none.
 
     Parameters
     ----------
-    wings : ndarray of shape (2 h + 1, 2 h + 1), float64
+    tails : ndarray of shape (2 h + 1, 2 h + 1), float64
         From :func:`cut_softly`.
     pitch : int
         Fine samples to a panel pixel.
     shape : tuple of int
         Rows and columns of the fine grid.
     """
-    if not wings.any():
+    if not tails.any():
         return ()
-    coarse = coarse_kernel(wings, pitch)
-    outer = _coarse_wings(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
-    # Splines reach a little farther than what they stand for.
-    half, room = len(wings) // 2, (_RING_HALF + _ROOM) * pitch
+    coarse = coarse_kernel(tails, pitch)
+    outer = _coarse_tails(coarse, min(_RING_HALF, len(coarse) // 2), _CELL)
+    # Splines reach a little farther than the tails they represent.
+    half, room = len(tails) // 2, (_RING_HALF + _ROOM) * pitch
     near = slice(max(half - room, 0), half + room + 1)
-    inner = spline_kernel(wings[near, near], pitch)
+    inner = spline_kernel(tails[near, near], pitch)
     beyond = max(len(inner) // 2 - _RING_HALF, 0)
     inner = inner[beyond : len(inner) - beyond, beyond : len(inner) - beyond]
     parts = [(inner, 1)] if outer is None else [(inner, 1), (outer, _CELL)]
-    inner *= (wings.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
+    inner *= (tails.sum() - sum(part.sum() for part, _ in parts[1:])) / inner.sum()
     rings: list[Ring] = []
     for part, cell in parts:
         reach = len(part) // 2
@@ -199,30 +200,30 @@ def make_wings(wings: Doubles, pitch: int, shape: tuple[int, int]) -> tuple[Ring
     return tuple(rings)
 
 
-def _coarse_wings(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
-    wings, half = kernel.copy(), len(kernel) // 2
-    wings[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
-    return coarse_kernel(wings, pitch) if wings.any() else None
+def _coarse_tails(kernel: Doubles, core_half: int, pitch: int) -> Doubles | None:
+    tails, half = kernel.copy(), len(kernel) // 2
+    tails[half - core_half : half + core_half + 1, half - core_half : half + core_half + 1] = 0
+    return coarse_kernel(tails, pitch) if tails.any() else None
 
 
-def far_light(ends: Floats, wings: tuple[Ring, ...], pitch: int) -> Doubles:
-    """Light in the wings of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
+def far_light(ends: Floats, tails: tuple[Ring, ...], pitch: int) -> Doubles:
+    """PSF tails of the moving light's straight lines, as splines of panel pixels: array (2, v, u).
 
     Parameters
     ----------
     ends : ndarray of shape (2, y, x), float32
         From :func:`moving_ends`.
-    wings : tuple of Ring
-        From :func:`make_wings`, at least one.
+    tails : tuple of Ring
+        From :func:`make_tails`, at least one.
     pitch : int
         Fine samples to a panel pixel.
     """
     panel = np.stack(side_by_side(partial(_spline_means, end, pitch) for end in ends))
-    return sum((ring.light(panel) for ring in wings[1:]), wings[0].light(panel))
+    return sum((ring.light(panel) for ring in tails[1:]), tails[0].light(panel))
 
 
 def _spline_means(image: Floats, pitch: int) -> Doubles:
-    """Mean of an image under the spline of each panel pixel, (v, u); beyond its border it goes on."""
+    """Mean of an image under the spline of each panel pixel, (v, u); the border's values continue beyond."""
     if image.size < FEW:
         return fine_image_adjoint(image.astype(np.float64), splines(pitch)) / pitch**2
     around = Grid(image.shape[0] // pitch + 2, image.shape[1] // pitch + 2, 1)
@@ -231,15 +232,15 @@ def _spline_means(image: Floats, pitch: int) -> Doubles:
 
 
 @dataclass(frozen=True, eq=False)
-class Winged:
-    """Blur on a fine grid, dark outside, whose far wings work on panel pixels; with its exact adjoint.
+class TailedBlur:
+    """Blur on a fine grid, dark outside, with PSF tails on panel pixels and an exact adjoint.
 
     Parameters
     ----------
     near : Blur or FieldBlur
-        All but the wings.
+        Blur without the tails.
     far : Blur
-        The wings, on panel pixels.
+        Blur by the tails, on panel pixels.
     pitch : int
         Fine cells to a panel pixel.
     """
@@ -260,7 +261,7 @@ class Winged:
         return light
 
     def adjoint(self, image: NDArray[np.floating]) -> Doubles:
-        """Transpose of :meth:`apply`, for images (..., y, x): the wings are their own."""
+        """Transpose of :meth:`apply`, for images (..., y, x); the tails are self-adjoint."""
         light = self.near.adjoint(image)
         for part, given in zip(light.reshape(-1, *self.shape), image.reshape(-1, *self.shape), strict=True):
             self._add_far(part, given)
@@ -271,7 +272,7 @@ class Winged:
 
 
 def near_half(kernel: Doubles, least: int, share: float) -> int:
-    """Half width, ``least`` or more, of a middle beyond which kernels, (..., y, x), have at most a share."""
+    """Half width, ``least`` or more, beyond which kernels, (..., y, x), have at most a share."""
     half = kernel.shape[-1] // 2
     near = min(least, half)
 
@@ -284,8 +285,8 @@ def near_half(kernel: Doubles, least: int, share: float) -> int:
     return near
 
 
-def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:
-    """Add a kernel's wings, all but its middle, (2 near_half + 1)^2, to a blur that has the rest.
+def with_tails(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeBlur:
+    """Add a kernel's tails, all but its centre of (2 near_half + 1)^2, to a blur by that centre.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def winged(near: SomeBlur, kernel: Doubles, near_half: int, pitch: int) -> SomeB
     pitch : int
         Fine cells to a panel pixel.
     """
-    coarse = _coarse_wings(kernel, near_half, pitch)
+    coarse = _coarse_tails(kernel, near_half, pitch)
     if coarse is None:
         return near
-    return Winged(near, make_blur(coarse, (near.shape[0] // pitch, near.shape[1] // pitch)), pitch)
+    return TailedBlur(near, make_blur(coarse, (near.shape[0] // pitch, near.shape[1] // pitch)), pitch)
