@@ -28,7 +28,7 @@ from optsim.core.cache import Cache
 from optsim.core.errors import ConfigError
 from optsim.core.files import write_exr, write_png16
 from optsim.footage.recording import open_recording
-from optsim.footage.truth import cell_shares, overlap
+from optsim.footage.truth import CODE, cell_shares, overlap
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 
@@ -40,6 +40,13 @@ def write_colour_png(path: Path, frame: np.ndarray) -> None:
     coder.time_base = Fraction(1, 25)
     picture = av.VideoFrame.from_ndarray(frame, format="rgb48le").reformat(format="rgb48be")
     path.write_bytes(b"".join(bytes(p) for p in [*coder.encode(picture), *coder.encode(None)]))
+
+
+def test_code_that_reads_footage_decides_where_it_is_cached() -> None:
+    root = Path(__file__).parents[1]
+    found = {path.relative_to(root).as_posix() for glob in CODE for path in root.glob(glob)}
+    assert {"optsim/footage/source.py", "optsim/footage/recording/tiff.py"} <= found
+    assert "optsim/core/foreign/png.py" in found
 
 
 # --- every format ---------------------------------------------------------------------------------------

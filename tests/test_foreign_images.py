@@ -13,8 +13,8 @@ from recorded import codes16, signal, slots, truth
 
 from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
 from optsim.core.files import read_exr, read_png16, write_exr
-from optsim.experiment.imported_clips import open_clips
 from optsim.experiment.measurement.files import MeasurementFiles, read_measurement
+from optsim.footage.clips import open_clips
 from optsim.footage.recording import Says, open_recording
 
 PICTURE = np.random.default_rng(2).integers(0, 65535, (5, 8)).astype(np.uint16)

@@ -10,7 +10,7 @@ import pytest
 from recorded import truth
 
 from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
-from optsim.experiment.imported_clips import open_clips
+from optsim.footage.clips import open_clips
 from optsim.footage.recording import open_recording
 
 av = pytest.importorskip("av")

@@ -10,8 +10,8 @@ from scipy.io import savemat
 
 from optsim.core.errors import ConfigError, StorageError, ValueCheckError
 from optsim.core.files import write_exr, write_png16
-from optsim.experiment.imported_clips import open_clips
 from optsim.experiment.train import train_prior
+from optsim.footage.clips import open_clips
 from optsim.priors.dictionary import load_dictionary
 
 SLOTS, SIDE = 36, 12

@@ -5,7 +5,7 @@ import pytest
 from test_cli import optsim as run
 
 from optsim.experiment import train
-from optsim.experiment.imported_clips import ImportedClip
+from optsim.footage.clips import ImportedClip
 from optsim.priors import training
 from optsim.priors.dictionary import load_dictionary
 

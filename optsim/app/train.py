@@ -50,8 +50,8 @@ def train(
     Stopped, it goes on where it was when the same command runs again.
     """
     from optsim.core.console import people, progress_bars
-    from optsim.experiment.imported_clips import open_clips
     from optsim.experiment.train import prior_path, train_prior
+    from optsim.footage.clips import open_clips
     from optsim.priors.checkpoint import checkpoint_path
 
     about_clips = {

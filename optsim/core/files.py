@@ -10,6 +10,7 @@ same folder and rename: an interrupted run never leaves half a file.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import json
 import os
@@ -164,6 +165,18 @@ def _crc_of(path: Path, *state: int) -> int:
         while block := stream.read(_BLOCK):
             found = zlib.crc32(block, found)
     return found
+
+
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file's content, worked out once for each of its states."""
+    state = path.stat()
+    return _sha256_of(path, state.st_ino, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=100_000)
+def _sha256_of(path: Path, *state: int) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def write_exr(

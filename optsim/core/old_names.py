@@ -15,7 +15,7 @@ _FROM_THE_TOP = {
     "foreign",
     "camera": "effects effect_sizes geometry ledger hardware laboratory bench_calibration",
     "experiment": "loop journal finished job explain trace truth evidence scoring densities object_masks "
-    "run_frames run_calibrations focus measurement train imported_clips",
+    "run_frames run_calibrations focus measurement train",
     "app": "cli doctor catalogue",
 }
 _RENAMED = {
@@ -24,10 +24,12 @@ _RENAMED = {
     "camera_table": "optsim.camera.table",
     "claims": "optsim.core.folder_claims",
     "experiment_schema": "optsim.experiment.schema",
+    "experiment.imported_clips": "optsim.footage.clips",
     "forward": "optsim.optics",
     "forward.bands": "optsim.core.threads",
     "forward.compiled": "optsim.core.compiled",
     "gallery": "optsim.experiment.figures",
+    "imported_clips": "optsim.footage.clips",
     "knowledge": "optsim.calibration.choice",
     "known_calibration": "optsim.camera.true_calibration",
     "optics.bands": "optsim.core.threads",

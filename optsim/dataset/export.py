@@ -6,7 +6,6 @@ goes to the middles of the next and of the last slot.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -16,7 +15,7 @@ from typing import Any
 from optsim.camera.effects import with_effects
 from optsim.core.cache import hash_of
 from optsim.core.errors import BackendError, ConfigError, StorageError
-from optsim.core.files import CLAIM, read_exr, read_json, write_exr, write_json, write_png8
+from optsim.core.files import CLAIM, content_hash, read_exr, read_json, write_exr, write_json, write_png8
 from optsim.core.folder_claims import claimed
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Passes, RadianceVideo
@@ -286,13 +285,11 @@ def _own_record(export: _Export, path: Path, slot: int) -> Record | None:
 
 
 def _record(path: Path, slot: int, measured: float | None) -> Record:
-    with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
     return {
         "file": path.name,
         "slot": slot,
         "bytes": path.stat().st_size,
-        "sha256": digest,
+        "sha256": content_hash(path),
         "noise_share": measured,
     }
 

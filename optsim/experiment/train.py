@@ -17,7 +17,7 @@ from optsim.core.files import writable_folder
 from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, Timing, View
-from optsim.experiment.imported_clips import ImportedClip
+from optsim.footage.clips import ImportedClip
 from optsim.priors.checkpoint import checkpoint_path
 from optsim.priors.dictionary import save_dictionary
 from optsim.priors.mixture import save_mixture

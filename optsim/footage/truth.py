@@ -4,22 +4,25 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from optsim.core.cache import Arrays, Cache, hash_of
+from optsim.core.code_hash import hash_files
 from optsim.core.errors import ConfigError, GeometryError
+from optsim.core.files import content_hash
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles, RadianceVideo, Segment, Timing, View
 from optsim.footage.recording import Recording, open_recording
 from optsim.footage.source import FootageSource, RecordedLight
 
+CODE = ("optsim/footage/**/*.py", "optsim/core/foreign/*.py")
+"""Code that decides an import: an old cache never answers for new code."""
 # Decimals of a footage frame or pixel to which a boundary is known: 180 Hz footage has whole slots.
 _DECIMALS = 9
 
@@ -231,7 +234,7 @@ class FootageTruth:
     def keys(self) -> list[str]:
         """Places of the slots in the cache: hashes of files, of what is stated, the grid, and this code."""
         stated = self.source.model_dump(mode="json", exclude={"path", "white_w_m2_sr"})
-        same = [stated, self.view.rows, self.view.cols, self.timing.slot_s, _code_hash()]
+        same = [stated, self.view.rows, self.view.cols, self.timing.slot_s, hash_files(CODE)]
         files = self.recording.files
         keys: list[str] = []
         for slot in range(self.timing.n_slots):
@@ -272,23 +275,3 @@ def open_footage(source: FootageSource, view: View, timing: Timing) -> FootageTr
 def _still(entry: Arrays) -> Segment:
     image = np.asarray(entry["light"])
     return Segment(image, image, (), 1)
-
-
-def content_hash(path: Path) -> str:
-    """SHA-256 of a file's content: a changed recording is another truth, a moved one is not."""
-    status = path.stat()
-    return _digest_of(path, status.st_size, status.st_mtime_ns)
-
-
-@lru_cache(maxsize=100_000)
-def _digest_of(path: Path, size: int, mtime_ns: int) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _code_hash() -> str:
-    """Hash of the code that decides an import, so that an old cache never answers for new code."""
-    here = Path(__file__).parent
-    readers = [*(here / "recording").glob("*.py"), *(here.parent / "foreign").glob("*.py")]
-    code = sorted([*here.glob("footage*.py"), *readers])
-    return hash_of(*(p.read_text(encoding="utf-8") for p in code))

@@ -10,7 +10,6 @@ keys are the fields of :class:`MeasurementFiles`; paths in it begin at its folde
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -22,8 +21,8 @@ from pydantic import Field, field_validator
 from optsim.calibration import Bench, calibrate_from, read_calibration
 from optsim.calibration.choice import BENCH_FILE, CALIBRATION_FILE, ReadingPx, kept_file
 from optsim.core.config import Part, build, override, read_toml
-from optsim.core.errors import ConfigError, OptsimError, ValueCheckError
-from optsim.core.files import read_exr
+from optsim.core.errors import ConfigError, ValueCheckError
+from optsim.core.files import content_hash
 from optsim.decoding import Decoder, Interpolation
 from optsim.experiment.measurement.coded import (
     Measurement,
@@ -34,7 +33,8 @@ from optsim.experiment.measurement.coded import (
     stacked,
     truth_frames,
 )
-from optsim.footage.recording import IMAGES, array_names, by_number, load_array, open_recording
+from optsim.footage.measured import read_pictures
+from optsim.footage.recording import IMAGES, array_names
 
 _Role = Literal["image", "code", "truth", "moving"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
@@ -194,8 +194,7 @@ def _origin(files: MeasurementFiles) -> dict[str, object]:
         if key == "calibration" and (path / CALIBRATION_FILE).is_file():
             inside = {path / CALIBRATION_FILE}
         for each in sorted({path} if path.is_file() else inside):
-            with each.open("rb") as stream:
-                hashes[str(each)] = hashlib.file_digest(stream, "sha256").hexdigest()
+            hashes[str(each)] = content_hash(each)
     return {**said, "sha256": hashes}
 
 
@@ -247,63 +246,5 @@ def _on_a_camera(
 
 
 def _read(text: str, role: _Role) -> NDArray[Any]:
-    """Pictures in order of time: (y, x), (t, y, x) or (frame, slot, y, x)."""
-    path = Path(text)
-    if path.suffix.lower() in _ARRAYS:
-        there = array_names(path)
-        name = next((name for name in _NAMES[role] if name in there), None)
-        if name is None:
-            raise ConfigError(
-                f"{role}: {path} holds {', '.join(sorted(there)) or 'no arrays'}, expected "
-                f"{' or '.join(_NAMES[role])}; rename the array"
-            )
-        # MATLAB's last axes are time; of a code (y, x, slot, frame), the frames are the last one.
-        stored = load_array(path, name)
-        return stored.T.swapaxes(-1, -2) if path.suffix.lower() == ".mat" else stored
-    exr = (
-        sorted(path.glob("*.exr"), key=lambda file: by_number(file.name))
-        if path.is_dir()
-        else [path] * (path.suffix.lower() == ".exr")
-    )
-    if exr and role not in ("image", "moving"):
-        stacks = [_slots(read_exr(each)[0], f"{role}: {each}") for each in exr]
-        for each, stack in zip(exr, stacks, strict=True):
-            if stack.shape != stacks[0].shape:
-                raise ValueCheckError(
-                    f"{role}: {each} holds {stack.shape[0]} channels of {stack.shape[1:]} pixels, expected "
-                    f"{stacks[0].shape[0]} of {stacks[0].shape[1:]} as {exr[0].name} does"
-                )
-        return np.concatenate(stacks) if len(stacks[0]) == 1 else np.stack(stacks)
-    try:
-        recording = open_recording(path)
-        pictures = np.stack(list(recording.read(0)))
-    except OptsimError as error:
-        # Footage says where its own keys are.
-        raise type(error)(str(error).replace("source.footage.path", role)) from None
-    if role in ("image", "truth") and recording.says.curve not in (None, "linear"):
-        raise ValueCheckError(
-            f"{role}: {path} says that its values follow the curve {recording.says.curve}, expected linear "
-            "ones; cure: convert it, or remove what it says"
-        )
-    if pictures.shape[3] != 1:
-        raise ValueCheckError(f"{role}: {path} has {pictures.shape[3]} channels, expected grey pictures")
-    return pictures[..., 0]
-
-
-def _slots(channels: dict[str, NDArray[Any]], what: str) -> NDArray[Any]:
-    """Channels of an EXR in the order of the numbers in their names, (slot, v, u); none may be missing."""
-    names = sorted(channels, key=by_number)
-    told = [[number for number, word in by_number(name) if not word] for name in names]
-    numbers = [each[-1] for each in told if each]
-    if 0 < len(numbers) < len(names):
-        raise ValueCheckError(
-            f"{what}: got channels {', '.join(names)}, expected slots alone, all with numbers in their names "
-            "or none; cure: leave the others out"
-        )
-    if numbers and numbers != list(range(numbers[0], numbers[0] + len(names))):
-        missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
-        raise ValueCheckError(
-            f"{what}: got channels {', '.join(names)}, expected slots one after the other; "
-            f"missing: {', '.join(map(str, missing)) or 'none, but some are there twice'}"
-        )
-    return np.stack([channels[name] for name in names])
+    slots, light = role in ("code", "truth"), role in ("image", "truth")
+    return read_pictures(Path(text), role, names=_NAMES[role], slots=slots, light=light)

@@ -1,16 +1,18 @@
 """Recordings as they lie on disk: files in, frames as stored out; what they mean is ``footage_source``'s."""
 
 from optsim.footage.recording.arrays import array_axes, array_names, load_array
-from optsim.footage.recording.files import IMAGES, by_number, open_recording
+from optsim.footage.recording.files import IMAGES, VIDEOS, by_number, naming, open_recording
 from optsim.footage.recording.film import Recording, Says
 
 __all__ = [
     "IMAGES",
+    "VIDEOS",
     "Recording",
     "Says",
     "array_axes",
     "array_names",
     "by_number",
     "load_array",
+    "naming",
     "open_recording",
 ]

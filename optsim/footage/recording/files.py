@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from optsim.core.errors import ConfigError, StorageError
+from optsim.core.errors import ConfigError, OptsimError, StorageError
 from optsim.footage.recording import arrays, images, tiff
 from optsim.footage.recording.arrays import ARRAYS
 from optsim.footage.recording.film import Recording, as_recording
@@ -58,6 +60,18 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
     else:
         read, says = tiff.tiff, tiff.tiff_stack(files[0]).says
     return as_recording(files, len(files), lambda first: map(read, files[first:]), says=says)
+
+
+@contextmanager
+def naming(keys: Mapping[str, str]) -> Generator[None, None, None]:
+    """Let errors of this room name options, or keys of other files, instead of its own keys."""
+    try:
+        yield
+    except OptsimError as error:
+        text = str(error)
+        for key, other in keys.items():
+            text = text.replace(key, other)
+        raise type(error)(text) from None
 
 
 def by_number(name: str) -> list[tuple[int, str]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,13 +10,12 @@ from typing import Any, Literal
 import numpy as np
 
 from optsim.core.cache import hash_of
-from optsim.core.errors import ConfigError, OptsimError, ValueCheckError
+from optsim.core.errors import ConfigError, ValueCheckError
+from optsim.core.files import content_hash
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
-from optsim.footage.recording import Recording, array_axes, open_recording
-from optsim.footage.recording.files import VIDEOS
+from optsim.footage.recording import VIDEOS, Recording, array_axes, naming, open_recording
 from optsim.footage.source import FootageSource
-from optsim.footage.truth import content_hash
 
 Linearisation = Literal["linear", "srgb"]
 # Keys that readers of footage name, and the options that stand for them here.
@@ -74,7 +72,7 @@ class ImportedClip:
         for slot in range(self.n_slots):
             total = np.zeros(clip.shape[1:])
             for frame in range(slot * self.frames_per_slot, (slot + 1) * self.frames_per_slot):
-                with _naming_options():
+                with naming(_OPTIONS):
                     total += self.source.radiance(next(frames), self.recording.where(frame)).w_m2_sr
             with np.errstate(over="ignore"):
                 clip[slot] = total / self.frames_per_slot
@@ -144,7 +142,7 @@ def open_clips(
     """
     found: list[ImportedClip] = []
     for path in paths:
-        with _naming_options():
+        with naming(_OPTIONS):
             recording = open_recording(path, axes=array_axes(path))
         n_frames, (rows, cols, channels) = recording.n_frames, recording.shape
         if n_frames < slots * frames_per_slot:
@@ -197,19 +195,7 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
         "accept_8bit": True,
     }
     source = FootageSource(**stated)
-    with _naming_options():
+    with naming(_OPTIONS):
         # Other primaries change the weights of colours, not what is learned of their motion and texture.
         source.check_says(recording.says._replace(primaries=None), name)
     return source
-
-
-@contextmanager
-def _naming_options() -> Generator[None, None, None]:
-    """Let errors of the readers name the options of the command line."""
-    try:
-        yield
-    except OptsimError as error:
-        text = str(error)
-        for key, option in _OPTIONS.items():
-            text = text.replace(key, option)
-        raise type(error)(text) from None
