@@ -13,7 +13,6 @@ from scipy.sparse import csc_matrix
 
 from optsim.core.errors import OptsimError, StorageError, ValueCheckError
 from optsim.footage.recording import array_names, load_array, open_recording
-from optsim.priors.checkpoint import Checkpoint
 from optsim.priors.prior_file import read_prior, write_prior
 
 FILM = np.random.default_rng(3).integers(0, 4000, (8, 6, 9)).astype(np.uint16)
@@ -104,7 +103,6 @@ def test_what_is_wrong_with_an_archive_names_it(how: str, tmp_path: Path) -> Non
         load_array(path, "image")
     with pytest.raises(StorageError, match=r"a\.npz is not a dictionary: "):
         read_prior(path, "dictionary", ("image",))
-    assert Checkpoint(path, "key").read("image") is None
 
 
 def test_a_size_beyond_memory_is_refused_before_it_is_asked_for(
@@ -204,13 +202,9 @@ def test_matlab_arrays_are_read(tmp_path: Path) -> None:
 # --- our own ------------------------------------------------------------------------------------------------
 
 
-def test_a_prior_and_a_checkpoint_are_read_back(tmp_path: Path) -> None:
+def test_a_prior_is_read_back(tmp_path: Path) -> None:
     write_prior(tmp_path / "a.npz", {"atoms": FILM}, {"seed": 1})
     arrays, provenance = read_prior(tmp_path / "a.npz", "dictionary", ("atoms",))
     assert (provenance, np.array_equal(arrays["atoms"], FILM)) == ({"seed": 1}, True)
     with pytest.raises(StorageError, match=r"a\.npz is not a mixture: .*it holds no means"):
         read_prior(tmp_path / "a.npz", "mixture", ("means",))
-    Checkpoint(tmp_path / "b.npz", "key").write(7, state=FILM)
-    step, (state,) = Checkpoint(tmp_path / "b.npz", "key").read("state") or (0, [FILM * 0])
-    assert (step, np.array_equal(state, FILM)) == (7, True)
-    assert Checkpoint(tmp_path / "b.npz", "other").read("state") is None

@@ -162,7 +162,7 @@ def test_a_kept_calibration_that_is_another_is_refused(run: Path, tmp_path: Path
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
     shutil.copy(copy / "calibration-plain.npz", copy / "calibration.npz")
-    with pytest.raises(StorageError, match=r"calibration\.npz: got another file than the run wrote"):
+    with pytest.raises(StorageError, match=r"calibration\.npz: got other content, expected what"):
         read_run(copy, "random")
     (copy / "calibration.npz").unlink()
     with pytest.raises(StorageError, match=r"calibration\.npz: got no such file"):

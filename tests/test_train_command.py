@@ -14,6 +14,7 @@ from optsim.priors.dictionary import load_dictionary
 def optsim(capsys, monkeypatch, tmp_path):
     """The command line in a folder of its own that holds one good clip and one that is too short."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path / "cache"))
     frames = np.random.default_rng(3).random((36, 16, 16), dtype=np.float32) + 0.1
     np.save(tmp_path / "good.npy", frames)
     np.save(tmp_path / "short.npy", frames[:9])
@@ -69,7 +70,9 @@ def test_a_mixture_has_no_method(optsim):
 
 def test_an_interrupted_training_says_how_to_go_on_and_does(optsim, tmp_path, monkeypatch):
     words = ("train", "dictionary", "--clips", "good.npy", "--size", "10")
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path / "another"))
     assert optsim(*words, "--out", "whole.npz")[0] == 0
+    monkeypatch.setenv("OPTSIM_CACHE", str(tmp_path / "cache"))
     calls = []
     update = training.least_squares_atoms
 
@@ -82,13 +85,10 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(optsim, tmp_path, mo
     monkeypatch.setattr(training, "least_squares_atoms", stopping)
     code, _, err = optsim(*words, "--out", "mine.npz")
     assert code == 130
-    assert "mine.partial.npz" in err
     assert "the same command goes on" in err
-    assert (tmp_path / "mine.partial.npz").exists()
     assert not (tmp_path / "mine.npz").exists()
     assert optsim(*words, "--out", "mine.npz")[0] == 0
     assert len(calls) == 6 + 7, "five of twelve iterations were not made again"
-    assert not (tmp_path / "mine.partial.npz").exists()
     np.testing.assert_array_equal(
         load_dictionary(tmp_path / "mine.npz").atoms, load_dictionary(tmp_path / "whole.npz").atoms
     )

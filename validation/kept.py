@@ -11,7 +11,7 @@ from optsim.core.errors import OptsimError
 from optsim.core.files import read_json, write_json
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.job import versions
-from optsim.experiment.journal import run_key
+from optsim.experiment.resume import run_key
 
 
 def kept(path: Path, experiment: Experiment, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def run(
     from optsim.experiment import job
     from optsim.experiment.experiment import load_experiment
     from optsim.experiment.explain import too_short
-    from optsim.experiment.finished import finished_run
+    from optsim.experiment.run_folder import finished_run
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     if check_skips:

@@ -40,7 +40,8 @@ def reconstruct_files(
     from optsim.core.folder_claims import output_folder
     from optsim.experiment.measurement import decode_measurement, read_measurement
     from optsim.experiment.measurement.files import DecoderChoice, measurement_files
-    from optsim.experiment.measurement.runs import RECORD, decoder_of_run, read_run
+    from optsim.experiment.measurement.runs import decoder_of_run, read_run
+    from optsim.experiment.run_folder import RECORD
 
     if out is not None:
         check_empty(out)

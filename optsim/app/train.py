@@ -52,7 +52,6 @@ def train(
     from optsim.core.console import people, progress_bars
     from optsim.experiment.train import prior_path, train_prior
     from optsim.footage.clips import open_clips
-    from optsim.priors.checkpoint import checkpoint_path
 
     about_clips = {
         "--frames-per-slot": frames_per_slot,
@@ -68,21 +67,16 @@ def train(
         linearisation=linearisation,
         black_level=black_level or 0.0,
     )
-    try:
-        with progress_bars() as progress:
-            train_prior(
-                prior,
-                out,
-                size=size,
-                method=method,
-                seed=seed,
-                footage=footage,
-                clips=opened,
-                backend=backend,
-                progress=progress,
-            )
-    except KeyboardInterrupt:
-        if checkpoint_path(path).exists():
-            people.print(f"Finished iterations are in {checkpoint_path(path)}.")
-        raise
+    with progress_bars() as progress:
+        train_prior(
+            prior,
+            out,
+            size=size,
+            method=method,
+            seed=seed,
+            footage=footage,
+            clips=opened,
+            backend=backend,
+            progress=progress,
+        )
     people.print(f"Wrote {path}")

@@ -12,12 +12,14 @@ import contextlib
 import fcntl
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -79,13 +81,13 @@ class Cache:
     ----------
     folder : Path
         Where to keep the entries; made on the first write.
-    cap_bytes : int
+    cap_bytes : float
         Size above which the least recently used entries are removed, from ``$OPTSIM_CACHE_MAX_GB``
-        (default 20 GB; no source, sensible default).
+        (default 20 GB; no source, sensible default); infinite: none is ever removed.
     """
 
     folder: Path = field(default_factory=default_folder)
-    cap_bytes: int = field(default_factory=_default_cap_bytes)
+    cap_bytes: float = field(default_factory=_default_cap_bytes)
     _used: set[str] = field(default_factory=lambda: set[str](), repr=False)
     # Bytes on disk as this process knows them; None before the first count.
     _size: list[int] = field(default_factory=lambda: list[int](), repr=False)
@@ -108,6 +110,10 @@ class Cache:
         # The caller will use the entry: no other process may evict it from now on.
         self._use(key)
         return _files_of(self._entry(key)) is not None
+
+    def n_first(self, keys: Iterable[str]) -> int:
+        """Count the entries that are there, from the first key on, up to one that isn't."""
+        return sum(1 for _ in takewhile(self.__contains__, keys))
 
     def read(self, key: str) -> Arrays:
         """Memory-map an entry's arrays.
@@ -177,7 +183,7 @@ class Cache:
             raise StorageError(f"cannot write the cache {self.folder}: {error.strerror or error}") from error
         try:
             for name, array in arrays.items():
-                np.save(temporary / f"{name}.npy", np.ascontiguousarray(array))
+                np.save(temporary / f"{name}.npy", np.asarray(array, order="C"))
             listed = {path.name: sum_of(path) for path in temporary.iterdir()}
             (temporary / _LIST).write_text(json.dumps(listed), encoding="utf-8")
             temporary.chmod(0o755)
@@ -191,7 +197,7 @@ class Cache:
         except OSError as error:
             raise StorageError(
                 f"cannot write the cache {self.folder}: {error.strerror or error}; cure: free disk space, or "
-                "choose another folder with OPTSIM_CACHE"
+                "choose another folder with OPTSIM_CACHE or --out"
             ) from error
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -199,7 +205,7 @@ class Cache:
 
     def _use(self, key: str) -> None:
         """Note that this process uses an entry; the note holds until the process ends."""
-        if key in self._used:
+        if key in self._used or self.cap_bytes == math.inf:
             return
         self._used.add(key)
         # A cache that this user may only read still serves.
@@ -208,6 +214,8 @@ class Cache:
             os.utime(self._entry(key))
 
     def _evict(self, n_new: int) -> None:
+        if self.cap_bytes == math.inf:
+            return
         if not self._size:
             self._size.append(self._total())
         else:

@@ -14,8 +14,8 @@ _FROM_THE_TOP = {
     "core": "errors config descriptions units problems files progress cache console stopwatch quantities "
     "foreign",
     "camera": "effects effect_sizes geometry ledger hardware laboratory bench_calibration",
-    "experiment": "loop journal finished job explain trace truth evidence scoring densities object_masks "
-    "run_frames run_calibrations focus measurement train",
+    "experiment": "loop job explain trace truth evidence scoring densities object_masks focus measurement "
+    "train",
     "app": "cli doctor catalogue",
 }
 _RENAMED = {
@@ -24,12 +24,18 @@ _RENAMED = {
     "camera_table": "optsim.camera.table",
     "claims": "optsim.core.folder_claims",
     "experiment_schema": "optsim.experiment.schema",
+    "experiment.finished": "optsim.experiment.run_folder",
     "experiment.imported_clips": "optsim.footage.clips",
+    "experiment.journal": "optsim.experiment.resume",
+    "experiment.run_calibrations": "optsim.experiment.run_folder",
+    "experiment.run_frames": "optsim.experiment.run_folder",
+    "finished": "optsim.experiment.run_folder",
     "forward": "optsim.optics",
     "forward.bands": "optsim.core.threads",
     "forward.compiled": "optsim.core.compiled",
     "gallery": "optsim.experiment.figures",
     "imported_clips": "optsim.footage.clips",
+    "journal": "optsim.experiment.resume",
     "knowledge": "optsim.calibration.choice",
     "known_calibration": "optsim.camera.true_calibration",
     "optics.bands": "optsim.core.threads",
@@ -41,6 +47,8 @@ _RENAMED = {
     "reconstruct": "optsim.decoding",
     "reconstruct.branches": "optsim.decoding.partial_decoders",
     "reconstruct.layer": "optsim.decoding.partial",
+    "run_calibrations": "optsim.experiment.run_folder",
+    "run_frames": "optsim.experiment.run_folder",
     "scene.footage": "optsim.footage.made",
     "scene.footage_source": "optsim.footage.source",
     "scene.footage_truth": "optsim.footage.truth",

@@ -23,8 +23,8 @@ from optsim.dataset.contact_sheet import write_contact_sheet
 from optsim.dataset.reading import CARD, MANIFEST, Sample
 from optsim.dataset.sequence import make_sequence
 from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
-from optsim.experiment.finished import versions
-from optsim.experiment.journal import run_key
+from optsim.experiment.resume import run_key
+from optsim.experiment.run_folder import versions
 from optsim.experiment.truth import renderer
 from optsim.tasks import Outcome, Task, run_tasks, task_record
 

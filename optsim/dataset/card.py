@@ -15,7 +15,7 @@ import numpy as np
 from optsim.dataset.channels import CONVENTIONS
 from optsim.dataset.reading import KIND, MANIFEST, PASSES
 from optsim.dataset.spec import SPLITS, DatasetSpec, SequencePlan
-from optsim.experiment.finished import versions
+from optsim.experiment.run_folder import versions
 
 Record = dict[str, Any]
 _CHECKS = {

@@ -19,10 +19,13 @@ from optsim.core.files import write_json
 from optsim.dataset.export import export_passes
 from optsim.dataset.spec import DatasetSpec, SequencePlan
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.job import write_reconstruction
 from optsim.experiment.loop import calibrate_all, capture, decode, planned, set_light
-from optsim.experiment.run_calibrations import keep_calibrations
-from optsim.experiment.run_frames import write_frames
+from optsim.experiment.run_folder import (
+    write_calibrations,
+    write_checksums,
+    write_frames,
+    write_reconstruction,
+)
 from optsim.experiment.truth import render_truth
 
 
@@ -54,12 +57,13 @@ def _take(experiment: Experiment, folder: Path, *, reconstruct: bool) -> None:
     radiance = render_truth(experiment)
     camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
     frames = capture(modelled, camera, camera.form_image(radiance), known)
-    keep_calibrations(experiment, folder, known)
+    write_calibrations(experiment, folder, known)
     write_frames(folder, frames)
     if reconstruct:
         for decoded in decode(modelled, frames, known):
             for name, video in decoded.videos.items():
                 write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+    write_checksums(folder)
     write_json(folder / "experiment.json", experiment.model_dump(mode="json"))
     # Last: it says that the rest is whole.
     facts = {"irradiance_per_radiance": camera.irradiance_per_radiance, "gain_e_dn": camera.sensor.step_e}

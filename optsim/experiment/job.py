@@ -5,9 +5,7 @@ Streams frame by frame, so that memory does not grow with the length of the expe
 
 from __future__ import annotations
 
-import contextlib
 import shutil
-from collections.abc import Generator
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,50 +17,36 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.laboratory import check_panel
 from optsim.camera.true_calibration import check_kept, ideal_calibration
 from optsim.core.cache import Cache
-from optsim.core.errors import OptsimError, StorageError
-from optsim.core.files import holds_nothing, read_record, writable_folder, write_exr, write_json
+from optsim.core.errors import StorageError
+from optsim.core.files import writable_folder, write_exr, write_json
 from optsim.core.folder_claims import claimed
 from optsim.core.progress import Progress, silent
-from optsim.core.quantities import RadianceVideo, Reconstruction
+from optsim.core.quantities import RadianceVideo
 from optsim.core.stopwatch import Stopwatch
 from optsim.experiment import evidence
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.explain import MID_GREY, plan_record
 from optsim.experiment.figures import MOVING_FRAMES, Figures
-from optsim.experiment.finished import UNFINISHED, results_key, versions
-from optsim.experiment.journal import Journal, run_key
 from optsim.experiment.loop import LightLevel, calibrate_all, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
-from optsim.experiment.run_calibrations import keep_calibrations
-from optsim.experiment.run_frames import write_frames
+from optsim.experiment.resume import UNFINISHED, keep_scores, kept_scores, n_shots, unfinished
+from optsim.experiment.run_folder import (
+    RESULTS,
+    results_key,
+    run_folder,
+    stated,
+    versions,
+    write_calibrations,
+    write_checksums,
+    write_frames,
+    write_reconstruction,
+)
 from optsim.experiment.scoring import Scorer
 from optsim.experiment.truth import check_truth, describe_truth, render_truth, renderer, scene_light
 from optsim.report import write_report
 from optsim.report.schema import SCHEMA_VERSION
 
 Results = dict[str, Any]
-
-
-def run_folder(experiment: Experiment, out: Path) -> Path:
-    """Folder of a run, if it is free for this experiment.
-
-    Raises
-    ------
-    StorageError
-        When the folder holds a run of another experiment, or something that is no run.
-    """
-    if out.is_file():
-        raise StorageError(f"--out {out} is a file; expected a folder")
-    if out.is_dir() and not holds_nothing(out):
-        marker = out / "experiment.json"
-        if not marker.is_file():
-            raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
-        if read_record(marker).get("fingerprint") != experiment.fingerprint():
-            raise StorageError(
-                f"--out {out} holds a run of another experiment; choose another folder, "
-                "or run that experiment (its resolved form is in experiment.json)"
-            )
-    return out
 
 
 def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
@@ -169,7 +153,7 @@ def _execute(
     progress: Progress,
 ) -> Results:
     watch = Stopwatch()
-    resolved, fingerprint = experiment.model_dump(mode="json"), experiment.fingerprint()
+    resolved = experiment.model_dump(mode="json")
     chosen, why = renderer(experiment, backend)
     # Of the code as it is now: what is edited while a run goes on is not in it.
     key = results_key(experiment, chosen)
@@ -181,27 +165,28 @@ def _execute(
         known = calibrate_all(modelled)
         progress("laboratory", 1, 1)
     experiment.check_methods(known)
-    with _stated(folder, {"fingerprint": fingerprint, "experiment": resolved}), watch.stage("render"):
+    with stated(folder, experiment), watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
-    kept = keep_calibrations(experiment, folder, known)
+    calibration_files = write_calibrations(experiment, folder, known)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
             objects = object_masks(experiment, backend=backend, progress=progress)
-    journal = Journal(folder / UNFINISHED, run_key(experiment, chosen, versions()))
+    kept = unfinished(folder, key)
     experiment, names = modelled, [method.name for method in experiment.methods]
-    resumed = {"captured": journal.n_shots(names)}
+    resumed = {"captured": n_shots(kept, names)}
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
         truth = camera.form_image(radiance)
-        frames = capture(experiment, camera, truth, known, progress, journal)
+        frames = capture(experiment, camera, truth, known, progress, kept)
         write_frames(folder, frames)
+        write_checksums(folder)
     scorer = Scorer(experiment, camera, truth, radiance)
     saturation_dn = float(np.median(known[experiment.calibration_choice].saturation_dn))
     figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
     # Pictures are of the last frames.
-    scored = journal.scores(names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
+    scored = kept_scores(kept, names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
     for scores in scored:
         scorer.recall(scores)
     resumed["scored"] = len(scored)
@@ -214,7 +199,7 @@ def _execute(
                 figures.add(name, video, frames[name][decoded.index])
                 if name in experiment.save_reconstructions:
                     write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
-            journal.keep_scores(decoded.index, scores)
+            keep_scores(kept, names, decoded.index, scores)
             progress("decode", decoded.index + 1, experiment.n_frames)
     with watch.stage("noise ceiling"):
         ceiling = scorer.noise_ceiling(progress)
@@ -257,7 +242,7 @@ def _execute(
             for m in experiment.methods
         },
         "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
-        "calibration_files": kept,
+        "calibration_files": calibration_files,
         **scorer.results(),
         "plan": plan_record(plan),
         **scorer.masks(frames, objects),
@@ -267,24 +252,11 @@ def _execute(
         "reconstruct_s": {name: round(seconds, 3) for name, seconds in decode_s.items()},
         "pictures": pictures,
     }
-    write_json(folder / "results.json", results)
+    write_checksums(folder)
+    write_json(folder / RESULTS, results)
     write_report(folder, results)
-    journal.close()
+    shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
     return results
-
-
-@contextlib.contextmanager
-def _stated(folder: Path, statement: dict[str, Any]) -> Generator[None, None, None]:
-    """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
-    path = folder / "experiment.json"
-    begun = path.exists()
-    write_json(path, statement)
-    try:
-        yield
-    except OptsimError:
-        if not begun:
-            path.unlink()
-        raise
 
 
 def summary(results: Results) -> str:
@@ -316,22 +288,6 @@ def export_radiance(
             attributes={"unit": "W m^-2 sr^-1", "axes": "slot, v, u", "frame": index, "band_nm": seen_nm},
         )
         progress("export truth", index + 1, experiment.n_frames)
-
-
-def write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
-    """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
-    radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
-    write_exr(
-        folder / "reconstructions" / name / f"{video.index:06d}.exr",
-        {f"slot{slot:02d}": radiance[slot] for slot in range(len(radiance))},
-        attributes={
-            "unit": "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance",
-            "irradiance_per_radiance": per_radiance,
-            "axes": "slot, v, u",
-            "frame": video.index,
-        },
-        half=True,
-    )
 
 
 def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.laboratory import measure_bench
 from optsim.camera.skip import Skipping, leave_out
 from optsim.camera.true_calibration import ideal_calibration, kept_calibration, true_calibration
+from optsim.core.cache import Cache
 from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import (
@@ -34,7 +35,7 @@ from optsim.core.quantities import (
     Reconstruction,
 )
 from optsim.experiment.experiment import Experiment, Method
-from optsim.experiment.journal import NOTHING_KEPT, Journal
+from optsim.experiment.resume import kept_shot
 from optsim.experiment.truth import given
 from optsim.optics.integrate import cell_means
 
@@ -179,7 +180,7 @@ def shots(
     camera: CodedCamera,
     truth: IrradianceVideo,
     calibration: Calibration,
-    journal: Journal = NOTHING_KEPT,
+    kept: Cache | None = None,
 ) -> Iterator[Shot]:
     """Take the coded frames of one method, each when it is asked for; arguments as of :func:`capture`."""
     # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
@@ -192,7 +193,7 @@ def shots(
         code, state = method.scheme.next(index, arrived, state)
         photons = stream(experiment.seed, "shot", method.name, index)
         take = partial(camera.expose, truth, index, code, before, photons)
-        frame, panel = journal.shot(method.name, index, code, take)
+        frame, panel = kept_shot(kept, method.name, index, code, take)
         frames.append(frame)
         yield Shot(frame, before)
 
@@ -203,7 +204,7 @@ def capture(
     truth: IrradianceVideo,
     calibrations: Calibrations,
     progress: Progress = silent,
-    journal: Journal = NOTHING_KEPT,
+    kept: Cache | None = None,
 ) -> Frames:
     """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
 
@@ -219,7 +220,7 @@ def capture(
         All that the schemes know, from :func:`calibrate_all`.
     progress : Progress
         Told of each coded frame.
-    journal : Journal
+    kept : Cache, optional
         What an earlier run of the same was stopped at; each frame is kept there.
 
     Returns
@@ -228,7 +229,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], journal)
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], kept)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}

@@ -13,8 +13,8 @@ from optsim.camera.true_calibration import true_calibration
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bools, Doubles, Floats, IrradianceVideo, RadianceVideo, Reconstruction
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.journal import FrameScores
 from optsim.experiment.loop import Frames, Result
+from optsim.experiment.resume import FrameScores
 from optsim.metrics.scoring import ScoreRecord
 from optsim.optics.integrate import cell_means, slot_means
 from optsim.optics.readings import brightest, mean_reading
@@ -114,22 +114,23 @@ class Scorer:
         """Score one coded frame of all methods, on the pixels that all of them hold valid."""
         scored = np.logical_and.reduce([video.valid for video in videos.values()])
         slots = self.camera.coded_slots
-        found = FrameScores([], [], self._pairs(videos))
+        found: FrameScores = [*self._pairs(videos)]
         for method, video in videos.items():
             reference, moving = self.reference(video.index), self.moving(video.index)
-            found.tallies.append(self.board.tally(method, video, reference, moving, scored))
-            found.spreads.append(metrics.tally_uncertainty(method, video, reference, moving, scored, slots))
+            found.append(self.board.tally(method, video, reference, moving, scored))
+            spread = metrics.tally_uncertainty(method, video, reference, moving, scored, slots)
+            if spread is not None:
+                found.append(spread)
         self.recall(found)
         return found
 
-    def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally | None]:
-        """Set each method beside the adaptive one, in the steady phase, which claims are about."""
-        nothing: list[metrics.PairTally | None] = [None] * len(videos)
+    def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally]:
+        """Set each other method beside the adaptive one, in the steady phase, which claims are about."""
         if metrics.ADAPTIVE not in videos:
-            return nothing
+            return []
         index = videos[metrics.ADAPTIVE].index
         if self.board.phase(index) != "steady":
-            return nothing
+            return []
         reference, moving, slots = self.reference(index), self.moving(index), self.camera.coded_slots
         errors = {
             name: metrics.pixel_errors(
@@ -139,17 +140,16 @@ class Scorer:
         }
         ours = errors[metrics.ADAPTIVE]
         return [
-            None
-            if name == metrics.ADAPTIVE
-            else metrics.tally_pair(name, index, ours, theirs, moving, self._window)
+            metrics.tally_pair(name, index, ours, theirs, moving, self._window)
             for name, theirs in errors.items()
+            if name != metrics.ADAPTIVE
         ]
 
     def recall(self, scores: FrameScores) -> None:
         """Let a coded frame count that was scored before."""
-        self.tallies += scores.tallies
-        self.spreads += [spread for spread in scores.spreads if spread is not None]
-        self.pairs += [pair for pair in scores.pairs if pair is not None]
+        self.tallies += [each for each in scores if isinstance(each, metrics.FrameTally)]
+        self.spreads += [each for each in scores if isinstance(each, metrics.UncertaintyTally)]
+        self.pairs += [each for each in scores if isinstance(each, metrics.PairTally)]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""

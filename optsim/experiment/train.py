@@ -11,14 +11,13 @@ from typing import Any, Literal
 import numpy as np
 
 from optsim import __version__
-from optsim.core.cache import Cache, hash_of
+from optsim.core.cache import Cache, default_folder, hash_of
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import writable_folder
 from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, Timing, View
 from optsim.footage.clips import ImportedClip
-from optsim.priors.checkpoint import checkpoint_path
 from optsim.priors.dictionary import save_dictionary
 from optsim.priors.mixture import save_mixture
 from optsim.priors.mixture_training import train_mixture
@@ -117,7 +116,7 @@ def train_prior(
 ) -> Path:
     """Learn a prior from imported footage, the training scene, moving leaves or several of these.
 
-    What has been learned is kept beside the file to write after each iteration; the same call goes on there.
+    What has been learned is kept in the cache after each iteration; the same call goes on there.
 
     Parameters
     ----------
@@ -193,11 +192,10 @@ def _train(
         rendered = training_clips(seed=seed, backend=backend, progress=progress)
         films += rendered.values()
         record |= {"variations": list(rendered), "samples": _SAMPLES}
-    unfinished = checkpoint_path(path)
     common: dict[str, Any] = {
         "rng": np.random.default_rng(seed),
         "provenance": record,
-        "checkpoint": unfinished,
+        "checkpoint": default_folder(),
         "progress": progress,
     }
     if prior == "dictionary":
@@ -206,7 +204,6 @@ def _train(
     else:
         wanted = {} if size is None else {"n_components": size}
         save_mixture(path, train_mixture(films, **wanted, **common))
-    unfinished.unlink(missing_ok=True)
     return path
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
+from optsim.core.cache import Arrays
 from optsim.core.errors import ValueCheckError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles, Floats
-from optsim.priors.checkpoint import Checkpoint, open_checkpoint
+from optsim.priors.iterations import iterate, learning_key
 from optsim.priors.mixture import Mixture
 from optsim.priors.training_patches import training_patches
 
@@ -61,8 +62,8 @@ def train_mixture(
     provenance : Mapping, optional
         What to remember about the clips.
     checkpoint : Path, optional
-        File in which the state is kept after each iteration, and from which the same learning goes on, as in
-        :func:`optsim.priors.training.train_dictionary`.
+        Folder of a cache in which the state is kept after each iteration, and from which the same learning
+        goes on, as in :func:`optsim.priors.training.train_dictionary`.
     progress : Progress
         Told after each iteration.
 
@@ -79,18 +80,27 @@ def train_mixture(
             f"components of rank {rank}"
         )
     signals /= _brightness(signals.reshape(-1, patch * patch, slots), rng)[:, None]
-    kept = open_checkpoint(checkpoint, signals, "mixture", n_components, rank, patch, slots, iterations)
+    key = learning_key(signals, "mixture", n_components, rank, patch, slots, iterations)
     base = signals.mean(axis=0, dtype=np.float64).astype(np.float32)
     signals -= base
     basis = _basis(signals, rank, slots)
     z = (signals @ basis.T).astype(np.float64)
     energy = np.einsum("ne,ne->n", signals, signals)
     left = energy - (z**2).sum(axis=1)
-    shares, means, covariances, likelihood = _fit(z, rng, n_components, iterations, kept, progress)
-    rest = _rest(left / max(1, signals.shape[1] - rank), z, shares, means, covariances)
+    pooled = z.T @ z / len(z)
+
+    def maximise(state: Arrays) -> Arrays:
+        member = _memberships(z, **state)[0] if state else _nearest(z, rng, n_components)
+        return _most_likely(z, member, pooled)
+
+    fitted = iterate(maximise, {}, iterations, key=key, checkpoint=checkpoint, progress=progress)
+    member, likelihood = _memberships(z, **fitted)
+    # Mean over each component's patches of the variance that the basis leaves out.
+    unexplained = left / max(1, signals.shape[1] - rank)
+    rest = (unexplained @ member / np.maximum(member.sum(axis=0), 1)).clip(0)
     record = {
         "method": "EM",
-        "components": len(shares),
+        "components": len(fitted["shares"]),
         "rank": rank,
         "patches": len(signals),
         "kept_energy": float(1 - left.sum(dtype=np.float64) / energy.sum(dtype=np.float64)),
@@ -98,7 +108,7 @@ def train_mixture(
         **(provenance or {}),
     }
     shape = (patch, patch, slots)
-    return Mixture(base.reshape(shape), basis.reshape(rank, *shape), shares, means, covariances, rest, record)
+    return Mixture(base.reshape(shape), basis.reshape(rank, *shape), **fitted, rest=rest, provenance=record)
 
 
 def _basis(signals: Floats, rank: int, slots: int) -> Floats:
@@ -132,32 +142,6 @@ def _brightness(blocks: Floats, rng: np.random.Generator) -> Floats:
     return np.maximum(total / width, 1e-3).astype(np.float32)
 
 
-def _fit(
-    z: Doubles,
-    rng: np.random.Generator,
-    n_components: int,
-    iterations: int,
-    kept: Checkpoint,
-    progress: Progress,
-) -> tuple[Doubles, Doubles, Doubles, float]:
-    """Shares, means, covariances, and the mean log likelihood under them."""
-    before = kept.read("shares", "means", "covariances")
-    if before is None:
-        done, (shares, means, covariances), likelihood = 0, (np.zeros(0),) * 3, -np.inf
-        member = _nearest(z, rng, n_components)
-    else:
-        done, (shares, means, covariances) = before
-        member, likelihood = _memberships(z, shares, means, covariances)
-    progress("train", done, iterations)
-    pooled = z.T @ z / len(z)
-    for step in range(done, iterations):
-        shares, means, covariances = _most_likely(z, member, pooled)
-        member, likelihood = _memberships(z, shares, means, covariances)
-        kept.write(step + 1, shares=shares, means=means, covariances=covariances)
-        progress("train", step + 1, iterations)
-    return shares, means, covariances, likelihood
-
-
 def _nearest(z: Doubles, rng: np.random.Generator, n_components: int) -> Doubles:
     """First members, (n, k): 1 for the nearest of the means that k-means finds, otherwise 0."""
     _, nearest = kmeans2(z[:, :_FIRST], n_components, iter=20, minit="++", rng=rng)
@@ -166,7 +150,7 @@ def _nearest(z: Doubles, rng: np.random.Generator, n_components: int) -> Doubles
     return member
 
 
-def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> Arrays:
     """Shares, means and covariances for given memberships, (n, k)."""
     (n, rank), n_components = z.shape, member.shape[1]
     shares, means = np.zeros(n_components), np.zeros((n_components, rank))
@@ -181,7 +165,7 @@ def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> tuple[Doubles,
         prior = _PRIOR_PATCHES * rank
         covariances[k] = _definite((inner + prior * pooled) / (count + prior))
     shares = np.maximum(shares, _LEAST_SHARE)
-    return shares / shares.sum(), means, covariances
+    return {"shares": shares / shares.sum(), "means": means, "covariances": covariances}
 
 
 def _definite(covariance: Doubles) -> Doubles:
@@ -201,12 +185,6 @@ def _memberships(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubl
     member = np.exp(logs - top)
     total = member.sum(axis=1, keepdims=True)
     return member / total, float((top[:, 0] + np.log(total[:, 0])).mean())
-
-
-def _rest(left: Doubles, z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> Doubles:
-    """Mean over each component's patches of the variance that the basis leaves out: array of shape (k,)."""
-    member, _ = _memberships(z, shares, means, covariances)
-    return (left @ member / np.maximum(member.sum(axis=0), 1)).clip(0)
 
 
 def log_densities(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> Doubles:

@@ -8,13 +8,14 @@ from typing import Literal
 
 import numpy as np
 
+from optsim.core.cache import Arrays
 from optsim.core.errors import ValueCheckError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, Ints
 from optsim.priors.atom_updates import dense, k_svd_atoms, least_squares_atoms, renewed
-from optsim.priors.checkpoint import Checkpoint, open_checkpoint
 from optsim.priors.dictionary import Dictionary, unit
 from optsim.priors.gram_pursuit import pursue_products
+from optsim.priors.iterations import iterate, learning_key
 from optsim.priors.training_patches import training_patches
 
 Method = Literal["mod", "ksvd"]
@@ -64,9 +65,9 @@ def train_dictionary(
     provenance : Mapping, optional
         What to remember about the clips.
     checkpoint : Path, optional
-        File in which the state is kept after each alternation, and from which the same learning goes on: with
-        the same result as without a stop, to the bit where the machine and its number of threads are the
-        same. The caller removes it in the end.
+        Folder of a cache in which the state is kept after each alternation, and from which the same learning
+        goes on: with the same result as without a stop, to the bit where the machine and its number of
+        threads are the same.
     progress : Progress
         Told after each alternation.
 
@@ -86,8 +87,10 @@ def train_dictionary(
     first = rng.choice(len(signals), n_atoms - 1, replace=False)
     detail = signals[first] - signals[first].mean(axis=1, keepdims=True)
     atoms = unit(np.concatenate([constant, detail]))
-    kept = open_checkpoint(checkpoint, signals, method, n_atoms, patch, slots, atoms_per_patch, iterations)
-    atoms, error = learn_atoms(signals, atoms, atoms_per_patch, iterations, method, kept, progress)
+    key = learning_key(signals, method, n_atoms, patch, slots, atoms_per_patch, iterations)
+    atoms, error = learn_atoms(
+        signals, atoms, atoms_per_patch, iterations, method, key=key, checkpoint=checkpoint, progress=progress
+    )
     record = {
         "method": _NAMES[method],
         "atoms_per_patch": atoms_per_patch,
@@ -105,7 +108,9 @@ def learn_atoms(
     cap: int,
     iterations: int,
     method: Method,
-    kept: Checkpoint,
+    *,
+    key: str = "",
+    checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Floats, float]:
     """Alternate sparse codes and updates of the atoms.
@@ -118,10 +123,10 @@ def learn_atoms(
         First ones, of unit length; the first of all stays.
     cap : int
         Atoms that a code has at most.
-    iterations, method, progress
+    iterations, method, checkpoint, progress
         As of :func:`train_dictionary`.
-    kept : Checkpoint
-        Where the state is kept after each alternation, and begins if there is one.
+    key : str
+        As of :func:`.iterate`.
 
     Returns
     -------
@@ -131,20 +136,21 @@ def learn_atoms(
         Rms of what the last codes left, relative to the signals; 0 without any.
     """
     energy = (signals.astype(np.float64) ** 2).sum()
-    done, (atoms, error) = kept.read("atoms", "error") or (0, [atoms, np.zeros(())])
-    progress("train", done, iterations)
-    for step in range(done, iterations):
+
+    def alternate(state: Arrays) -> Arrays:
+        atoms = state["atoms"]
         support, amounts, left = _code(signals, atoms, cap)
-        error = np.asarray(np.sqrt(left.sum() / energy))
         if method == "ksvd":
             learned, _ = k_svd_atoms(signals, atoms, support, amounts)
         else:
             learned = least_squares_atoms(signals, atoms, support, amounts)
         uses = np.bincount(support[support >= 0], minlength=len(atoms))
-        atoms = unit(renewed(learned, uses, signals, left))
-        kept.write(step + 1, atoms=atoms, error=error)
-        progress("train", step + 1, iterations)
-    return atoms, float(error)
+        error = np.asarray(np.sqrt(left.sum() / energy))
+        return {"atoms": unit(renewed(learned, uses, signals, left)), "error": error}
+
+    first: Arrays = {"atoms": atoms, "error": np.zeros(())}
+    last = iterate(alternate, first, iterations, key=key, checkpoint=checkpoint, progress=progress)
+    return last["atoms"], float(last["error"])
 
 
 def _code(signals: Floats, atoms: Floats, cap: int) -> tuple[Ints, Floats, Floats]:

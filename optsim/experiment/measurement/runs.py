@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import prod
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.calibration import read_calibration
 from optsim.core.config import Table, build
 from optsim.core.errors import ConfigError, StorageError, unknown_name
 from optsim.core.files import read_record
+from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import Decoder
 from optsim.experiment.experiment import Experiment, Method
 from optsim.experiment.loop import calibrate, planned
 from optsim.experiment.measurement.coded import Measurement
-from optsim.experiment.run_calibrations import calibration_of_run
-from optsim.experiment.run_frames import read_frames
+from optsim.experiment.run_folder import CHECKSUMS, RECORD, calibration_names, changed_file, frame_files
+from optsim.footage.measured import read_pictures
 
-RECORD = "experiment.json"
+_CURE = "cure: copy the run's folder again, or run the experiment again"
 
 
 def decoder_of_run(folder: Path, method: str | None) -> Decoder:
@@ -46,9 +53,9 @@ def read_run(folder: Path, method: str | None) -> Measurement:
     code = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
     frames = read_frames(folder, chosen.name, experiment.n_frames, ccd, code)
     known = experiment.choice_of(chosen)
-    calibration = calibration_of_run(experiment, folder, known)
-    if calibration is None:
-        calibration = calibrate(planned(experiment)[0], known)
+    kept = folder / calibration_names(experiment)[known]
+    _check_written(folder, [kept], "a calibration")
+    calibration = read_calibration(kept) if kept.is_file() else calibrate(planned(experiment)[0], known)
     origin = {
         "run": str(folder),
         "method": chosen.name,
@@ -76,3 +83,67 @@ def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method
     if chosen is None:
         raise unknown_name("--method", str(method), names)
     return experiment, chosen
+
+
+def read_frames(
+    folder: Path, method: str, n_frames: int, ccd: tuple[int, int], code: tuple[int, int, int]
+) -> list[CodedFrame]:
+    """Read the frames of a method, as the run wrote them.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run.
+    method : str
+        Its name.
+    n_frames : int
+        Frames that there must be, no fewer and no more.
+    ccd : tuple of int
+        CCD pixels (y, x) of a frame.
+    code : tuple of int
+        Slots and panel pixels (slot, v, u) of a code.
+
+    Raises
+    ------
+    StorageError, ValueCheckError
+        For a file that is missing, damaged, of another size or kind, or not what the run wrote.
+    """
+    files = [frame_files(folder, method, index) for index in range(n_frames)]
+    found = sorted((folder / "frames" / method).glob("*.png"))
+    if found != [each[0] for each in files]:
+        raise StorageError(
+            f"{folder}: got {len(found)} frames of {method!r}, expected {n_frames}, numbered from 0; "
+            "cure: optsim run with --out, which goes on where it stopped"
+        )
+    sizes = [" x ".join(map(str, shape)) for shape in (ccd, code)]
+    frames: list[CodedFrame] = []
+    for index, (dn_file, mask_file, code_file) in enumerate(files):
+        _check_written(folder, files[index], f"a frame of {sizes[0]} pixels, with a code of {sizes[1]}")
+        dn = _picture(dn_file, ccd, np.uint16)
+        mask = _picture(mask_file, code[1:], np.uint8)
+        levels = _picture(code_file, code, np.float32)
+        if not np.isin(levels, np.arange(256)).all():
+            raise StorageError(f"{code_file}: got drive levels that are no whole numbers 0 to 255; {_CURE}")
+        frames.append(CodedFrame(index, dn, ExposureCode(levels.astype(np.uint8), mask > 0)))
+    return frames
+
+
+def _picture(path: Path, shape: tuple[int, ...], dtype: type[np.generic]) -> NDArray[Any]:
+    found = read_pictures(path, "frames", slots=len(shape) == 3)
+    if found.dtype != dtype or found.shape[-2:] != shape[-2:] or found.size != prod(shape):
+        raise StorageError(
+            f"{path}: got {found.dtype} of {' x '.join(map(str, found.shape[1:]))}, expected "
+            f"{np.dtype(dtype)} of {' x '.join(map(str, shape))}; {_CURE}"
+        )
+    return found.reshape(shape)
+
+
+def _check_written(folder: Path, files: Sequence[Path], what: str) -> None:
+    """Refuse a file that isn't there as the run wrote it."""
+    changed = changed_file(folder, [path.relative_to(folder).as_posix() for path in files])
+    if changed:
+        got = "other content" if (folder / changed).is_file() else "no such file"
+        raise StorageError(
+            f"{folder / changed}: got {got}, expected what the run wrote by {CHECKSUMS}, {what}; {_CURE}; "
+            "to decode images of your own, name them in a TOML file"
+        )

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from optsim.app import cli
 from optsim.calibration.stored import calibration_arrays
 from optsim.camera import bench_calibration
-from optsim.experiment import finished, job, loop
+from optsim.experiment import job, loop, run_folder
 from optsim.experiment.experiment import experiment_path, load_experiment
 
 QUICK = [*SMALL, "n_frames=1", "calibration=ideal", "save_reconstructions=[]"]
@@ -61,11 +61,16 @@ def test_a_finished_run_stops_and_what_changed_makes_it_anew(
     assert (out / "results.json").read_bytes() == made
     # Another version, a lost file, damaged results: each is named.
     with monkeypatch.context() as patched:
-        patched.setattr(finished, "versions", lambda: {**job.versions(), "numpy": "0.1"})
+        patched.setattr(run_folder, "versions", lambda: {**job.versions(), "numpy": "0.1"})
         assert "numpy was" in run(lab, out)
     assert "made anew" in run(lab, out)
     (out / "report.html").unlink()
     assert "report.html is lost or changed" in run(lab, out)
+    for name in ("frames/hdr_mosaic/000000.png", "calibration.npz"):
+        (out / name).write_bytes((out / name).read_bytes()[:-1])
+        assert f"{name} is lost or changed" in run(lab, out)
+    (out / "checksums.json").unlink()
+    assert "checksums.json is lost or changed" in run(lab, out)
     (out / "results.json").write_text("{")
     assert "results.json is damaged" in run(lab, out)
     assert "nothing to do" in run(lab, out)

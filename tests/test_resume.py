@@ -1,5 +1,6 @@
 """A run that is stopped and goes on: as if it had never been stopped, without the work done before."""
 
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,17 @@ from optsim.camera.camera import CodedCamera
 from optsim.core.files import read_exr, read_json
 from optsim.core.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.decoding import GaussianMixture
-from optsim.experiment import job, journal
+from optsim.experiment import job, resume
 from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
-from optsim.experiment.journal import FrameScores, Journal, run_key
+from optsim.experiment.resume import (
+    UNFINISHED,
+    keep_scores,
+    kept_scores,
+    kept_shot,
+    n_shots,
+    run_key,
+    unfinished,
+)
 from optsim.metrics import FrameTally, PairTally, UncertaintyTally
 
 FRAMES = 4
@@ -150,35 +159,38 @@ def never() -> tuple[CodedFrame, PanelState]:
 
 
 def test_shots_come_back_to_the_bit(tmp_path: Path) -> None:
-    book = Journal(tmp_path, "key")
+    kept = unfinished(tmp_path, "key")
     for index in range(3):
-        book.shot("one", index, code(index), lambda k=index: shot(k))
-    book.shot("other", 0, code(0), lambda: shot(9))
-    assert (book.n_shots(["one"]), book.n_shots(["one", "other"]), book.n_shots(["third"])) == (3, 1, 0)
-    frame, panel = book.shot("one", 2, code(2), never)
+        kept_shot(kept, "one", index, code(index), lambda k=index: shot(k))
+    kept_shot(kept, "other", 0, code(0), lambda: shot(9))
+    assert (n_shots(kept, ["one"]), n_shots(kept, ["one", "other"]), n_shots(kept, ["third"])) == (3, 1, 0)
+    frame, panel = kept_shot(unfinished(tmp_path, "key"), "one", 2, code(2), never)
     expected, after = shot(2)
     np.testing.assert_array_equal(frame.dn, expected.dn)
     np.testing.assert_array_equal(frame.code.levels, expected.code.levels)
     assert (frame.index, frame.negative_light, frame.dn.dtype) == (2, 5, np.uint16)
     np.testing.assert_array_equal(panel.retardance_rad, after.retardance_rad)
     np.testing.assert_array_equal(panel.levels, after.levels)
+    assert (panel.retardance_rad.dtype, panel.levels.dtype) == (np.float32, np.uint8)
     assert panel.slots_shown == after.slots_shown == 108
+    # The same whether taken or recalled, in memory: the folder goes when the run is done.
+    shutil.rmtree(tmp_path)
+    assert not isinstance(frame.dn, np.memmap)
+    assert frame.dn.flags.writeable
 
 
-def test_pages_of_another_key_or_damaged_ones_are_as_good_as_absent(tmp_path: Path) -> None:
-    Journal(tmp_path, "key").shot("one", 0, code(0), lambda: shot(0))
-    assert Journal(tmp_path, "other").n_shots(["one"]) == 0
-    frame, _ = Journal(tmp_path, "other").shot("one", 0, code(0), lambda: shot(4))
+def test_what_another_key_kept_or_is_damaged_is_as_good_as_absent(tmp_path: Path) -> None:
+    kept_shot(unfinished(tmp_path, "key"), "one", 0, code(0), lambda: shot(0))
+    assert n_shots(unfinished(tmp_path, "other"), ["one"]) == 0
+    frame, _ = kept_shot(unfinished(tmp_path, "other"), "one", 0, code(0), lambda: shot(4))
     np.testing.assert_array_equal(frame.dn, shot(4)[0].dn)
-    book = Journal(tmp_path, "key")
-    book.shot("one", 0, code(0), lambda: shot(0))
-    (page,) = tmp_path.glob("*.npz")
-    page.write_bytes(page.read_bytes()[:-100])
-    assert book.n_shots(["one"]) == 0
-    book.shot("one", 0, code(0), lambda: shot(1))
-    np.testing.assert_array_equal(book.shot("one", 0, code(0), never)[0].dn, shot(1)[0].dn)
-    book.close()
-    assert not tmp_path.exists()
+    kept = unfinished(tmp_path, "key")
+    assert n_shots(kept, ["one"]) == 1
+    (page,) = (tmp_path / UNFINISHED / "key").rglob("dn.npy")
+    page.write_bytes(page.read_bytes()[:-10])
+    assert n_shots(kept, ["one"]) == 0
+    kept_shot(kept, "one", 0, code(0), lambda: shot(1))
+    np.testing.assert_array_equal(kept_shot(kept, "one", 0, code(0), never)[0].dn, shot(1)[0].dn)
 
 
 def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
@@ -195,33 +207,27 @@ def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
     def pair(method: str, index: int) -> PairTally:
         return PairTally(method, index, rng.random((2, 2, 3, 2, 2)), rng.integers(0, 9, (2, 2, 2)))
 
-    book = Journal(tmp_path, "key")
-    kept = [
-        FrameScores(
-            [tally("one", k), tally("other", k)], [None, spread("other", k)], [None, pair("other", k)]
-        )
-        for k in range(3)
-    ]
+    kept, methods = unfinished(tmp_path, "key"), ["one", "other"]
+    made = [[tally("one", k), tally("other", k), pair("other", k), spread("other", k)] for k in range(3)]
     for index in (0, 1, 2):
-        book.keep_scores(index, kept[index])
-    found = book.scores(["one", "other"])
+        keep_scores(kept, methods, index, made[index])
+    found = kept_scores(kept, methods)
     assert len(found) == 3
-    for index, (one, other) in enumerate(zip(found, kept, strict=True)):
-        assert one.spreads[0] is one.pairs[0] is None
-        stated = [(one.spreads[1], other.spreads[1]), (one.pairs[1], other.pairs[1])]
-        for a, b in [*zip(one.tallies, other.tallies, strict=True), *stated]:
-            assert a is not None
+    for index, (these, those) in enumerate(zip(found, made, strict=True)):
+        for a, b in zip(these, those, strict=True):
+            assert type(a) is type(b)
             assert (a.method, a.index) == (b.method, index)
             for name, array in vars(b).items():
                 np.testing.assert_array_equal(getattr(a, name), array)
                 assert np.asarray(getattr(a, name)).dtype == np.asarray(array).dtype
     # As far as they go without a gap, and of these very methods.
-    next(tmp_path.glob("scores-000001*")).unlink()
-    assert len(book.scores(["one", "other"])) == 1
-    assert book.scores(["one", "other", "third"]) == []
+    second = sorted(tmp_path.rglob("0.FrameTally.sums.npy"), key=lambda path: path.stat().st_mtime_ns)[1]
+    second.unlink()
+    assert len(kept_scores(kept, methods)) == 1
+    assert kept_scores(kept, [*methods, "third"]) == []
 
 
-def test_whatever_decides_a_run_s_numbers_decides_its_journal(
+def test_whatever_decides_a_run_s_numbers_decides_its_key(
     lab: Path, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prior = tmp_path / "mine.npz"
@@ -236,7 +242,7 @@ def test_whatever_decides_a_run_s_numbers_decides_its_journal(
     assert key(QUICK) in first
     prior.write_bytes(b"two")
     assert key(named) not in first, "the same name, another content"
-    monkeypatch.setattr(journal, "hash_files", lambda _: "other code")
+    monkeypatch.setattr(resume, "hash_files", lambda _: "other code")
     assert key(QUICK) not in first
     monkeypatch.undo()
     shots = lab.parent / "shots.npy"

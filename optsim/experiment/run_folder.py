@@ -1,0 +1,268 @@
+"""The folder of a run: whose it is, what is written into it, and whether a finished one still holds."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+from collections.abc import Generator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from optsim import __version__
+from optsim.calibration import Calibration, write_calibration
+from optsim.calibration.choice import CALIBRATION_FILE, CalibrationChoice
+from optsim.core.code_hash import hash_files
+from optsim.core.errors import OptsimError, StorageError
+from optsim.core.files import (
+    content_hash,
+    holds_nothing,
+    read_record,
+    sum_of,
+    write_exr,
+    write_json,
+    write_png8,
+    write_png16,
+)
+from optsim.core.quantities import CodedFrame, Floats, Reconstruction
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.resume import UNFINISHED, run_key
+from optsim.experiment.truth import renderer
+from optsim.report.schema import check_results
+
+RECORD = "experiment.json"
+"""Whose folder it is: an experiment and its fingerprint."""
+RESULTS = "results.json"
+CHECKSUMS = "checksums.json"
+"""Size and CRC-32 of what :data:`_KEPT` matches, by its place in the folder."""
+_KEPT = (
+    "calibration*.npz",
+    "frames/*/*.png",
+    "masks/*/*.png",
+    "codes/*/*.exr",
+    "reconstructions/*/*.exr",
+    "truth/*.exr",
+)
+_PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
+# What a report shows beside the numbers of its run.
+_SHOWN = ("optsim/experiment/evidence.json", "optsim/report/template/*")
+
+
+def run_folder(experiment: Experiment, out: Path) -> Path:
+    """Folder of a run, if it is free for this experiment.
+
+    Raises
+    ------
+    StorageError
+        When the folder holds a run of another experiment, or something that is no run.
+    """
+    if out.is_file():
+        raise StorageError(f"--out {out} is a file; expected a folder")
+    if out.is_dir() and not holds_nothing(out):
+        if not (out / RECORD).is_file():
+            raise StorageError(f"--out {out} is not empty and holds no run; choose a new or an empty folder")
+        if read_record(out / RECORD).get("fingerprint") != experiment.fingerprint():
+            raise StorageError(
+                f"--out {out} holds a run of another experiment; choose another folder, "
+                f"or run that experiment (its resolved form is in {RECORD})"
+            )
+    return out
+
+
+@contextlib.contextmanager
+def stated(folder: Path, experiment: Experiment) -> Generator[None, None, None]:
+    """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
+    path = folder / RECORD
+    begun = path.exists()
+    statement = {"fingerprint": experiment.fingerprint(), "experiment": experiment.model_dump(mode="json")}
+    write_json(path, statement)
+    try:
+        yield
+    except OptsimError:
+        if not begun:
+            path.unlink()
+        raise
+
+
+# --- what is written ------------------------------------------------------------------------------------
+
+
+def calibration_names(experiment: Experiment) -> dict[CalibrationChoice, str]:
+    """File of each calibration in a run's folder: one by the first method that alone knows it."""
+    first, suffix = Path(CALIBRATION_FILE).stem, Path(CALIBRATION_FILE).suffix
+    names = {experiment.calibration_choice: CALIBRATION_FILE}
+    for method in experiment.methods:
+        names.setdefault(experiment.choice_of(method), f"{first}-{method.name}{suffix}")
+    return names
+
+
+def write_calibrations(
+    experiment: Experiment, folder: Path, calibrations: Mapping[CalibrationChoice, Calibration]
+) -> list[dict[str, Any]]:
+    """Write all calibrations of a run into its folder; return what results.json says of them."""
+    records: list[dict[str, Any]] = []
+    for known, name in calibration_names(experiment).items():
+        write_calibration(folder / name, calibrations[known])
+        records.append(
+            {
+                "calibration": str(known),
+                "file": name,
+                "sha256": content_hash(folder / name),
+                "methods": [m.name for m in experiment.methods if experiment.choice_of(m) == known],
+            }
+        )
+    return records
+
+
+def frame_files(folder: Path, method: str, index: int) -> tuple[Path, Path, Path]:
+    """Files of a coded frame: digital numbers, mask, code."""
+    return (
+        folder / "frames" / method / f"{index:06d}.png",
+        folder / "masks" / method / f"{index:06d}.png",
+        folder / "codes" / method / f"{index:06d}.exr",
+    )
+
+
+def write_frames(folder: Path, frames: Mapping[str, Sequence[CodedFrame]]) -> None:
+    """Write the coded frames of each method: digital numbers, masks and codes."""
+    for name, taken in frames.items():
+        for frame in taken:
+            dn, mask, code = frame_files(folder, name, frame.index)
+            write_png16(dn, frame.dn)
+            write_png8(mask, frame.code.moving.astype(np.uint8) * 255)
+            levels: Floats = frame.code.levels.astype(np.float32)
+            write_exr(
+                code,
+                {f"slot{slot:02d}": levels[slot] for slot in range(len(levels))},
+                attributes={"unit": "drive level 0..255", "axes": "slot, v, u", "frame": frame.index},
+                half=True,
+            )
+
+
+def write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
+    """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
+    radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
+    write_exr(
+        folder / "reconstructions" / name / f"{video.index:06d}.exr",
+        {f"slot{slot:02d}": radiance[slot] for slot in range(len(radiance))},
+        attributes={
+            "unit": "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance",
+            "irradiance_per_radiance": per_radiance,
+            "axes": "slot, v, u",
+            "frame": video.index,
+        },
+        half=True,
+    )
+
+
+# --- whether it still holds -----------------------------------------------------------------------------
+
+
+def write_checksums(folder: Path) -> None:
+    """Write :data:`CHECKSUMS` of what lies in a run's folder now."""
+    paths = [path for pattern in _KEPT for path in sorted(folder.glob(pattern))]
+    write_json(folder / CHECKSUMS, {path.relative_to(folder).as_posix(): sum_of(path) for path in paths})
+
+
+def changed_file(folder: Path, names: Sequence[str] | None = None) -> str:
+    """Name the first file that isn't as :data:`CHECKSUMS` says; empty when all are, or it says nothing.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run.
+    names : sequence of str, optional
+        Files to look at; by default all that are listed. One that isn't listed is taken as it is, as those
+        of older versions.
+
+    Raises
+    ------
+    StorageError
+        When the list is damaged.
+    """
+    if not (folder / CHECKSUMS).is_file():
+        return ""
+    sums = read_record(folder / CHECKSUMS)
+    for name in sums if names is None else names:
+        if name in sums and not ((folder / name).is_file() and list(sum_of(folder / name)) == sums[name]):
+            return name
+    return ""
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that can change a number."""
+    return {
+        "optsim": __version__,
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        **{name: version(name) for name in _PACKAGES},
+    }
+
+
+def results_key(experiment: Experiment, backend: str) -> str:
+    """Hash of what decides the numbers and the report of a run; ``backend`` is the one chosen."""
+    return run_key(experiment, backend, versions(), hash_files(_SHOWN))
+
+
+def finished_run(
+    experiment: Experiment, folder: Path, *, backend: str | None = None, export_truth: bool = False
+) -> tuple[dict[str, Any] | None, str]:
+    """Find what an earlier run of an experiment left in its folder, and whether it is still what it would be.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The folder's own.
+    folder : Path
+        Of the run, or none yet.
+    backend : str, optional
+        Mitsuba variant instead of the probed one.
+    export_truth : bool
+        Whether the folder must hold the truth too.
+
+    Returns
+    -------
+    results : dict or None
+        Content of results.json; None when the run is to be made, for the first time or anew.
+    why : str
+        Why a finished run is made anew; empty when there is none.
+    """
+    if not (folder / RESULTS).exists():
+        return None, ""
+    if (folder / UNFINISHED).exists():
+        return None, "another run into it was stopped"
+    results: dict[str, Any] = {}
+    with contextlib.suppress(OptsimError):
+        results = cast("dict[str, Any]", check_results(read_record(folder / RESULTS)))
+    if not results:
+        return None, f"its {RESULTS} is damaged, or of another version"
+    chosen, _ = renderer(experiment, backend)
+    if results.get("run_key") != results_key(experiment, chosen):
+        return None, _changes(results, chosen)
+    # A truth of another run may lie there, whose results these aren't.
+    if export_truth and not results.get("exported_truth"):
+        return None, "it holds no truth"
+    shown = ("report.html", CHECKSUMS, *(picture["file"] for picture in results["pictures"]))
+    empty = [name for name in shown if not ((folder / name).is_file() and (folder / name).stat().st_size)]
+    try:
+        lost = empty[0] if empty else changed_file(folder)
+    except StorageError:
+        lost = CHECKSUMS
+    return (None, f"{lost} is lost or changed") if lost else (results, "")
+
+
+def _changes(results: dict[str, Any], backend: str) -> str:
+    """Say what is other than when a run was made."""
+    before, now = results["versions"], versions()
+    changes = [
+        f"{name} was {before.get(name, 'absent')} and is {now.get(name, 'absent')}"
+        for name in {**before, **now}
+        if before.get(name) != now.get(name)
+    ]
+    was = results["backend"].partition(":")[0]
+    if was != backend:
+        changes.append(f"backend was {was} and is {backend}")
+    return ", ".join(changes) or "the code of optsim, or a file that the experiment names, has changed since"

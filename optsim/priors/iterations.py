@@ -1,0 +1,75 @@
+"""Learning step by step: each state is kept in a cache, so that a stop loses one iteration at most."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from optsim import __version__
+from optsim.core.cache import Arrays, Cache, hash_of
+from optsim.core.progress import Progress, silent
+from optsim.core.quantities import Floats
+
+
+def iterate(
+    step: Callable[[Arrays], Arrays],
+    state: Arrays,
+    iterations: int,
+    *,
+    key: str = "",
+    checkpoint: Path | None = None,
+    progress: Progress = silent,
+) -> Arrays:
+    """Take so many steps from a state, or go on after the last one that is kept.
+
+    Parameters
+    ----------
+    step : callable
+        State -> the next one.
+    state : dict
+        Arrays by name to begin with.
+    iterations : int
+        Steps.
+    key : str
+        Hash of all that decides the states (:func:`learning_key`).
+    checkpoint : Path, optional
+        Folder of the cache that keeps them; nothing is kept without one.
+    progress : Progress
+        Told after each step.
+
+    Returns
+    -------
+    dict
+        The last state.
+
+    Raises
+    ------
+    StorageError
+        When a state cannot be written.
+    """
+    cache = None if checkpoint is None else Cache(checkpoint)
+    keys = [hash_of("iteration", key, number) for number in range(iterations)]
+    done = 0 if cache is None else cache.n_first(keys)
+    if cache is not None and done:
+        state = _owned(cache.read(keys[done - 1]))
+    progress("train", done, iterations)
+    for number in range(done, iterations):
+        state = step(state)
+        if cache is not None:
+            cache.get(keys[number], lambda made=state: made)
+        progress("train", number + 1, iterations)
+    return state
+
+
+def learning_key(signals: Floats, *settings: object) -> str:
+    """Hash of very the numbers that are learned from, of any shape, and of settings that JSON can say."""
+    content = hashlib.sha256(np.ascontiguousarray(signals).reshape(-1).data).hexdigest()
+    return hash_of(content, signals.shape, *settings, __version__)
+
+
+def _owned(state: Arrays) -> Arrays:
+    """Arrays in memory instead of on disk."""
+    return {name: np.array(array) for name, array in state.items()}
