@@ -1,4 +1,4 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 """A made scene whose motion is one number: a textured disc that crosses a textured ground that stands still.
 
 Both are dead leaves as in :mod:`benchmarks.made_film`.

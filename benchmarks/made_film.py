@@ -1,5 +1,4 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
 """A made film of textured discs that move over a textured ground, and exposures of it.
 
 No prior was trained on it, but it is of the kind that the shipped mixture learned from: moving leaves

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """What latency costs the adaptive scheme: its mask against the oracle's over speed x latency, and the loss.
 
 A disc crosses a panel long enough for it (:class:`benchmarks.crossing.Crossing`), through the paper's

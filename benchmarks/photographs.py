@@ -1,5 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Quality of the shipped priors on moving photographs that neither of them has seen.
 
 Eight films of :func:`benchmarks.made_film.made_film`: a photograph that drifts, before it discs that

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Quality against time of all decoders of moving light, on one and the same made exposure.
 
 The film is :func:`benchmarks.made_film.made_film`, which no prior was trained on, seen through the

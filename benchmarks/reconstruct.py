@@ -1,5 +1,4 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
 """Time of the sparse decoder over the share of the picture that moves, against decoding all of it.
 
 The frame is made, not rendered: smooth textures that drift, seen through the prototype's panel size as the

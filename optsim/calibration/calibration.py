@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false
 """The calibration: the bench's estimate of a camera, and the only one that schemes and decoders see."""
 
 from __future__ import annotations

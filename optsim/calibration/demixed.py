@@ -1,4 +1,4 @@
-# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportMissingTypeStubs=false
 """Demixed frames: a coded frame with crosstalk and glare removed, so that each pixel has its own light."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Calibration files: read and write a calibration as described arrays in an .npz.
 
 Beside the fields of a :class:`Calibration` the file has two tables for readers with numpy alone.

@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 """Size of each imperfection in a frame, predicted on a small probe camera before anything is rendered."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 """Loops that numba compiles when they first run.
 
 Importing numba and making it ready takes longer than a small camera's frame. So loops are only marked here. A

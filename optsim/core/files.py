@@ -1,4 +1,4 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 """Guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers. Every file is written through them.
 
 The OpenEXR binding writes wrong pixels without an error for arrays that are not C-contiguous (openexr#1929).

@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportMissingTypeStubs=false
 """Threads: how many this run may use, and parallel work in them.
 
 Compiled loops and FFTs release Python's lock, so threads are enough. Results never depend on their number.

@@ -1,4 +1,4 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportMissingTypeStubs=false
 """Video from one coded image by a mixture of Gaussians: closed form, patch by patch."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false
 """One picture a frame, from the last few in which a pixel stood still (equation 7 of the paper)."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false
 """How bright what saturates in every frame is: its glare, far away, tells."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false
 """Weights that patches have in common because a code repeats; the period is found from the weights.
 
 Preparing a prior for a matrix of weights costs more than decoding a patch with it, so patches that begin at

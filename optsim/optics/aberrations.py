@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Point spread functions that vary over the field, from a lens's Zernike aberrations.
 
 The wavefront error has the third-order terms. Each is a Zernike polynomial in Noll's normalisation (R. J.

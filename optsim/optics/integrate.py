@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Light times weight, summed over the instants of an exposure; and the slot means that scores compare with.
 
 Light is a segment's linear base plus moving blocks, so an exposure needs no frame per instant: the weights

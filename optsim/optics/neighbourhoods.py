@@ -1,4 +1,4 @@
-# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportMissingTypeStubs=false
 """Neighbouring pixels: sums over squares, connected regions, dilation."""
 
 from __future__ import annotations

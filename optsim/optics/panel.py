@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Effective weights of a liquid-crystal panel: transmission of a pixel in a slot by drive level and history.
 
 A pixel is a reflective retarder between crossed polarisers. It passes ``sin^2(Gamma / 2)`` of the light, with

@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Quadratic B-splines that move light from fine samples to panel pixels and back.
 
 These are compiled loops; :mod:`optsim.optics.fringing` does the same with other shares on whole arrays. A

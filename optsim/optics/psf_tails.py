@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
 """PSF tails: coarse in space, and for moving light on straight lines in time.
 
 A PSF window wide enough for the tails of a bright window is far larger than the detail of the fine grid. So

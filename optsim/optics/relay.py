@@ -1,5 +1,5 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
 """Relay operator, panel to CCD: a blur, a ghost, a sparse area overlap, and veiling glare.
 
     ccd = V A ((1 - h) B + h G) energy,    V image = (1 - g) image + g mean over the CCD of image

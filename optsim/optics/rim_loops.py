@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """The compiled loop of :mod:`optsim.optics.rims`: pixels of a band relax, and their rims are looked at.
 
 Light that stands still needs the cells' sums over time only. All is linear but for the floor below, so what

@@ -1,4 +1,4 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
+# pyright: reportMissingTypeStubs=false
 """What fringing fields do to the rims of panel pixels beyond the mixing of weights.
 
 Fringing fields blur retardance, and intensity is a bent function of it: ``sin^2(Gamma / 2)``. Mixing the

@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Blur by small kernels that vary over the field, tap by tap: a compiled loop.
 
 To multiply and add is cheaper than to transform where kernels are small, and needs no more than is lit.

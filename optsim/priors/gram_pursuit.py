@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Orthogonal matching pursuit for long signals, from BLAS products and the whole Gram matrix.
 
 For training, where a signal has 2304 numbers: products of each new direction with the matrix, as

@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportMissingTypeStubs=false
 """Neyman's optimal allocation of samples to pixels, from the statistics of earlier poses.
 
 For a given mean squared relative error the cost is least if the number of samples is proportional to the

@@ -1,5 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
 """A polariser before the lens: the part of a path's light that it passes, in Mitsuba's polarised variants.
 
 Signs and frame are those of ``render.stokes``: S1 > 0 is a field along the picture's rows. A polariser at

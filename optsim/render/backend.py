@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 """Choice of the Mitsuba variant, probed in a subprocess before Mitsuba is imported here.
 
 Dr.Jit 1.5 with an LLVM older than 17 kills the process at its first path-traced kernel: it emits

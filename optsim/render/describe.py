@@ -1,5 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
 """Describe a scene for Mitsuba: shapes, surfaces, lamps and the sensor, in a fixed order."""
 
 from __future__ import annotations

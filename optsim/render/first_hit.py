@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """First surface of one Mitsuba ray, or of a wavefront of rays."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false
 """G-buffer: the first surface along camera rays, and its object, in one wavefront without light.
 
 Mitsuba's ``aov`` around a path tracer traces every camera ray twice. A wavefront of primary rays alone is

@@ -1,6 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportMissingParameterType=false
-# pyright: reportUntypedFunctionDecorator=false
 """Irradiance reprojection: light on a moving matt surface, taken from key poses.
 
 A matt point's radiance is its reflectance times irradiance / pi. When a mover moves, reflectance, edges and

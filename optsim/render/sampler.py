@@ -1,5 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false, reportUntypedBaseClass=false
 """Random numbers keyed by pixel: a pixel's samples do not depend on the other pixels rendered.
 
 Hash-based Owen scrambling of the first two Sobol dimensions, padded with an independent shuffle for each

@@ -1,5 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """A scene loaded once into Mitsuba: it traces paths at any instant, and only vertex buffers change.
 
 ``optimize=False`` keeps shape and emitter order, hence every random choice, the same in every process. All

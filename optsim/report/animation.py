@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """The moving picture: reconstruction beside truth, as an animated WebP that needs no player."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """One picture of all passes of a slot, with the scale of each: to look at, never to be scored."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Footage of the dead-leaves model in motion: training material for priors, drawn without a renderer.
 
 The dead-leaves model stacks opaque shapes of power-law sizes at random. It has the scale invariance and the

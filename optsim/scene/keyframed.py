@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false
 """Rigid motion of objects along keyframes: doors, drawers, cars, wheels."""
 
 from __future__ import annotations

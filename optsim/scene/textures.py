@@ -1,4 +1,4 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
 """Textures by name: reflectance maps (0 .. 1, linear) and the bright outside (relative radiance).
 
 Photographs come from the scikit-image wheel (its ``data`` folder; only files inside the wheel, nothing is

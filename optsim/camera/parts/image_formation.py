@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportMissingTypeStubs=false
 """The objective applied to a lazy video: scene radiance -> irradiance on the modulator.
 
 It is linear, and negative Monte-Carlo light is kept; it makes no negative light itself.

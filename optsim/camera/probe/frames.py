@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 """Size of a change of the camera in a probe's frame.
 
 It is the rms change of a frame relative to the rms of its predicted noise, over pixels that don't saturate.

@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 """Synthetic scene of a probe: reflectances over a decade and a half, a moving patch, and a bright light.
 
 It has a bright light only where the experiment has one in the picture.

@@ -1,4 +1,3 @@
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 """Small cameras that stand for large ones in probes.
 
 A small camera has fewer pixels of the same size, and focal lengths shortened with the panel. Field angles,

@@ -1,5 +1,4 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportMissingTypeStubs=false
 """OpenEXR files part by part; what their headers declare about pixels is honoured or refused."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """PNG files chunk by chunk (ISO/IEC 15948): only plain grey or colour of 8 or 16 bits is read."""
 
 from __future__ import annotations

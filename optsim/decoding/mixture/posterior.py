@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false
 """What a mixture of Gaussians says of a patch that a code has measured.
 
 With ``signal = A (base + basis' z + rest) + noise`` the posterior of z is again a mixture: shares by how

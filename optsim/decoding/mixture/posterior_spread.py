@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """How sure a mixture of Gaussians is of each element of a patch: the diagonal of its posterior covariance.
 
 Of each component's variance a code measures m directions, and of each of these the noise leaves the share

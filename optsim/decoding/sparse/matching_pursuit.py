@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """Orthogonal matching pursuit for many short signals that share one matrix, in single-thread kernels.
 
 Each step picks the atom that leaves the least residual once all picked ones are fitted: the greatest

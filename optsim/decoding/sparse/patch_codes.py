@@ -1,5 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
-# pyright: reportUnknownArgumentType=false
 """From a coded image to a video, patch by patch: measurement matrices, sparse codes, overlapping sums.
 
 Panel grid throughout; a patch is named by its first row and column.

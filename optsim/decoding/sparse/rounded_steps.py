@@ -1,4 +1,3 @@
-# pyright: reportUntypedFunctionDecorator=false, reportUnknownMemberType=false, reportMissingTypeStubs=false
 """What a pursuit asks :func:`.correlate` to renew, and how far the outcome may be off.
 
 Correlations start from a rounded residual and lose the share of one rounded direction after the other. All

@@ -1,5 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportMissingTypeStubs=false
 """Coded measurements as they lie on disk: one array file, or images that a small TOML file names.
 
 An ``.npz`` or ``.mat`` file by itself is a measurement when it holds the arrays ``image``, ``code`` and, if

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
 """A measurement decoded into a folder: OpenEXR of the light, a picture and a film to look at, scores."""
 
 from __future__ import annotations

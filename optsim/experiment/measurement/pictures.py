@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportMissingTypeStubs=false
 """What a decoded measurement looks like: some slots as a picture, all of them as a film; the truth beside."""
 
 from __future__ import annotations

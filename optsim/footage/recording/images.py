@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """One image a frame: EXR and PNG, as stored, without any rescaling."""
 
 from __future__ import annotations

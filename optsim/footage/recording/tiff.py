@@ -1,5 +1,4 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportMissingTypeStubs=false
 """TIFF files page by page (TIFF 6.0): what a tag says of the stored numbers is honoured or refused."""
 
 from __future__ import annotations
