@@ -30,6 +30,7 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
+from optsim.app.scene import scene_app
 from optsim.app.skips import show_skip_check
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
@@ -44,6 +45,7 @@ app = typer.Typer(
 app.add_typer(config_app, name="config")
 app.add_typer(cache_app, name="cache")
 app.add_typer(dataset_app, name="dataset")
+app.add_typer(scene_app, name="scene")
 
 
 def _version(wanted: bool) -> None:

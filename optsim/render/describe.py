@@ -19,7 +19,8 @@ from optsim.scene.bands import mono
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
 from optsim.scene.lamps import Lamp
-from optsim.scene.materials import Diffuse, Glass, Material, Metal, Plastic
+from optsim.scene.materials import Diffuse, Glass, Material, Metal, Plastic, Principled
+from optsim.scene.models import FORMATS, Surface, read_model, read_picture
 from optsim.scene.scene import Scene
 from optsim.scene.static_shapes import StaticShapes
 from optsim.scene.textures import outside_map, reflectance_map
@@ -134,7 +135,7 @@ def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> An
         has_vertex_normals=True,
         has_vertex_texcoords=True,
     )
-    tile_m = material.tile_m if isinstance(material, Diffuse | Plastic) else 1.0
+    tile_m = material.tile_m if isinstance(material, Diffuse | Plastic | Principled) else 1.0
     parameters = mi.traverse(shape)
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
     parameters["vertex_texcoords"] = (mesh.uv / tile_m).astype(np.float32).ravel()
@@ -157,6 +158,16 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
                 "ext_ior": 1.0,
                 "alpha": material.roughness,
             }
+        case Principled():
+            inside = {
+                "type": "principled",
+                "base_color": _reflectance(mi, material),
+                "roughness": material.roughness,
+                "metallic": material.metallic,
+            }
+            opacity = _opacity(mi, material)
+            if opacity is not None:
+                return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": inside}}
         case Metal():
             inside = {"type": "conductor", "material": material.metal}
             if material.roughness > 0:
@@ -167,11 +178,34 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": inside}
 
 
-def _reflectance(mi: Any, material: Diffuse | Plastic) -> dict[str, Any]:
-    if material.texture is None:
-        return {"type": "uniform", "value": mono(material.reflectance)}
+def _reflectance(mi: Any, material: Diffuse | Plastic | Principled) -> dict[str, Any]:
+    """Describe a reflectance map, or one reflectance."""
     share = np.float32(mono(material.reflectance))
-    return _bitmap(mi, reflectance_map(material.texture) * share, "repeat")
+    picture = None
+    if material.picture is not None:
+        path = Path(material.picture)
+        if isinstance(material, Principled) and path.suffix.lower() in FORMATS:
+            picture = _surface_of(material).picture
+        else:
+            picture = read_picture(path)
+    elif not isinstance(material, Principled) and material.texture is not None:
+        picture = reflectance_map(material.texture)
+    if picture is None:
+        return {"type": "uniform", "value": float(share)}
+    return _bitmap(mi, picture * share, "repeat")
+
+
+def _opacity(mi: Any, material: Principled) -> dict[str, Any] | float | None:
+    """Describe a cut-out or a uniform opacity; None for what is opaque."""
+    of_model = material.picture is not None and Path(material.picture).suffix.lower() in FORMATS
+    if of_model and (cutout := _surface_of(material).cutout) is not None:
+        return _bitmap(mi, cutout * np.float32(material.opacity), "repeat")
+    return material.opacity if material.opacity < 1 else None
+
+
+def _surface_of(material: Principled) -> Surface:
+    """Look up what the file of a model says of a part's surface."""
+    return read_model(Path(material.picture or "")).parts[material.part or 0][0]
 
 
 def _bitmap(mi: Any, image: Floats, wrap: str) -> dict[str, Any]:

@@ -14,15 +14,15 @@ from optsim.core.quantities import Bools, Doubles, View
 from optsim.render.lens import blur_px
 from optsim.render.lens import margin_px as margin_of
 from optsim.scene.camera_pose import CameraPose
-from optsim.scene.crowd import Single
 from optsim.scene.geometry import Faces
 from optsim.scene.keyframed import KeyframedObjects
+from optsim.scene.scene import SingleMover
 
 # A square pixel cannot see a triangle farther from its centre than half its diagonal.
 _MARGIN_PX = 0.75
 
 
-def vertices_at(mover: Single | KeyframedObjects, time_s: float) -> Doubles:
+def vertices_at(mover: SingleMover, time_s: float) -> Doubles:
     """Return a mover's vertices at an instant, (n, 3), m; cached, since several stages use the same ones."""
     # Keyframed objects hold a dict, so they can't be cached; they are quick to move.
     return (
@@ -32,7 +32,7 @@ def vertices_at(mover: Single | KeyframedObjects, time_s: float) -> Doubles:
     )
 
 
-def faces_of(mover: Single | KeyframedObjects) -> Faces:
+def faces_of(mover: SingleMover) -> Faces:
     """Return a mover's triangles, the same at all times."""
     return mover.rest().faces if isinstance(mover, KeyframedObjects) else _faces_of(cast("Any", mover))
 

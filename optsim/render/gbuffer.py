@@ -18,6 +18,8 @@ from optsim.render.first_hit import FirstHit, first_hit
 from optsim.render.lens import undistorted
 from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
+from optsim.scene.mesh_objects import MeshObject
+from optsim.scene.parts import StillObject
 from optsim.scene.scene import Scene
 
 # A shading normal shorter than this is invalid: the normals of its vertices cancel out.
@@ -184,7 +186,12 @@ def _objects_of(scene: Scene, shape: str) -> list[tuple[str, int]]:
     kind, _, rest = shape.partition("_")
     if kind == "still" and rest in scene.materials:
         mine = {name: item for name, item in scene.still_objects().items() if item.material == rest}
-        return [(f"object/{name}", len(item.mesh().faces)) for name, item in mine.items()]
+        return [(f"object/{_model_of(name, item)}", len(item.mesh().faces)) for name, item in mine.items()]
     if (kind == "lamp" and rest in scene.lamps) or (kind == "mover" and rest in scene.singles()):
         return [(f"{kind}/{rest}", 1)]
     return [(f"static/{shape.removeprefix('static_')}", 1)]
+
+
+def _model_of(name: str, item: StillObject) -> str:
+    """Name of the model that an object is a part of, or its own."""
+    return name.rpartition("-")[0] or name if isinstance(item, MeshObject) else name

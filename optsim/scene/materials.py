@@ -33,6 +33,10 @@ class Diffuse(Part):
         Hemispherical reflectance in the band, or a table of it by band; multiplies the texture, if any.
     texture : str or None
         Name in :mod:`optsim.scene.textures`.
+    picture : str or None
+        File in the scene's folder instead: PNG or JPEG as sRGB reflectance, OpenEXR as linear reflectance.
+    sha256 : str
+        Hash of this file; set when the scene is read.
     tile_m : float
         Length of one texture tile along the surface, m (texture coordinates of movers count as metres).
     """
@@ -40,6 +44,8 @@ class Diffuse(Part):
     kind: Literal["diffuse"] = "diffuse"
     reflectance: ShareByBand = 0.5
     texture: str | None = None
+    picture: str | None = Field(default=None, exclude=True)
+    sha256: str = ""
     tile_m: Positive = 1.0
 
     _known = field_validator("texture")(known_texture)
@@ -55,7 +61,7 @@ class Plastic(Part):
 
     Parameters
     ----------
-    reflectance, texture, tile_m
+    reflectance, texture, picture, sha256, tile_m
         Properties of the base, as for :class:`Diffuse`.
     ior : float
         Refractive index of the coat.
@@ -66,11 +72,41 @@ class Plastic(Part):
     kind: Literal["plastic"] = "plastic"
     reflectance: ShareByBand = 0.5
     texture: str | None = None
+    picture: str | None = Field(default=None, exclude=True)
+    sha256: str = ""
     tile_m: Positive = 1.0
     ior: float = Field(1.5, gt=1, le=3)
     roughness: Roughness = 0.1
 
     _known = field_validator("texture")(known_texture)
+
+
+class Principled(Part):
+    """Material of models from files: B. Burley, "Physically-based shading at Disney", SIGGRAPH 2012.
+
+    In the one band its colour counts by its luminance.
+
+    Parameters
+    ----------
+    reflectance : float or dict
+        Base reflectance, multiplies the picture, if any.
+    picture, part, sha256 : str, int, str
+        Reflectance map: a picture, or the one of a part of a model; hash of the file.
+    tile_m : float
+        Length of one texture tile in texture coordinates.
+    roughness, metallic, opacity : float
+        0..1.
+    """
+
+    kind: Literal["principled"] = "principled"
+    reflectance: ShareByBand = 0.5
+    picture: str | None = Field(default=None, exclude=True)
+    part: int | None = None
+    sha256: str = ""
+    tile_m: Positive = 1.0
+    roughness: Roughness = 0.5
+    metallic: Share = 0.0
+    opacity: Share = 1.0
 
 
 class Metal(Part):
@@ -121,6 +157,7 @@ def _kind_of(value: object) -> str:
 Material = Annotated[
     Annotated[Diffuse, Tag("diffuse")]
     | Annotated[Plastic, Tag("plastic")]
+    | Annotated[Principled, Tag("principled")]
     | Annotated[Metal, Tag("metal")]
     | Annotated[Glass, Tag("glass")],
     Discriminator(_kind_of),

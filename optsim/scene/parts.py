@@ -11,6 +11,7 @@ from optsim.core.config import Part
 from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
+from optsim.scene.mesh_objects import MeshObject
 
 
 def check_edges(u_m: Vector, v_m: Vector, *, orthogonal: bool) -> None:
@@ -167,4 +168,4 @@ class Plant(Part):
         return geometry.merge(leaves)
 
 
-StillObject = Annotated[Quad | Box | Wall | Rod | Globe | Plant, Field(discriminator="kind")]
+StillObject = Annotated[Quad | Box | Wall | Rod | Globe | Plant | MeshObject, Field(discriminator="kind")]

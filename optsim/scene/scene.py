@@ -17,6 +17,7 @@ from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
+from optsim.scene.mesh_objects import VertexSequence, model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
 from optsim.scene.static_shapes import StaticShapes, read_static
@@ -26,12 +27,22 @@ from optsim.scene.vehicle import Car, CarBody, Wheel
 from optsim.scene.walker import Walker
 
 Mover = Annotated[
-    Walker | Fan | Pendulum | BouncingBall | Card | Wheel | CarBody | Car | Crowd | Keyframed,
+    Walker
+    | Fan
+    | Pendulum
+    | BouncingBall
+    | Card
+    | Wheel
+    | CarBody
+    | Car
+    | Crowd
+    | Keyframed
+    | VertexSequence,
     Field(discriminator="kind"),
 ]
 
 # Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.
-SingleMover = Single | Wheel | CarBody | KeyframedObjects
+SingleMover = Single | Wheel | CarBody | KeyframedObjects | VertexSequence
 
 
 class Scene(Part):
@@ -305,9 +316,22 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     if isinstance(static, str):
         table["static"] = read_static(path.parent, static)
     for extreme in extremes(table, str(path)):
-        build(Scene, extreme, where=f"{path}, at an end of its ranges")
-    scene = build(Scene, varied(table, variation, str(path)) | {"variation": variation}, where=str(path))
+        whole = with_models(extreme, path.parent, f"{path}, at an end of its ranges")
+        build(Scene, whole, where=f"{path}, at an end of its ranges")
+    chosen = with_models(varied(table, variation, str(path)), path.parent, str(path))
+    scene = build(Scene, chosen | {"variation": variation}, where=str(path))
     for material in scene.materials.values():
         if isinstance(material, Diffuse | Plastic) and material.texture in PHOTOGRAPHS:
             photograph(material.texture)
     return scene
+
+
+def model_scene(path: Path) -> Scene:
+    """Make a scene that shows a model from a file, its size in the file's own unit.
+
+    Raises
+    ------
+    ConfigError
+        For a file that is no model.
+    """
+    return build(Scene, with_models(model_table(path), path.resolve().parent, str(path)), where=str(path))

@@ -1,0 +1,231 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+"""Models from files (glTF, OBJ, PLY, STL), read by trimesh: triangles by material, checked at once."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.core.errors import ConfigError
+from optsim.core.foreign import reading
+from optsim.core.quantities import Doubles, Floats
+from optsim.scene.geometry import Faces, Mesh
+
+FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
+"""Suffix -> axis that points up by the format's own rule; None where files differ."""
+
+# Rec. 709 luminance of linear RGB: the one band's reflectance of a colour (IEC 61966-2-1).
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a file says of a material.
+
+    Parameters
+    ----------
+    name : str
+        Name in the file; may be empty.
+    reflectance : float
+        Luminance of the base colour, linear, 0..1.
+    picture : ndarray of shape (y, x), float32, or None
+        Reflectance map that the base colour multiplies, row 0 at the lower edge.
+    cutout : ndarray of shape (y, x), float32, or None
+        Opacity map, where the file has one.
+    opacity, roughness, metallic : float
+        0..1.
+    """
+
+    name: str
+    reflectance: float
+    picture: Floats | None
+    cutout: Floats | None
+    opacity: float
+    roughness: float
+    metallic: float
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model as its file has it: no unit, axis or place is changed.
+
+    Parameters
+    ----------
+    parts : tuple of (Surface, Mesh)
+        Triangles of one material each; texture v points up.
+    dropped : int
+        Degenerate triangles that were left out.
+    """
+
+    parts: tuple[tuple[Surface, Mesh], ...]
+    dropped: int
+
+    def bounds(self) -> tuple[Doubles, Doubles]:
+        """Lowest and highest corner, in the file's unit."""
+        points = np.concatenate([mesh.vertices_m for _, mesh in self.parts])
+        return points.min(axis=0), points.max(axis=0)
+
+
+def read_model(path: Path) -> Model:
+    """Read a model; the file is read again only when it has changed.
+
+    Raises
+    ------
+    ConfigError
+        For a missing or damaged file, another format, no faces, indices out of range, or numbers that are
+        not finite.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigError(f"{path}: got {path.suffix!r}, expected one of: {', '.join(FORMATS)}")
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; cure: put the model into the scene's folder")
+    stat = path.stat()
+    return _read(path, stat.st_mtime_ns, stat.st_size)
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a file's content; it is read again only when it has changed."""
+    stat = path.stat()
+    return _sha256(path, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=1024)
+def _sha256(path: Path, _mtime_ns: int, _size: int) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@functools.lru_cache(maxsize=64)
+def _read(path: Path, _mtime_ns: int, _size: int) -> Model:
+    import trimesh
+
+    with reading(path, "a model with triangles", "export it again, for example as GLB"):
+        scene = cast("Any", trimesh.load_scene(path, process=False))
+        found: list[tuple[Surface, Mesh]] = []
+        dropped = 0
+        for node in scene.graph.nodes_geometry:
+            matrix, name = scene.graph[node]
+            geometry = scene.geometry[name]
+            if not isinstance(geometry, trimesh.Trimesh):
+                continue
+            mesh, bad = _mesh(path, name, geometry, np.asarray(matrix, np.float64))
+            dropped += bad
+            if len(mesh.faces):
+                found.append((_surface(geometry), mesh))
+    if not found:
+        raise ConfigError(f"{path}: got no triangles, expected a mesh; cure: triangulate and export it again")
+    return Model(tuple(found), dropped)
+
+
+def _mesh(path: Path, name: str, geometry: Any, matrix: Doubles) -> tuple[Mesh, int]:
+    """Triangles of one geometry in the file's frame, without degenerate ones."""
+    vertices = np.asarray(geometry.vertices, np.float64)
+    faces = np.asarray(geometry.faces, np.int64)
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        worst = int(faces.max() if faces.max() >= len(vertices) else faces.min())
+        raise ConfigError(
+            f"{path}: {name}: got a face with vertex {worst}, expected 0 to {len(vertices) - 1}; "
+            "cure: export the model again"
+        )
+    if not np.isfinite(vertices[np.unique(faces)]).all():
+        raise ConfigError(f"{path}: {name}: got a vertex that is not finite; cure: export the model again")
+    vertices = np.nan_to_num(vertices) @ matrix[:3, :3].T + matrix[:3, 3]
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    good = area > 1e-14 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2
+    uv = getattr(geometry.visual, "uv", None)
+    texture = np.zeros((len(vertices), 2)) if uv is None else np.asarray(uv, np.float64)[:, :2]
+    if not np.isfinite(texture).all():
+        raise ConfigError(
+            f"{path}: {name}: got texture coordinates that are not finite; cure: export it again"
+        )
+    # A mirroring node turns triangles inside out.
+    order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]
+    kept: Faces = faces[good][:, order].astype(np.int32)
+    return Mesh(vertices, kept, texture), int((~good).sum())
+
+
+def _surface(geometry: Any) -> Surface:
+    """Read what the file says of a geometry's material; plain grey where it says nothing."""
+    from trimesh.visual.material import PBRMaterial
+
+    material = getattr(geometry.visual, "material", None)
+    if material is None:
+        color = np.array([0.5, 0.5, 0.5])
+        if getattr(geometry.visual, "kind", None) in ("vertex", "face"):
+            color = _linear(np.asarray(geometry.visual.main_color[:3], np.float64) / 255)
+        return Surface("", float(color @ _LUMINANCE), None, None, 1.0, 1.0, 0.0)
+    if not isinstance(material, PBRMaterial):
+        material = material.to_pbr()
+    factor = material.baseColorFactor
+    # trimesh holds the linear factors of glTF in 8 bits.
+    color = (
+        np.ones(4) if factor is None else np.asarray(factor, np.float64) / (255 if np.max(factor) > 1 else 1)
+    )
+    picture = cutout = None
+    if material.baseColorTexture is not None:
+        rgba = np.asarray(material.baseColorTexture.convert("RGBA"), np.float64)[::-1] / 255
+        picture = (_linear(rgba[..., :3]) @ _LUMINANCE).astype(np.float32)
+        if material.alphaMode in ("MASK", "BLEND") and (rgba[..., 3] < 1).any():
+            cutout = rgba[..., 3].astype(np.float32)
+            if material.alphaMode == "MASK":
+                cutout = (cutout >= (material.alphaCutoff or 0.5)).astype(np.float32)
+    opacity = float(color[3]) if material.alphaMode == "BLEND" and len(color) > 3 else 1.0
+    # glTF 2.0: both factors are 1 by default; of their map the means are taken.
+    rough, metal = 1.0, 1.0
+    if material.metallicRoughnessTexture is not None:
+        means = (
+            np.asarray(material.metallicRoughnessTexture.convert("RGB"), np.float64).mean(axis=(0, 1)) / 255
+        )
+        rough, metal = float(means[1]), float(means[2])
+    return Surface(
+        str(material.name or ""),
+        float(color[:3] @ _LUMINANCE),
+        picture,
+        cutout,
+        opacity,
+        rough * (1.0 if material.roughnessFactor is None else float(material.roughnessFactor)),
+        metal * (1.0 if material.metallicFactor is None else float(material.metallicFactor)),
+    )
+
+
+def _linear(srgb: Doubles) -> Doubles:
+    """Linear light of sRGB values 0..1 (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def read_picture(path: Path) -> Floats:
+    """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR as linear; row 0 at the lower edge.
+
+    Raises
+    ------
+    StorageError
+        For a file that is no such picture.
+    """
+    stat = path.stat()
+    return _picture(path, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=64)
+def _picture(path: Path, _mtime_ns: int, _size: int) -> Floats:
+    if path.suffix.lower() == ".exr":
+        from optsim.core.files import read_exr
+
+        channels, _ = read_exr(path)
+        names = [name for name in ("R", "G", "B") if name in channels]
+        image = (
+            np.stack([channels[name] for name in names], axis=-1) @ _LUMINANCE
+            if len(names) == 3
+            else next(iter(channels.values()))
+        )
+        return np.ascontiguousarray(image[::-1], np.float32)
+    from PIL import Image
+
+    with reading(path, "a PNG, JPEG or OpenEXR picture"), Image.open(path) as picture:
+        rgb = np.asarray(picture.convert("RGB"), np.float64)[::-1] / 255
+    return (_linear(rgb) @ _LUMINANCE).astype(np.float32)
