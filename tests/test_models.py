@@ -211,23 +211,12 @@ def test_show_draws_a_preview_with_sizes(folder, capsys, name):
     if choose_backend().preview:
         pytest.skip("only the scalar fallback works here")
     scene(folder, '[objects.thing]\nkind = "mesh"\nfile = "two.glb"\nheight_m = 0.3\n')
-    target = folder if name == "scene" else folder / name
+    target = f"{folder}/" if name == "scene" else str(folder / name)
     with pytest.raises(SystemExit) as ended:
-        app(
-            [
-                "scene",
-                "show",
-                f"{target}/" if name == "scene" else str(target),
-                "--out",
-                str(folder / "x.png"),
-                "--samples",
-                "4",
-            ]
-        )
+        app(["scene", "show", target, "--out", str(folder / "x.png"), "--samples", "4"])
     assert ended.value.code == 0
-    assert {"two.glb": "1 x 1 x 2", "box.stl": "10 x 20 x 30", "scene": "object thing"}[name][
-        :6
-    ] in capsys.readouterr().out
+    said = {"two.glb": ": 1 x 3 x 2 units", "box.stl": ": 10 x 20 x 30 units", "scene": "object thing-0: "}
+    assert said[name] in capsys.readouterr().out
     with Image.open(folder / "x.png") as picture:
         assert picture.size == (480, 360)
         assert np.asarray(picture).std() > 10
