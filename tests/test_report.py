@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import html
 import re
+from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,10 @@ def truth_frame(index: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarra
         disc = (u - at) ** 2 + (v - 0.62) ** 2 < 0.02
         frames.append(np.where(disc, 0.02 * (1.5 + np.sin(60 * (u - at))), still))
     return np.asarray(frames, np.float32), outside
+
+
+def as_json(rows: Sequence[metrics.Record]) -> list[dict[str, Any]]:
+    return [row.as_json() for row in rows]
 
 
 def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str, Any]:
@@ -223,10 +228,10 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             "window_interior_ratio_after_glare": 2040.0,
         },
         "methods": METHODS,
-        "scores": scores,
-        "coverage": board.coverage(tallies),
-        "frame_series": board.frame_series([*tallies, *ceiling]),
-        "slot_series": board.slot_series(tallies),
+        "scores": as_json(scores),
+        "coverage": as_json(board.coverage(tallies)),
+        "frame_series": as_json(board.frame_series([*tallies, *ceiling])),
+        "slot_series": as_json(board.slot_series(tallies)),
         "uncertainty": [
             {
                 "method": m,
@@ -240,10 +245,10 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             for m, region, n in (("hdr_mosaic", "all", 100), ("normal", "moving", 0))
         ],
         "masks": masks,
-        "pooled_masks": pooled_mask_records(marked, latency_frames=1),
-        "noise_ceiling": board.records(ceiling),
-        "pairs": beside,
-        "claims": judge_claims([beside]),
+        "pooled_masks": as_json(pooled_mask_records(marked, latency_frames=1)),
+        "noise_ceiling": as_json(board.records(ceiling)),
+        "pairs": as_json(beside),
+        "claims": as_json(judge_claims([beside])),
         "evidence": [
             {
                 "effect": "pu21",
@@ -286,7 +291,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
         },
         "not_modelled": ["twist of the nematic panel", "row scan of the panel"],
         "reconstruct_s": {"adaptive": 31.4, "normal": 0.4, "hdr_mosaic": 0.7, "random": 29.0},
-        "pictures": pictures,
+        "pictures": as_json(pictures),
     }
 
 
@@ -506,6 +511,23 @@ def test_schema_refuses_with_the_place(tmp_path: Path, results: dict[str, Any]) 
     assert not (tmp_path / "report.html").exists()
 
 
+def test_results_are_written_as_they_were_read(results: dict[str, Any]) -> None:
+    # Of an earlier version, too: what it did not state stays absent.
+    older = {key: value for key, value in results.items() if key not in ("uncertainty", "pooled_masks")}
+    del older["latency"]["details"]
+    for record in (results, older):
+        assert report.check_results(record).as_json() == record
+
+
+def test_results_are_read_by_key_as_before_with_a_warning(results: dict[str, Any]) -> None:
+    found = report.check_results(results)
+    with pytest.warns(DeprecationWarning, match=r"record\['scores'\] is record.scores now"):
+        scores = found["scores"]
+    assert scores is found.scores
+    with pytest.raises(KeyError):
+        found["as_json"]
+
+
 def test_moving_picture_is_small_and_complete(run_folder: Path, results: dict[str, Any]) -> None:
     from PIL import Image
 
@@ -546,7 +568,7 @@ def test_error_picture_is_signed_and_symmetric() -> None:
 def test_mask_picture_has_four_kinds() -> None:
     mask, oracle = np.array([[1, 0, 1, 0]], bool), np.array([[1, 1, 0, 0]], bool)
     image = mask_picture(mask, oracle, np.zeros((1, 4), np.uint8))
-    hues = [int(entry["colour"][1:3], 16) for entry in mask_legend()[:3]]
+    hues = [int(entry.colour[1:3], 16) for entry in mask_legend()[:3]]
     assert image[0, :3, 0].tolist() == [round(0.8 * h) for h in hues]
     assert image[0, 3].tolist() == [20, 20, 20]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from optsim.report.schema import Phase, Region, Results, Score
+from optsim.metrics.records import Phase, Region, Score
+from optsim.report.schema import Results
 
 PHASES: tuple[Phase, ...] = ("steady", "merging", "warm-up")
 REGIONS: tuple[tuple[Region, str], ...] = (
@@ -29,7 +30,7 @@ class Row:
     @property
     def best(self) -> float | None:
         """The best value."""
-        values = [s["value"] for s in self.scores if s is not None and s["value"] is not None]
+        values = [s.value for s in self.scores if s is not None and s.value is not None]
         if not values:
             return None
         return max(values) if self.higher_is_better else min(values)
@@ -64,23 +65,23 @@ class Card:
 
 def phases_reached(results: Results) -> list[Phase]:
     """Phases that have scores, the one for the headline first: steady, else the latest reached."""
-    reached = {score["phase"] for score in results["scores"]}
+    reached = {score.phase for score in results.scores}
     return [phase for phase in PHASES if phase in reached]
 
 
 def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list[Row]:
     """Scores of a phase, a row for each region and metric."""
-    names, scores = list(methods), [s for s in scores if s["phase"] == phase]
-    first = {s["metric"]: s for s in reversed(scores)}
-    metrics = list(dict.fromkeys(s["metric"] for s in scores))
-    found = {(s["region"], s["metric"], s["method"]): s for s in scores}
+    names, scores = list(methods), [s for s in scores if s.phase == phase]
+    first = {s.metric: s for s in reversed(scores)}
+    metrics = list(dict.fromkeys(s.metric for s in scores))
+    found = {(s.region, s.metric, s.method): s for s in scores}
     return [
         Row(
             region,
             where,
             metric,
-            first[metric]["unit"],
-            first[metric]["higher_is_better"],
+            first[metric].unit,
+            first[metric].higher_is_better,
             tuple(found.get((region, metric, method)) for method in names),
         )
         for region, where in REGIONS
@@ -90,8 +91,8 @@ def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list
 
 def cards(results: Results, phase: Phase) -> list[Card]:
     """One card a region, each with the metric that the registered claims use there."""
-    wanted = {verdict["region"]: verdict["metric"] for verdict in results["claims"]}
-    rows = table(results["scores"], results["methods"], phase)
+    wanted = {verdict.region: verdict.metric for verdict in results.claims}
+    rows = table(results.scores, results.methods, phase)
     chosen: list[Card] = []
     for region, where in REGIONS:
         of_region = [row for row in rows if row.region == region]
@@ -99,15 +100,15 @@ def cards(results: Results, phase: Phase) -> list[Card]:
             iter(of_region), None
         )
         if row is not None and row.best is not None:
-            chosen.append(Card(where, row.metric, row.unit, _contestants(row, list(results["methods"]))))
+            chosen.append(Card(where, row.metric, row.unit, _contestants(row, list(results.methods))))
     return chosen
 
 
 def _contestants(row: Row, methods: Sequence[str]) -> tuple[Contestant, ...]:
     pairs = [
-        (name, s["value"], style_of(methods, name))
+        (name, s.value, style_of(methods, name))
         for name, s in zip(methods, row.scores, strict=True)
-        if s is not None and s["value"] is not None
+        if s is not None and s.value is not None
     ]
     pairs.sort(key=lambda pair: pair[1], reverse=row.higher_is_better)
     best, worst = pairs[0][1], pairs[-1][1]
@@ -123,7 +124,7 @@ def style_of(methods: Sequence[str], name: str) -> str:
 def ceilings(results: Results, phase: Phase) -> dict[tuple[Region, str], float]:
     """Best score that the truth can certify in a phase, by region and metric."""
     return {
-        (s["region"], s["metric"]): s["value"]
-        for s in results["noise_ceiling"]
-        if s["phase"] == phase and s["value"] is not None
+        (s.region, s.metric): s.value
+        for s in results.noise_ceiling
+        if s.phase == phase and s.value is not None
     }
