@@ -220,7 +220,8 @@ def test_a_relay_that_blurs_too_much_is_refused_before_the_render(
 
 
 def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
-    assert "too short" in job.summary({"title": "demo", "methods": {"adaptive": {}}, "scores": []})
+    short = job.Results.model_construct(title="demo", methods={"adaptive": ""}, scores=[])
+    assert "too short" in job.summary(short)
 
 
 def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from optsim.metrics import (
     tally_pair,
 )
 from optsim.report import headline, plots, words
+from optsim.report import html as html_report
 from optsim.report.pictures import (
     ToneCurve,
     captured_picture,
@@ -613,33 +615,31 @@ def test_the_code_is_shown_where_a_camera_that_tells_motion_has_both() -> None:
         assert seen is oracle or crop.of(oracle).mean() != pytest.approx(0.5)
 
 
-def test_plots_break_at_missing_values_and_keep_labels_apart() -> None:
-    line = plots.Line("a & b", "s0", [0, 1, 2, 3], [1.0, None, 2.0, 3.0])
-    twin = plots.Line("twin", "s1", [0, 1, 2, 3], [1.0, 1.0, 2.0, 3.0])
-    svg = plots.line_plot([line, twin], title="t", x_label="frame", y_label="dB")
-    (path,) = re.findall(r'class="line s0" d="([^"]+)"', svg)
-    assert path.count("M") == 2, "a missing value breaks the line"
-    assert "a &amp; b" in svg
-    low, high = sorted(float(y) for y in re.findall(r'class="end s\d" x="[\d.]+" y="([\d.]+)"', svg))
-    assert high - low == pytest.approx(15)
-    crowd = [plots.Line(f"l{i}", f"s{i}", [0, 1], [0.0, 1.0]) for i in range(5)]
-    svg = plots.line_plot(crowd, title="t", x_label="frame", y_label="dB")
-    ends = sorted(float(y) for y in re.findall(r'class="end s\d" x="[\d.]+" y="([\d.]+)"', svg))
-    assert np.diff(ends) == pytest.approx(15), "labels at the top move down"
-    assert ends[0] >= 20, "and stay in the picture"
-    assert "no values" in plots.line_plot(
-        [plots.Line("x", "s0", [0], [None])], title="t", x_label="x", y_label="y"
+def test_plots_break_at_missing_values_and_take_the_colours_of_the_page() -> None:
+    line: plots.Line = ("a & b", "s0", [0, 1, 2, 3], [1.0, None, 2.0, 3.0])
+    other: plots.Line = ("other", "s1", [0, 1, 2, 3], [1.0, 1.0, 2.0, 4.0])
+    bands = [(-0.5, 1.5, "early"), (9.0, 10.0, "never")]
+    svg = plots.line_plot([line, other], title="t <1>", x_label="frame", y_label="dB", bands=bands)
+    root = ElementTree.fromstring(
+        str(svg).replace("<svg", '<svg xmlns:xlink="http://www.w3.org/1999/xlink"', 1)
     )
+    path, *_ = re.findall(r'd="([^"]+)" style="fill: none; stroke: var\(--s0\)', svg)
+    assert path.count("M") == 2, "a missing value breaks the line"
+    texts = [text.text for text in root.iter("text")]
+    assert texts.index("other") < texts.index("a & b"), "labels are in the order of last values"
+    assert "early" in texts
+    assert "never" not in texts
+    assert root.get("aria-label") == "t <1>"
+    assert not re.search("#[0-9a-f]{6}", svg), "no colour of its own: light and dark pages differ"
+    assert plots.line_plot([line, other], title="t <1>", x_label="frame", y_label="dB", bands=bands) == svg
+    nothing: plots.Line = ("x", "s0", [0], [None])
+    assert "no values" in plots.line_plot([nothing], title="t", x_label="x", y_label="y")
 
 
-@pytest.mark.parametrize(
-    ("low", "high"), [(0, 1), (-9.7, -9.69), (11.5, 37.2), (5, 5), (0, 0), (0.0005, 0.002)]
-)
-def test_ticks_are_round_and_enclose(low: float, high: float) -> None:
-    ticks = plots.nice_ticks(low, high)
-    assert ticks[0] <= low + 1e-9
-    assert ticks[-1] >= high - 1e-9
-    assert 2 <= len(ticks) <= 8
+def test_colours_of_plots_are_those_of_the_style_sheet() -> None:
+    sheet = (html_report.TEMPLATES / "report.css").read_text(encoding="utf-8")
+    for name, colour in plots.COLOURS.items():
+        assert f"--{name}: light-dark({colour}," in sheet
 
 
 @pytest.mark.parametrize(

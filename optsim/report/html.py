@@ -107,6 +107,7 @@ def _context(results: Results) -> dict[str, object]:
         "n_validated": sum(row.validated for row in results.evidence),
         "all_peaks_fresh": all(stage.peak_is_of_this_stage for stage in results.timings),
         "legend_of": _legend_of,
+        "colour_bar": plots.colour_bar,
         "captions_of": _captions_of,
         "measured": measured,
     }
@@ -139,9 +140,9 @@ def _captions_of(pictures: Sequence[Picture]) -> str:
 def _phase_bands(latency: int) -> list[plots.Band]:
     """Phases on the axis of coded frames, as the scores define them."""
     return [
-        plots.Band(-0.5, latency + 0.5, "warm-up"),
-        plots.Band(latency + 0.5, latency + 3.5, "merging"),
-        plots.Band(latency + 3.5, 1e9, "steady"),
+        (-0.5, latency + 0.5, "warm-up"),
+        (latency + 0.5, latency + 3.5, "merging"),
+        (latency + 3.5, 1e9, "steady"),
     ]
 
 
@@ -155,9 +156,7 @@ def _series_plots(
         of_region: list[tuple[str, object]] = []
         for metric in dict.fromkeys(s.metric for s in series):
             chosen = [s for s in series if s.metric == metric and s.region == region]
-            lines = [
-                plots.Line(s.method, headline.style_of(methods, s.method), s.x, s.values) for s in chosen
-            ]
+            lines = [(s.method, headline.style_of(methods, s.method), s.x, s.values) for s in chosen]
             plot = plots.line_plot(
                 lines,
                 title=f"{metric} against {x_label}, {where.lower()}",
@@ -177,14 +176,8 @@ def _mask_plot(results: Results) -> object:
     lines: list[plots.Line] = []
     for method in dict.fromkeys(m.method for m in results.masks):
         rows = [m for m in results.masks if m.method == method]
-        lines.append(
-            plots.Line(
-                method,
-                headline.style_of(methods, method),
-                [m.frame for m in rows],
-                [m.iou for m in rows],
-            )
-        )
+        style = headline.style_of(methods, method)
+        lines.append((method, style, [m.frame for m in rows], [m.iou for m in rows]))
     return plots.line_plot(
         lines,
         title="Intersection over union of motion mask and oracle",
