@@ -411,16 +411,16 @@ def test_page_is_finite_self_contained_and_repeatable(run_folder: Path, results:
 
 def test_first_screen_names_the_winners_and_their_lead(run_folder: Path, results: dict[str, Any]) -> None:
     moving, static, everywhere = headline.cards(report.check_results(results), "steady")
-    assert [moving.contestants[0].name, static.contestants[0].name] == ["random", "hdr_mosaic"]
-    assert everywhere.contestants[0].name == "adaptive"
+    assert [moving.ranked[0][0].method, static.ranked[0][0].method] == ["random", "hdr_mosaic"]
+    assert everywhere.ranked[0][0].method == "adaptive"
     steady = {
         (s["method"], s["region"]): s["value"]
         for s in results["scores"]
         if s["phase"] == "steady" and s["metric"].startswith("PU21")
     }
     assert moving.lead == pytest.approx(steady["random", "moving"] - steady["adaptive", "moving"], abs=1e-12)
-    assert moving.contestants[0].position == 1
-    assert moving.contestants[-1].position == 0
+    assert moving.position(moving.ranked[0][1]) == 1
+    assert moving.position(moving.ranked[-1][1]) == 0
 
 
 def test_a_camera_that_drifted_is_named(run_folder: Path, results: dict[str, Any]) -> None:
