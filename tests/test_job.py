@@ -81,23 +81,23 @@ def test_results_follow_their_schema_and_hold_no_nan(folder: Path, experiment: E
     results = check_results(json.loads(text))
     assert "NaN" not in text
     assert "Infinity" not in text
-    assert {s["stage"] for s in results["timings"]} >= {"render", "calibrate", "capture", "decode and score"}
-    assert {s["method"] for s in results["scores"]} == {"adaptive", "normal", "hdr_mosaic", "random"}
-    assert {s["phase"] for s in results["scores"]} == {"warm-up", "merging", "steady"}
+    assert {s.stage for s in results.timings} >= {"render", "calibrate", "capture", "decode and score"}
+    assert {s.method for s in results.scores} == {"adaptive", "normal", "hdr_mosaic", "random"}
+    assert {s.phase for s in results.scores} == {"warm-up", "merging", "steady"}
     # The dictionary states no uncertainty; beside it the adaptive scheme's merge states its own.
-    assert {u["method"] for u in results["uncertainty"]} == {"normal", "hdr_mosaic", "adaptive"}
-    stated = [u for u in results["uncertainty"] if u["region"] == "static" and u["n"]]
-    assert {u["method"] for u in stated} == {"normal", "hdr_mosaic", "adaptive"}
-    assert all(u["within_one"] > 0.05 for u in stated)
+    assert {u.method for u in results.uncertainty} == {"normal", "hdr_mosaic", "adaptive"}
+    stated = [u for u in results.uncertainty if u.region == "static" and u.n]
+    assert {u.method for u in stated} == {"normal", "hdr_mosaic", "adaptive"}
+    assert all(u.within_one > 0.05 for u in stated)
     known = {"adaptive": "true", "normal": "true", "hdr_mosaic": "true", "random": "ideal"}
-    assert results["calibrations"] == known
+    assert results.calibrations == known
     for name, operator in known.items():
-        assert results["methods"][name].endswith(f", calibration: {operator}")
+        assert results.methods[name].endswith(f", calibration: {operator}")
     # Light is that of the experiment's.
     by = calibrate(planned(experiment)[0])
-    assert results["light_rule"]["saturation_dn"] == pytest.approx(np.median(by.saturation_dn - by.black_dn))
-    assert results["latency"]["hypothetical"]
-    assert results["noise_ceiling"]
+    assert results.light_rule.saturation_dn == pytest.approx(np.median(by.saturation_dn - by.black_dn))
+    assert results.latency.hypothetical
+    assert results.noise_ceiling
 
 
 def test_masks_are_scored_by_phase_and_the_report_shows_them(folder: Path, experiment: Experiment) -> None:
@@ -220,7 +220,8 @@ def test_a_relay_that_blurs_too_much_is_refused_before_the_render(
 
 
 def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
-    assert "too short" in job.summary({"title": "demo", "methods": {"adaptive": {}}, "scores": []})
+    short = job.Results.model_construct(title="demo", methods={"adaptive": ""}, scores=[])
+    assert "too short" in job.summary(short)
 
 
 def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(

@@ -139,11 +139,11 @@ def test_light_rule_reaches_its_share_or_says_so(result: Result) -> None:
 def test_scores_rank_what_must_be_ranked(result: Result) -> None:
     """Where things move, a long exposure loses to a temporal code; all values are finite."""
     records = score(result)
-    assert all(r["value"] is None or np.isfinite(r["value"]) for r in records)
+    assert all(r.value is None or np.isfinite(r.value) for r in records)
     psnr = {
-        r["method"]: r["value"]
+        r.method: r.value
         for r in records
-        if r["metric"].startswith("PSNR") and r["region"] == "moving" and r["phase"] == "steady"
+        if r.metric.startswith("PSNR") and r.region == "moving" and r.phase == "steady"
     }
     assert psnr["random"] > psnr["normal"] + 1
     assert psnr["adaptive"] > psnr["normal"] + 1
@@ -157,9 +157,9 @@ def test_scores_show_themselves(result: Result) -> None:
         assert "steady phase" in shown
     head, *rows = str(found).splitlines()
     assert {len(row) for row in rows} == {len(head)}
-    psnr = next(r for r in found if r["method"] == "random" and r["phase"] == "steady")
-    line = next(row for row in rows if row.startswith(f"{psnr['metric']}, {psnr['region']}"))
-    assert f"{psnr['value']:.2f}" in line.split()
+    psnr = next(r for r in found if r.method == "random" and r.phase == "steady")
+    line = next(row for row in rows if row.startswith(f"{psnr.metric}, {psnr.region}"))
+    assert f"{psnr.value:.2f}" in line.split()
 
 
 def test_a_result_says_what_it_is_in_a_line(result: Result) -> None:
@@ -178,8 +178,8 @@ def test_a_truth_that_is_none_is_refused(small) -> None:
 
 
 def test_scores_that_never_settle_show_how_far_they_came(result: Result) -> None:
-    early = Scores(r for r in score(result) if r["phase"] != "steady")
-    assert {"warm-up", "merging"} == {r["phase"] for r in early}
+    early = Scores(r for r in score(result) if r.phase != "steady")
+    assert {"warm-up", "merging"} == {r.phase for r in early}
     html = early._repr_html_()
     assert "merging phase" in html
     assert html.count("<tr>") > 3

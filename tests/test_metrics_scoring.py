@@ -18,10 +18,12 @@ from optsim.metrics import (
     FrameTally,
     LogRmse,
     MaskTally,
+    PairRecord,
     PhotometricScale,
     Psnr,
     Pu21Psnr,
     ScoreBoard,
+    Verdict,
     judge_claims,
     mask_agreement,
     measured,
@@ -31,7 +33,7 @@ from optsim.metrics import (
     pooled_mask_records,
     tally_pair,
 )
-from optsim.metrics.claims import CLAIMS, Verdict
+from optsim.metrics.claims import CLAIMS
 from optsim.metrics.pairs import PixelErrors, advantage
 
 SLOTS, ROWS, COLS = 4, 6, 8
@@ -142,7 +144,7 @@ def test_masks_are_pooled_by_pixels_and_by_phase() -> None:
     pairs = {0: (~still, oracle), 2: (late, oracle), 3: (still, oracle), 4: (one, one), 5: (still, still)}
     tallies = [MaskTally("a", k, mask_agreement(*pair)) for k, pair in pairs.items()]
     warm_up, merging, steady = pooled_mask_records(tallies, latency_frames=1)
-    assert warm_up == {
+    assert warm_up.as_json() == {
         "method": "a",
         "phase": "warm-up",
         "moves": 8 / 40,
@@ -152,15 +154,15 @@ def test_masks_are_pooled_by_pixels_and_by_phase() -> None:
         "iou": 8 / 40,
     }
     # 7 hits of 9 marked and of 17 that move; means of the frames' shares would be 7/8, 7/12 and 8/15.
-    assert (merging["moves"], merging["marked"]) == (17 / 120, 9 / 120)
-    assert (merging["precision"], merging["recall"], merging["iou"]) == (7 / 9, 7 / 17, 7 / 19)
-    assert (steady["moves"], steady["marked"]) == (0, 0)
-    assert steady["precision"] is steady["recall"] is steady["iou"] is None
+    assert (merging.moves, merging.marked) == (17 / 120, 9 / 120)
+    assert (merging.precision, merging.recall, merging.iou) == (7 / 9, 7 / 17, 7 / 19)
+    assert (steady.moves, steady.marked) == (0, 0)
+    assert steady.precision is steady.recall is steady.iou is None
     # Marked where nothing moves, and the other way round: one of the shares has a meaning.
     (alarm,) = pooled_mask_records([MaskTally("a", 9, mask_agreement(one, still))], latency_frames=1)
-    assert (alarm["precision"], alarm["recall"], alarm["iou"]) == (0, None, 0)
+    assert (alarm.precision, alarm.recall, alarm.iou) == (0, None, 0)
     (missed,) = pooled_mask_records([MaskTally("a", 9, mask_agreement(still, one))], latency_frames=1)
-    assert (missed["precision"], missed["recall"], missed["iou"]) == (None, 0, 0)
+    assert (missed.precision, missed.recall, missed.iou) == (None, 0, 0)
     assert pooled_mask_records([], latency_frames=1) == []
 
 
@@ -198,7 +200,7 @@ def test_phases_follow_the_latency(latency: int, phases: str) -> None:
 
 def test_pooled_scores_equal_a_batch_computation() -> None:
     b = board()
-    found = {(r["metric"], r["region"], r["phase"]): r for r in b.records(tallies(b, 7))}
+    found = {(r.metric, r.region, r.phase): r for r in b.records(tallies(b, 7))}
     assert len(found) == 3 * 3 * 3
     for phase, indices in (("warm-up", (0, 1)), ("merging", (2, 3, 4)), ("steady", (5, 6))):
         frames = [frame(i) for i in indices]
@@ -209,15 +211,15 @@ def test_pooled_scores_equal_a_batch_computation() -> None:
             for metric in metrics.ALL:
                 total, n = metric.sum_errors(estimate, reference, where, SCALE.white_cd_m2)
                 record = found[metric.name, region, phase]
-                assert record["n"] == n == len(indices) * SLOTS * np.count_nonzero(where)
-                assert record["value"] == pytest.approx(metric.finish(total, n), rel=1e-12)
+                assert record.n == n == len(indices) * SLOTS * np.count_nonzero(where)
+                assert record.value == pytest.approx(metric.finish(total, n), rel=1e-12)
 
 
 def test_the_order_of_frames_changes_nothing_at_all() -> None:
     b = board()
     forward = tallies(b, 8)
     shuffled = [forward[i] for i in np.random.default_rng(5).permutation(8)]
-    key = lambda r: (r["phase"], r["metric"], r["region"])  # noqa: E731
+    key = lambda r: (r.phase, r.metric, r.region)  # noqa: E731
     assert sorted(b.records(forward), key=key) == sorted(b.records(shuffled), key=key)
     assert b.frame_series(forward) == b.frame_series(shuffled)
     assert b.slot_series(forward) == b.slot_series(shuffled)
@@ -231,12 +233,12 @@ def test_uncoded_slots_are_not_scored_but_counted() -> None:
     assert b.records([b.tally("m", reconstruction, spoiled, moving)]) == b.records(
         [b.tally("m", reconstruction, reference, moving)]
     )
-    coverage = {c["region"]: c for c in b.coverage([b.tally("m", reconstruction, reference, moving)])}
-    assert coverage["all"]["valid"] == pytest.approx(3 / 4 * 5 / 6)
-    assert coverage["all"]["interpolated"] == pytest.approx(2 / 40)
-    assert coverage["static"]["interpolated"] == 0
-    assert coverage["moving"]["interpolated"] == pytest.approx(2 / 15)
-    assert len(b.slot_series([b.tally("m", reconstruction, reference, moving)], "warm-up")[0]["x"]) == 3
+    coverage = {c.region: c for c in b.coverage([b.tally("m", reconstruction, reference, moving)])}
+    assert coverage["all"].valid == pytest.approx(3 / 4 * 5 / 6)
+    assert coverage["all"].interpolated == pytest.approx(2 / 40)
+    assert coverage["static"].interpolated == 0
+    assert coverage["moving"].interpolated == pytest.approx(2 / 15)
+    assert len(b.slot_series([b.tally("m", reconstruction, reference, moving)], "warm-up")[0].x) == 3
 
 
 def test_identical_and_empty_are_flagged_and_json_holds_no_infinity() -> None:
@@ -247,14 +249,15 @@ def test_identical_and_empty_are_flagged_and_json_holds_no_infinity() -> None:
     nothing = Reconstruction(0, reference, ~everywhere, ~everywhere, moving)
     for reconstruction, flag in ((same, "identical"), (nothing, "empty")):
         records = b.records([b.tally("m", reconstruction, reference, moving)])
-        assert {r["flag"] for r in records} == {flag}
-        values = {r["metric"]: r["value"] for r in records}
+        assert {r.flag for r in records} == {flag}
+        values = {r.metric: r.value for r in records}
         assert values[Pu21Psnr().name] is None
         assert values[Psnr().name] is None
         assert values[LogRmse().name] == (0.0 if flag == "identical" else None)
-        json.dumps(records, allow_nan=False)
+        json.dumps([r.as_json() for r in records], allow_nan=False)
     tally = b.tally("m", nothing, reference, moving)
-    json.dumps([b.coverage([tally]), b.frame_series([tally]), b.slot_series([tally])], allow_nan=False)
+    rows = [*b.coverage([tally]), *b.frame_series([tally]), *b.slot_series([tally])]
+    json.dumps([r.as_json() for r in rows], allow_nan=False)
 
 
 def test_series_find_the_bad_frame_and_the_bad_slot() -> None:
@@ -267,12 +270,12 @@ def test_series_find_the_bad_frame_and_the_bad_slot() -> None:
         *frames[6][1:],
     )
     found = [b.tally("m", *f) for f in frames]
-    by_frame = next(s for s in b.frame_series(found) if s["unit"] == "stops" and s["region"] == "all")
-    by_slot = next(s for s in b.slot_series(found) if s["unit"] == "stops" and s["region"] == "all")
-    assert by_frame["x"] == list(range(8))
-    assert int(np.argmax(by_frame["values"])) == 6
-    assert int(np.argmax(by_slot["values"])) == 2
-    assert by_slot["values"][2] > 5 * by_slot["values"][1]
+    by_frame = next(s for s in b.frame_series(found) if s.unit == "stops" and s.region == "all")
+    by_slot = next(s for s in b.slot_series(found) if s.unit == "stops" and s.region == "all")
+    assert by_frame.x == list(range(8))
+    assert int(np.argmax(by_frame.values)) == 6
+    assert int(np.argmax(by_slot.values)) == 2
+    assert by_slot.values[2] > 5 * by_slot.values[1]
 
 
 def test_frames_of_different_size_are_refused() -> None:
@@ -288,9 +291,7 @@ def test_clamped_share_says_where_pu21_is_blind() -> None:
     everywhere = np.ones((ROWS, COLS), bool)
     assert SCALE.luminance_cd_m2(reference).max() > 1e4 > SCALE.luminance_cd_m2(reference).min()
     r = Reconstruction(0, reference, everywhere, ~everywhere, ~everywhere)
-    shares = {
-        s["metric"]: s["clamped_share"] for s in b.records([b.tally("m", r, reference, ~everywhere)])[::3]
-    }
+    shares = {s.metric: s.clamped_share for s in b.records([b.tally("m", r, reference, ~everywhere)])[::3]}
     assert shares[Pu21Psnr().name] == pytest.approx(5 / 6)
     assert shares[Psnr().name] == shares[LogRmse().name] == 0.0
 
@@ -300,10 +301,10 @@ def test_noise_ceiling_is_the_variance_of_the_half_difference() -> None:
     _, reference, moving = frame(0)
     half = np.random.default_rng(9).normal(0, 1e-4, reference.shape).astype(np.float32)
     records = b.records([b.tally_noise(0, reference, half, moving)])
-    assert {r["method"] for r in records} == {TRUTH_NOISE}
+    assert {r.method for r in records} == {TRUTH_NOISE}
     white = SCALE.white_w_m2_sr * SCALE.irradiance_per_radiance
     for region, where in (("moving", moving), ("static", ~moving)):
-        value = next(r["value"] for r in records if r["metric"] == Psnr().name and r["region"] == region)
+        value = next(r.value for r in records if r.metric == Psnr().name and r.region == region)
         expected = -10 * math.log10(np.mean(half[:, where].astype(float) ** 2) / white**2)
         assert value == pytest.approx(expected, abs=0.01)  # float32 light: 1e-7 of 1e-2 against 1e-4
 
@@ -325,15 +326,15 @@ def test_a_pair_is_scored_on_its_own_pixels_window_and_room_apart() -> None:
     ours[0, 0, 0] = 1e6  # where the rival holds nothing
     theirs[0, 1] = 36.0
     tally = tally_pair("random", 5, PixelErrors(ours, valid), PixelErrors(theirs, gives_up), moving, window)
-    found = {(r["area"], r["region"]): r for r in pair_records([metric], [tally], 36, latency_frames=1)}
+    found = {(r.area, r.region): r for r in pair_records([metric], [tally], 36, latency_frames=1)}
     room, outside = found["room", "moving"], found["window", "moving"]
-    assert room["ours"] == pytest.approx(20 * math.log10(256))
+    assert room.ours == pytest.approx(20 * math.log10(256))
     assert advantage(room) == pytest.approx(20 * math.log10(2))
-    assert room["excluded"] == pytest.approx(1 / 2)
-    assert room["ours_of_all"] == pytest.approx(10 * math.log10(256**2 / ((1e6 + 36) / 72)))
+    assert room.excluded == pytest.approx(1 / 2)
+    assert room.ours_of_all == pytest.approx(10 * math.log10(256**2 / ((1e6 + 36) / 72)))
     assert advantage(outside) == pytest.approx(0)
-    assert outside["excluded"] == 0
-    assert found["room", "all"]["excluded"] == pytest.approx(1 / 4)
+    assert outside.excluded == 0
+    assert found["room", "all"].excluded == pytest.approx(1 / 4)
     early = replace(tally, index=4)
     assert pair_records([metric], [early], 36, latency_frames=1) == []
 
@@ -355,19 +356,19 @@ def draws(*advantages: float, rival: str = "random", claim: int = 0, area: str =
     of = CLAIMS[claim]
     return [
         [
-            {
-                "rival": rival,
-                "metric": of.metric,
-                "unit": of.unit,
-                "higher_is_better": of.unit == "dB",
-                "area": area,
-                "region": of.region,
-                "ours": 20.0 + (value if of.unit == "dB" else -value),
-                "theirs": 20.0,
-                "excluded": 0.1,
-                "ours_of_all": 19.0,
-                "theirs_of_all": 18.0,
-            }
+            PairRecord(
+                rival=rival,
+                metric=of.metric,
+                unit=of.unit,
+                higher_is_better=of.unit == "dB",
+                area=area,
+                region=of.region,
+                ours=20.0 + (value if of.unit == "dB" else -value),
+                theirs=20.0,
+                excluded=0.1,
+                ours_of_all=19.0,
+                theirs_of_all=18.0,
+            )
         ]
         for value in advantages
     ]
@@ -383,21 +384,21 @@ SPREAD = np.array([-1.0, -0.5, 0.5, 1.0, -1.2, 1.2])  # mean 0, SD 1.0392
 def test_a_claim_is_judged_by_its_interval(mean: float, sd: float, verdict: str) -> None:
     values = mean + sd * SPREAD / SPREAD.std(ddof=1)
     found = judge_claims(draws(*values))[0]
-    assert found["verdict"] == verdict
+    assert found.verdict == verdict
     half = 2.570582 * sd / math.sqrt(6)  # Student's t, 5 degrees of freedom, 97.5 %
-    assert found["advantage"] == pytest.approx(mean)
-    assert (found["low"], found["high"]) == (pytest.approx(mean - half), pytest.approx(mean + half))
-    assert found["advantage_of_all"] == pytest.approx(1.0)
+    assert found.advantage == pytest.approx(mean)
+    assert (found.low, found.high) == (pytest.approx(mean - half), pytest.approx(mean + half))
+    assert found.advantage_of_all == pytest.approx(1.0)
     assert f"{mean:+.2f} dB over random" in measured(found)
 
 
 def test_fewer_than_six_draws_decide_nothing() -> None:
-    assert judge_claims(draws(3.0, 3.1, 3.0, 3.1, 3.0))[0]["verdict"] == "undecided"
+    assert judge_claims(draws(3.0, 3.1, 3.0, 3.1, 3.0))[0].verdict == "undecided"
     alone = judge_claims(draws(3.0))[0]
-    assert (alone["verdict"], alone["low"], alone["draws"]) == ("undecided", None, 1)
+    assert (alone.verdict, alone.low, alone.draws) == ("undecided", None, 1)
     assert "one draw" in measured(alone)
     nothing = judge_claims([[]])
-    assert [v["verdict"] for v in nothing] == ["undecided"] * 3
+    assert [v.verdict for v in nothing] == ["undecided"] * 3
     assert all("not measured" in measured(v) for v in nothing)
 
 
@@ -409,12 +410,12 @@ def test_the_third_claim_is_against_every_rival_with_a_tie_band_and_a_correction
         )
         return judge_claims([[*a, *b] for a, b in both])[2]
 
-    assert judged(0.1, 0.2, 0.001)["rival"] == "random"
-    assert judged(-0.005, 0.2, 0.001)["verdict"] == "holds"  # a tie
-    assert judged(-0.02, 0.2, 0.001)["verdict"] == "fails"
-    assert judged(0.0, 0.2, 0.05)["verdict"] == "undecided"
+    assert judged(0.1, 0.2, 0.001).rival == "random"
+    assert judged(-0.005, 0.2, 0.001).verdict == "holds"  # a tie
+    assert judged(-0.02, 0.2, 0.001).verdict == "fails"
+    assert judged(0.0, 0.2, 0.05).verdict == "undecided"
     # Bonferroni: for two rivals Student's t of 98.75 % at 5 degrees of freedom, 3.163381.
-    assert judged(0.1, 0.2, 0.01)["low"] == pytest.approx(0.1 - 3.163381 * 0.01 / math.sqrt(6))
+    assert judged(0.1, 0.2, 0.01).low == pytest.approx(0.1 - 3.163381 * 0.01 / math.sqrt(6))
 
 
 def test_window_and_room_are_judged_apart() -> None:
@@ -422,10 +423,10 @@ def test_window_and_room_are_judged_apart() -> None:
     found = judge_claims([[*a, *b] for a, b in zip(room, window, strict=True)])
     # The other claims were not measured, in either area.
     expected = [("room", "holds"), ("window", "fails"), ("room", "undecided"), ("room", "undecided")]
-    assert [(v["area"], v["verdict"]) for v in found] == expected
+    assert [(v.area, v.verdict) for v in found] == expected
 
 
 def test_the_adaptive_scheme_need_not_beat_itself_under_another_decoder() -> None:
     rival = draws(*(-1 + 0.001 * SPREAD), claim=2, rival="adaptive_mean")
-    assert judge_claims(rival)[2]["verdict"] == "fails"
-    assert judge_claims(rival, no_rivals=["adaptive_mean"])[2]["advantage"] is None
+    assert judge_claims(rival)[2].verdict == "fails"
+    assert judge_claims(rival, no_rivals=["adaptive_mean"])[2].advantage is None

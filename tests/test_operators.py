@@ -80,7 +80,7 @@ def test_all_are_scored_on_the_same_pixels(mixed: Result) -> None:
     assert not np.array_equal(*valid), "or this tests nothing"
     counts: dict[tuple[str, str, str], set[int]] = {}
     for r in score(mixed):
-        counts.setdefault((r["metric"], r["region"], r["phase"]), set()).add(r["n"])
+        counts.setdefault((r.metric, r.region, r.phase), set()).add(r.n)
     assert all(len(n) == 1 for n in counts.values())
 
 
@@ -153,5 +153,5 @@ def test_claims_compare_schemes_that_know_the_same() -> None:
     names = [method.name for method in experiment.methods]
     scorer.add({name: Reconstruction(0, scorer.reference(0), yes, ~yes, ~yes) for name in names})
     found = scorer.results()
-    assert {record["method"] for record in found["scores"]} == set(names)
+    assert {record.method for record in found["scores"]} == set(names)
     assert no_rivals(experiment) == ["adaptive", "random"]

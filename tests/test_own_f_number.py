@@ -161,20 +161,20 @@ def test_where_all_ask_for_the_shared_f_number_the_scores_are_those_of_a_run(
     assert len(whole) == len(compared.scores) > 0
     for ours, theirs in zip(compared.scores, whole, strict=True):
         same = ("method", "metric", "region", "phase", "n")
-        assert [ours[key] for key in same] == [theirs[key] for key in same]
+        assert [getattr(ours, key) for key in same] == [getattr(theirs, key) for key in same]
         # Others have a percent more light, by which a pixel that was dark before is short of one on for ever;
         # the adaptive scheme's masks are then others, too. Noise is drawn anew: an rms over 24 x 32 pixels
         # has a standard error of 2.5 %.
-        rel = 0.05 if ours["method"] == "normal" else 0.2
-        assert ours["value"] == pytest.approx(theirs["value"], rel=rel)
+        rel = 0.05 if ours.method == "normal" else 0.2
+        assert ours.value == pytest.approx(theirs.value, rel=rel)
 
 
 def test_each_is_compared_with_the_light_on_its_own_panel(compared: OwnLight) -> None:
     """The shared camera's is 1.6 stops less."""
     errors = {
-        record["region"]: record["value"]
+        record.region: record.value
         for record in compared.scores
-        if record["method"] == "random" and record["unit"] == "stops"
+        if record.method == "random" and record.unit == "stops"
     }
     assert 0 < errors["all"] < 1
 
@@ -183,7 +183,7 @@ def test_all_are_scored_on_the_same_pixels(compared: OwnLight, masks: list[float
     assert masks == [4.0] * 3, "regions are those of the camera that all would share"
     counts: dict[tuple[str, str, str], set[int]] = {}
     for record in compared.scores:
-        key = (record["metric"], record["region"], record["phase"])
-        counts.setdefault(key, set()).add(record["n"])
+        key = (record.metric, record.region, record.phase)
+        counts.setdefault(key, set()).add(record.n)
     assert counts
     assert all(len(n) == 1 for n in counts.values())

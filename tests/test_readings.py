@@ -172,7 +172,7 @@ def test_each_method_reads_as_it_says_and_claims_leave_it_out() -> None:
         assert np.array_equal(ours[-1].irradiance_w_m2, theirs) == (name != "random")
     used, plainly = (
         {
-            row["method"]: row["mean_e"]
+            row.method: row.mean_e
             for row in Scorer(r.experiment, r.camera, r.truth, r.radiance).photons(r.frames)
         }
         for r in (result, plain)

@@ -27,6 +27,7 @@ from optsim.experiment.resume import (
     unfinished,
 )
 from optsim.metrics import FrameTally, PairTally, UncertaintyTally
+from optsim.report.schema import Resumed
 
 FRAMES = 4
 QUICK = [
@@ -122,7 +123,7 @@ def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
     results = job.execute(experiment, folder)
     assert len(exposed) == FRAMES * len(METHODS)
     assert {index for index, video in asked if video} == {2, 3}
-    assert results["resumed"] == {"captured": FRAMES, "scored": 2}
+    assert results.resumed == Resumed(captured=FRAMES, scored=2)
     assert "had been taken, 2 of them decoded" in (folder / "report.html").read_text()
 
     told = read_json(whole / "results.json")

@@ -61,8 +61,8 @@ def test_each_frame_is_scored_with_its_own_truth_and_mask() -> None:
     # The wrong frame's truth would be off by 0.1 of 0.4 in 16 of 768 pixels.
     assert max(errors) < 0.3 * (0.1 / 0.4) ** 2 * 16 / 768
     agreed = judge.masks({m.name: tuple(frames) for m in experiment.methods})["masks"]
-    assert [row["precision"] for row in agreed] == [None, None, 1.0, None]
-    assert agreed[2]["recall"] >= 16 / 36
+    assert [row.precision for row in agreed] == [None, None, 1.0, None]
+    assert agreed[2].recall >= 16 / 36
 
 
 def test_what_is_said_of_slots_with_the_shutter_closed_is_not_scored() -> None:
@@ -74,8 +74,8 @@ def test_what_is_said_of_slots_with_the_shutter_closed_is_not_scored() -> None:
     light[coded:] *= 2
     judge.add({"one": Reconstruction(0, light, EVERYWHERE, NOWHERE, NOWHERE)})
     for record in judge.board.records(judge.tallies):
-        if record["region"] == "all":
-            assert (record["flag"], record["n"]) == ("identical", coded * ROWS * COLS)
+        if record.region == "all":
+            assert (record.flag, record.n) == ("identical", coded * ROWS * COLS)
 
 
 @pytest.mark.parametrize("latency", [1, 3])
@@ -90,9 +90,9 @@ def test_phases_and_the_noise_ceiling_follow_the_experiments_latency(latency: in
     judge = scorer(experiment, radiance)
     phases = [judge.board.phase(index) for index in range(n_frames)]
     assert phases == ["warm-up"] * (latency + 1) + ["merging"] * 3 + ["steady"] * 3
-    records = [r for r in judge.noise_ceiling() if r["metric"] == "PSNR[peak=white]" and r["region"] == "all"]
-    assert [r["phase"] for r in records] == ["steady"]
-    assert records[0]["value"] == pytest.approx(20 * np.log10(0.4 / 0.004), abs=0.05)
+    records = [r for r in judge.noise_ceiling() if r.metric == "PSNR[peak=white]" and r.region == "all"]
+    assert [r.phase for r in records] == ["steady"]
+    assert records[0].value == pytest.approx(20 * np.log10(0.4 / 0.004), abs=0.05)
 
 
 def test_the_window_ratio_is_of_the_brightest_outside_and_the_darkest_inside() -> None:
@@ -128,9 +128,9 @@ def test_stated_errors_are_judged_on_the_pixels_that_all_methods_hold_valid() ->
         }
     )
     for record in judge.results()["uncertainty"]:
-        if record["region"] == "all":
-            assert record["n"] == 36 * ROWS // 2 * COLS
-            assert record["rms"] == pytest.approx(1, rel=1e-4)
+        if record.region == "all":
+            assert record.n == 36 * ROWS // 2 * COLS
+            assert record.rms == pytest.approx(1, rel=1e-4)
 
 
 def test_pairs_are_of_each_rival_of_coded_slots_and_of_any_pixel_that_sees_the_window() -> None:

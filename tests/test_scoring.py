@@ -124,7 +124,7 @@ def test_the_noise_ceiling_is_the_psnr_of_half_the_difference() -> None:
     experiment = small("camera.objective.glare_share=0", n_frames=6)
     radiance = replace(flat(experiment, 0.2), half_difference=flat(experiment, 0.004))
     records = scorer(experiment, radiance, nd=0.3).noise_ceiling()
-    psnr = [r["value"] for r in records if r["metric"] == "PSNR[peak=white]" and r["region"] == "all"]
+    psnr = [r.value for r in records if r.metric == "PSNR[peak=white]" and r.region == "all"]
     assert psnr
     assert psnr == pytest.approx([40.0] * len(psnr), abs=0.02)
 
@@ -142,14 +142,14 @@ def test_photons_are_electrons() -> None:
     calibration = calibrate(experiment)
     scores = scorer(experiment, radiance)
     frames = capture(experiment, scores.camera, scores.truth, {experiment.calibration_choice: calibration})
-    row = next(r for r in scores.photons(frames) if r["method"] == "normal")
+    row = next(r for r in scores.photons(frames) if r.method == "normal")
     frame = frames["normal"][1]
     settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
     expected, _ = scores.camera.expected_electrons(scores.truth, 1, frame.code, settled)
     picked = expected[calibration.pick_row, calibration.pick_col][calibration.valid]
     # The first slot of the first frame finds the panel dark; the gain is 0.96 e-/DN.
-    assert row["mean_e"] == pytest.approx(picked.mean(), rel=0.02)
-    assert row["saturated_share"] == 0
+    assert row.mean_e == pytest.approx(picked.mean(), rel=0.02)
+    assert row.saturated_share == 0
 
 
 def test_glare_lowers_the_ratio_of_window_and_interior() -> None:
@@ -201,10 +201,10 @@ def test_all_methods_are_scored_on_the_pixels_that_all_hold_valid() -> None:
             "timid": Reconstruction(0, truth * np.float32(1.01), timid_valid, nowhere, nowhere),
         }
     )
-    scores = {r["method"]: r for r in judge.board.records(judge.tallies) if r["region"] == "all"}
-    assert scores["bold"]["n"] == scores["timid"]["n"] == 36 * (ROWS - 4) * COLS
-    assert scores["bold"]["flag"] == "identical"
-    held = {c["method"]: c["valid"] for c in judge.board.coverage(judge.tallies) if c["region"] == "all"}
+    scores = {r.method: r for r in judge.board.records(judge.tallies) if r.region == "all"}
+    assert scores["bold"].n == scores["timid"].n == 36 * (ROWS - 4) * COLS
+    assert scores["bold"].flag == "identical"
+    held = {c.method: c.valid for c in judge.board.coverage(judge.tallies) if c.region == "all"}
     assert held == {"bold": 1.0, "timid": pytest.approx(1 - 4 / ROWS)}
 
 
@@ -237,9 +237,9 @@ def test_a_run_sets_each_method_beside_the_adaptive_one() -> None:
         )
         assert [each.method for each in kept if isinstance(each, PairTally)] == ["random"] * (index >= 5)
     found = judge.results()
-    stops = {r["area"]: r for r in found["pairs"] if r["unit"] == "stops" and r["region"] == "all"}
-    assert stops["room"]["theirs"] == pytest.approx(math.log2(1.1), rel=0.02)
-    assert stops["window"]["theirs"] == pytest.approx(math.log2(1.3), rel=0.02)
-    assert stops["room"]["ours"] == pytest.approx(math.log2(1.05), rel=0.02)
-    assert {v["verdict"] for v in found["claims"]} == {"undecided"}
-    assert {v["area"] for v in found["claims"]} == {"room", "window"}
+    stops = {r.area: r for r in found["pairs"] if r.unit == "stops" and r.region == "all"}
+    assert stops["room"].theirs == pytest.approx(math.log2(1.1), rel=0.02)
+    assert stops["window"].theirs == pytest.approx(math.log2(1.3), rel=0.02)
+    assert stops["room"].ours == pytest.approx(math.log2(1.05), rel=0.02)
+    assert {v.verdict for v in found["claims"]} == {"undecided"}
+    assert {v.area for v in found["claims"]} == {"room", "window"}

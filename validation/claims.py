@@ -25,8 +25,8 @@ from optsim.experiment.loop import run
 from optsim.experiment.scoring import no_rivals, scorer_of
 from optsim.experiment.truth import render_truth
 from optsim.metrics import judge_claims, measured
-from optsim.metrics.claims import Verdict
-from optsim.metrics.pairs import PairRecord, advantage
+from optsim.metrics.pairs import advantage
+from optsim.metrics.records import PairRecord, Verdict
 from optsim.report.markdown import markdown_table
 
 OUT, FIGURES = Path("reports") / "claims.md", Path("reports") / "figures" / "claims.json"
@@ -47,7 +47,7 @@ def main(names: list[str]) -> None:
     for name in names or STARTS:
         draws = [_draw(name, number) for number in range(len(STARTS[name]))]
         found[name] = {
-            "verdicts": judge_claims([draw["pairs"] for draw in draws], draws[0]["no_rivals"]),
+            "verdicts": judge_claims([_pairs(draw) for draw in draws], draws[0]["no_rivals"]),
             "draws": draws,
         }
         write_text(OUT, page(found))
@@ -74,13 +74,13 @@ def _measure(whole: Experiment, one: Experiment, start: int) -> dict[str, Any]:
     result = run(one, excerpt(render_truth(whole, progress=_say), start, one.timing.n_slots, one))
     scorer = scorer_of(result)
     masks = scorer.masks(result.frames)["pooled_masks"]
-    steady = next(row for row in masks if row["phase"] == "steady")
+    steady = next(row for row in masks if row.phase == "steady")
     print(f"{one.scene}, seed {one.seed}: done", flush=True)
     return {
         "seed": one.seed,
         "first_frame": start,
-        "moves": steady["moves"],
-        "pairs": scorer.pair_records(),
+        "moves": steady.moves,
+        "pairs": [each.as_json() for each in scorer.pair_records()],
         "no_rivals": no_rivals(one),
     }
 
@@ -101,8 +101,8 @@ def figures(scene: dict[str, Any]) -> dict[str, Any]:
     """Arrange a scene's verdicts by region and area, for prose to quote."""
     of_region: dict[str, Any] = {}
     for verdict in cast("list[Verdict]", scene["verdicts"]):
-        said = {**verdict, "behind": -(verdict["advantage"] or 0.0), "measured": measured(verdict)}
-        of_region.setdefault(verdict["region"], {})[verdict["area"]] = said
+        said = {**verdict.as_json(), "behind": -(verdict.advantage or 0.0), "measured": measured(verdict)}
+        of_region.setdefault(verdict.region, {})[verdict.area] = said
     moves = [draw["moves"] for draw in scene["draws"]]
     return {**of_region, "moves": sum(moves) / len(moves), "draws": len(moves)}
 
@@ -117,27 +117,30 @@ def page(found: dict[str, Any]) -> str:
         )
         share = sum(draw["moves"] for draw in draws) / len(draws)
         parts += [f"## {name}", "", f"{share:.0%} of the picture moves.", ""]
-        rows = [[v["claim"], v["area"], f"**{v['verdict']}**", measured(v)] for v in verdicts]
+        rows = [[v.claim, v.area, f"**{v.verdict}**", measured(v)] for v in verdicts]
         parts += [*markdown_table(("claim", "area", "verdict", "the adaptive scheme is ahead by"), rows), ""]
         parts += ["Draw by draw, over the nearest rival:", ""]
-        heads = ["seed", "first frame", "moves", *(f"{_short(v)}, {v['unit']}" for v in verdicts)]
+        heads = ["seed", "first frame", "moves", *(f"{_short(v)}, {v.unit}" for v in verdicts)]
         parts += [*markdown_table(heads, [_row(draw, verdicts) for draw in draws]), ""]
     return "\n".join(parts)
 
 
 def _short(verdict: Verdict) -> str:
-    return f"{verdict['region']}, {verdict['area']}"
+    return f"{verdict.region}, {verdict.area}"
 
 
 def _row(draw: dict[str, Any], verdicts: Sequence[Verdict]) -> list[str]:
     cells = [str(draw["seed"]), str(draw["first_frame"]), f"{draw['moves']:.1%}"]
     for v in verdicts:
-        wanted = (v["metric"], v["region"], v["area"], v["rival"])
-        pairs = cast("list[PairRecord]", draw["pairs"])
-        values = [advantage(r) for r in pairs if (r["metric"], r["region"], r["area"], r["rival"]) == wanted]
+        wanted = (v.metric, v.region, v.area, v.rival)
+        values = [advantage(r) for r in _pairs(draw) if (r.metric, r.region, r.area, r.rival) == wanted]
         value = values[0] if values else None
         cells.append("-" if value is None else f"{value:+.3f}")
     return cells
+
+
+def _pairs(draw: dict[str, Any]) -> list[PairRecord]:
+    return [PairRecord(**each) for each in draw["pairs"]]
 
 
 def _say(stage: str, done: int, total: int) -> None:

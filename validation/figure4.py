@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from kept import kept
 
@@ -23,9 +23,10 @@ from optsim.core.files import write_text
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.job import execute, run_folder
 from optsim.experiment.truth import render_truth
+from optsim.metrics.records import Phase, Score
 from optsim.report.headline import Row, table
 from optsim.report.markdown import markdown_table
-from optsim.report.schema import Phase, Results, Score
+from optsim.report.schema import Results, check_results
 from optsim.study.own_f_number import OwnLight, compare
 
 SCENES = ("window_room", "half_moving", "night_street")
@@ -48,27 +49,37 @@ def main(names: list[str]) -> None:
         folder = RUNS / f"figure4-{name}"
         results = kept(RUNS / f"{folder.name}.json", experiment, partial(_run, experiment, folder))
         own = kept(RUNS / f"{folder.name}-own.json", experiment, partial(_compare, experiment))
-        parts += [section(cast("Results", results)), own_section(OwnLight(**own))]
+        parts += [
+            section(check_results(results)),
+            own_section(_own_light(own)),
+        ]
         write_text(OUT, "\n".join(parts))
     print(f"tables: {OUT}")
 
 
 def _run(experiment: Experiment, folder: Path) -> dict[str, Any]:
-    return execute(experiment, run_folder(experiment, folder), command="make figure4", progress=_say)
+    return execute(
+        experiment, run_folder(experiment, folder), command="make figure4", progress=_say
+    ).as_json()
+
+
+def _own_light(own: dict[str, Any]) -> OwnLight:
+    return OwnLight(**{**own, "scores": [Score(**each) for each in own["scores"]]})
 
 
 def _compare(experiment: Experiment) -> dict[str, Any]:
-    return asdict(compare(experiment, render_truth(experiment), progress=_say))
+    own = compare(experiment, render_truth(experiment), progress=_say)
+    return {**asdict(own), "scores": [each.as_json() for each in own.scores]}
 
 
 def section(results: Results) -> str:
     """Tables of one run as Markdown."""
-    scene = results["scene"]
-    lines = [f"## {scene['name']}", "", f"{scene['description']}. Photoelectrons a pixel and frame, mean:"]
-    lines += [", ".join(f"{row['method']} {row['mean_e']:.0f}" for row in results["photons"]) + "."]
-    lines += ["", f"Run {results['finished_utc']}, optsim {results['versions']['optsim']}.", ""]
+    scene = results.scene
+    lines = [f"## {scene.name}", "", f"{scene.description}. Photoelectrons a pixel and frame, mean:"]
+    lines += [", ".join(f"{row.method} {row.mean_e:.0f}" for row in results.photons) + "."]
+    lines += ["", f"Run {results.finished_utc}, optsim {results.versions['optsim']}.", ""]
     for phase, words in _PHASES:
-        cells = _cells(results["scores"], list(results["methods"]), phase)
+        cells = _cells(results.scores, list(results.methods), phase)
         lines += [f"**{words}**", "", *markdown_table(("method", *_HEADS), _named(cells)), ""]
     return "\n".join([*lines, ""])
 
@@ -115,10 +126,10 @@ def _cells(scores: Sequence[Score], methods: Sequence[str], phase: Phase) -> dic
 
 def _cell(row: Row, place: int) -> str:
     score = row.scores[place]
-    if score is None or score["value"] is None:
+    if score is None or score.value is None:
         return "-"
-    text = f"{score['value']:.2f}"
-    return f"**{text}**" if score["value"] == row.best else text
+    text = f"{score.value:.2f}"
+    return f"**{text}**" if score.value == row.best else text
 
 
 def _say(stage: str, done: int, total: int) -> None:

@@ -22,7 +22,7 @@ from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.loop import Result, run
 from optsim.experiment.scoring import Scorer, score
 from optsim.experiment.truth import render_truth
-from optsim.metrics.scoring import ScoreRecord
+from optsim.metrics.records import Score
 from optsim.report.markdown import markdown_table
 
 OUT = Path("reports") / "imperfections.md"
@@ -81,12 +81,12 @@ def _measure(experiment: Experiment) -> dict[str, Any]:
     result = run(experiment, render_truth(experiment))
     records, of_scene = score(result), _against_the_scene(result)
 
-    def of(metric: str, method: str, region: str, records: list[ScoreRecord] = records) -> float:
+    def of(metric: str, method: str, region: str, records: list[Score] = records) -> float:
         return next(
-            float(r["value"])
+            r.value
             for r in records
-            if r["phase"] == "steady" and r["metric"].startswith(metric) and r["value"] is not None
-            if (r["method"], r["region"]) == (method, region)
+            if r.phase == "steady" and r.metric.startswith(metric) and r.value is not None
+            if (r.method, r.region) == (method, region)
         )
 
     return {
@@ -103,7 +103,7 @@ def _judge(result: Result, *switches: str) -> Scorer:
     return Scorer(result.experiment, camera, camera.form_image(result.radiance), result.radiance)
 
 
-def _against_the_scene(result: Result) -> list[ScoreRecord]:
+def _against_the_scene(result: Result) -> list[Score]:
     judge = _judge(result, "camera.effects.objective_blur=ideal", "camera.effects.objective_glare=ideal")
     for index in range(result.experiment.n_frames):
         judge.add({name: video[index] for name, video in result.reconstructions.items()})

@@ -132,7 +132,7 @@ def run(
                     )
                 raise
     if as_json:
-        print_json(results)
+        print_json(results.as_json())
     else:
         page.print(job.summary(results))
         page.print(f"Report: {folder / 'report.html'}")

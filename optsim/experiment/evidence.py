@@ -21,6 +21,7 @@ from optsim.core.errors import StorageError, unknown_name
 from optsim.core.files import read_json, write_json
 from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
+from optsim.report.schema import EvidenceRow
 
 _RECORDS = Path(__file__).with_name("evidence.json")
 
@@ -139,10 +140,10 @@ def records() -> dict[str, Evidence]:
     return {e.effect: e for e in (Evidence(**row) for row in table)}  # pyright: ignore[reportArgumentType]
 
 
-def status() -> list[dict[str, object]]:
+def status() -> list[EvidenceRow]:
     """State of every effect now: validated, or unvalidated and why."""
     kept = records()
-    rows: list[dict[str, object]] = []
+    rows: list[EvidenceRow] = []
     for effect, what in EFFECTS.items():
         record = kept.get(effect)
         if record is None:
@@ -154,18 +155,18 @@ def status() -> list[dict[str, object]]:
         else:
             why = ""
         rows.append(
-            {
-                "effect": effect,
-                "what": what,
-                "validated": not why,
-                "why": why,
-                "claim": record.claim if record else None,
-                "oracle": record.oracle if record else None,
-                "source": record.source if record else None,
-                "measured": record.measured if record else None,
-                "tolerance": record.tolerance if record else None,
-                "reason": record.reason if record else None,
-            }
+            EvidenceRow(
+                effect=effect,
+                what=what,
+                validated=not why,
+                why=why,
+                claim=record.claim if record else None,
+                oracle=record.oracle if record else None,
+                source=record.source if record else None,
+                measured=record.measured if record else None,
+                tolerance=record.tolerance if record else None,
+                reason=record.reason if record else None,
+            )
         )
     return rows
 

@@ -44,9 +44,17 @@ from optsim.experiment.run_folder import (
 from optsim.experiment.scoring import Scorer
 from optsim.experiment.truth import check_truth, describe_truth, render_truth, renderer, scene_light
 from optsim.report import write_report
-from optsim.report.schema import SCHEMA_VERSION
-
-Results = dict[str, Any]
+from optsim.report.schema import (
+    SCHEMA_VERSION,
+    Latency,
+    Ledger,
+    LightRule,
+    Plan,
+    Results,
+    Resumed,
+    SceneFacts,
+    StageTime,
+)
 
 
 def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
@@ -131,7 +139,7 @@ def execute(
 
     Returns
     -------
-    dict
+    Results
         The content of results.json.
 
     Raises
@@ -174,7 +182,7 @@ def _execute(
             objects = object_masks(experiment, backend=backend, progress=progress)
     kept = unfinished(folder, key)
     experiment, names = modelled, [method.name for method in experiment.methods]
-    resumed = {"captured": n_shots(kept, names)}
+    captured = n_shots(kept, names)
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
         truth = camera.form_image(radiance)
@@ -189,7 +197,6 @@ def _execute(
     scored = kept_scores(kept, names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
     for scores in scored:
         scorer.recall(scores)
-    resumed["scored"] = len(scored)
     with watch.stage("decode and score"):
         progress("decode", len(scored), experiment.n_frames)
         for decoded in decode(experiment, frames, known, first=len(scored)):
@@ -208,52 +215,52 @@ def _execute(
     with watch.stage("pictures"):
         pictures = figures.write(folder)
     origin = describe_truth(experiment, Cache())
-    results: Results = {
-        "schema_version": SCHEMA_VERSION,
-        "title": experiment.name,
-        "experiment": resolved,
-        "command": command,
-        "finished_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
-        "run_key": key,
-        "exported_truth": export_truth,
-        "backend": f"{chosen}: {why}",
-        "seeds": {"experiment": experiment.seed, "camera serial number": camera.serial_number},
-        "timings": watch.stages,
-        "resumed": resumed,
-        "light_rule": _light(experiment, light),
-        "photons": scorer.photons(frames),
-        "ledgers": _ledgers(camera, radiance.white_w_m2_sr),
-        "geometry": {**asdict(camera.geometry()), "fits": camera.geometry().fits},
-        "latency": _latency(experiment),
-        "scene": {
-            "name": origin.name,
-            "variation": origin.variation,
-            "description": origin.description,
-            "light": scene_light(experiment, preview=chosen.startswith("scalar")).why,
-            "wavelength_nm": camera.wavelength_nm,
-            "white_w_m2_sr": radiance.white_w_m2_sr,
-            "white_cd_m2": scorer.scale.white_cd_m2,
-            "window_interior_ratio_before_glare": scorer.window_ratio(glare=False),
-            "window_interior_ratio_after_glare": scorer.window_ratio(glare=True),
-        },
-        "methods": {
+    results = Results(
+        schema_version=SCHEMA_VERSION,
+        title=experiment.name,
+        experiment=resolved,
+        command=command,
+        finished_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=versions(),
+        run_key=key,
+        exported_truth=export_truth,
+        backend=f"{chosen}: {why}",
+        seeds={"experiment": experiment.seed, "camera serial number": camera.serial_number},
+        timings=[StageTime.model_validate(stage) for stage in watch.stages],
+        resumed=Resumed(captured=captured, scored=len(scored)),
+        light_rule=_light(experiment, light),
+        photons=scorer.photons(frames),
+        ledgers=_ledgers(camera, radiance.white_w_m2_sr),
+        geometry={**asdict(camera.geometry()), "fits": camera.geometry().fits},
+        latency=_latency(experiment),
+        scene=SceneFacts(
+            name=origin.name,
+            variation=origin.variation,
+            description=origin.description,
+            light=scene_light(experiment, preview=chosen.startswith("scalar")).why,
+            wavelength_nm=camera.wavelength_nm,
+            white_w_m2_sr=radiance.white_w_m2_sr,
+            white_cd_m2=scorer.scale.white_cd_m2,
+            window_interior_ratio_before_glare=scorer.window_ratio(glare=False),
+            window_interior_ratio_after_glare=scorer.window_ratio(glare=True),
+        ),
+        methods={
             m.name: f"{m.scheme.kind}, decoded by {m.decoder.kind}, calibration: {experiment.choice_of(m)}"
             for m in experiment.methods
         },
-        "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
-        "calibration_files": calibration_files,
+        calibrations={m.name: str(experiment.choice_of(m)) for m in experiment.methods},
+        calibration_files=calibration_files,
         **scorer.results(),
-        "plan": plan_record(plan),
+        plan=Plan.model_validate(plan_record(plan)),
         **scorer.masks(frames, objects),
-        "noise_ceiling": ceiling,
-        "evidence": evidence.status(),
-        "not_modelled": list(evidence.NOT_MODELLED),
-        "reconstruct_s": {name: round(seconds, 3) for name, seconds in decode_s.items()},
-        "pictures": pictures,
-    }
+        noise_ceiling=ceiling,
+        evidence=evidence.status(),
+        not_modelled=list(evidence.NOT_MODELLED),
+        reconstruct_s={name: round(seconds, 3) for name, seconds in decode_s.items()},
+        pictures=pictures,
+    )
     write_checksums(folder)
-    write_json(folder / RESULTS, results)
+    write_json(folder / RESULTS, results.as_json())
     write_report(folder, results)
     shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
     return results
@@ -261,13 +268,13 @@ def _execute(
 
 def summary(results: Results) -> str:
     """Steady-phase scores as a few lines for the terminal."""
-    steady = [r for r in results["scores"] if r["phase"] == "steady" and r["value"] is not None]
+    steady = [r for r in results.scores if r.phase == "steady" and r.value is not None]
     if not steady:
-        return f"{results['title']}: too short to reach the steady phase; the report shows the phases it has"
-    names = list(results["methods"])
-    lines = [f"{results['title']}: steady phase", f"{'':46}" + "".join(f"{name:>12}" for name in names)]
-    for metric, region in dict.fromkeys((r["metric"], r["region"]) for r in steady):
-        values = {r["method"]: r["value"] for r in steady if (r["metric"], r["region"]) == (metric, region)}
+        return f"{results.title}: too short to reach the steady phase; the report shows the phases it has"
+    names = list(results.methods)
+    lines = [f"{results.title}: steady phase", f"{'':46}" + "".join(f"{name:>12}" for name in names)]
+    for metric, region in dict.fromkeys((r.metric, r.region) for r in steady):
+        values = {r.method: r.value for r in steady if (r.metric, r.region) == (metric, region)}
         cells = "".join(f"{values[n]:12.2f}" if n in values else f"{'-':>12}" for n in names)
         lines.append(f"{region:<8}{metric:<38.38}{cells}")
     return "\n".join(lines)
@@ -290,34 +297,34 @@ def export_radiance(
         progress("export truth", index + 1, experiment.n_frames)
 
 
-def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[dict[str, Any]]:
+def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[Ledger]:
     """Photon ledgers of the scene's declared white and of a mid-grey (18 %) of it."""
     return [
-        {"name": name, "radiance_w_m2_sr": level, "rows": [asdict(row) for row in camera.ledger(level)]}
+        Ledger(name=name, radiance_w_m2_sr=level, rows=[asdict(row) for row in camera.ledger(level)])
         for name, level in (("white", white_w_m2_sr), ("mid-grey", MID_GREY * white_w_m2_sr))
     ]
 
 
-def _light(experiment: Experiment, light: LightLevel) -> dict[str, Any]:
-    return {
-        "statement": (
+def _light(experiment: Experiment, light: LightLevel) -> LightRule:
+    return LightRule(
+        statement=(
             f"the interior's {experiment.light.percentile:g}th percentile under the all-on code reaches "
             f"{experiment.light.saturation_share:.0%} of measured saturation"
         ),
-        "nd_transmission": light.nd_transmission,
-        "wanted_transmission": light.wanted_transmission,
-        "percentile_dn": light.percentile_dn,
-        "saturation_dn": light.saturation_dn,
-    }
+        nd_transmission=light.nd_transmission,
+        wanted_transmission=light.wanted_transmission,
+        percentile_dn=light.percentile_dn,
+        saturation_dn=light.saturation_dn,
+    )
 
 
-def _latency(experiment: Experiment) -> dict[str, Any]:
+def _latency(experiment: Experiment) -> Latency:
     report = asdict(experiment.camera.smallest_latency_frames())
     smallest = report.pop("frames")
     chosen = experiment.camera.latency_frames
-    return {
-        "frames": chosen,
-        "smallest_physical": smallest,
-        "hypothetical": chosen < smallest,
-        "details": report,
-    }
+    return Latency(
+        frames=chosen,
+        smallest_physical=smallest,
+        hypothetical=chosen < smallest,
+        details=report,
+    )

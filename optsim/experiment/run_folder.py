@@ -8,7 +8,6 @@ import platform
 from collections.abc import Generator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from optsim.core.quantities import CodedFrame, Floats, Reconstruction
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.resume import UNFINISHED, run_key
 from optsim.experiment.truth import renderer
-from optsim.report.schema import check_results
+from optsim.report.schema import CalibrationFile, Results, check_results
 
 RECORD = "experiment.json"
 """Whose folder it is: an experiment and its fingerprint."""
@@ -101,18 +100,18 @@ def calibration_names(experiment: Experiment) -> dict[CalibrationChoice, str]:
 
 def write_calibrations(
     experiment: Experiment, folder: Path, calibrations: Mapping[CalibrationChoice, Calibration]
-) -> list[dict[str, Any]]:
+) -> list[CalibrationFile]:
     """Write all calibrations of a run into its folder; return what results.json says of them."""
-    records: list[dict[str, Any]] = []
+    records: list[CalibrationFile] = []
     for known, name in calibration_names(experiment).items():
         write_calibration(folder / name, calibrations[known])
         records.append(
-            {
-                "calibration": str(known),
-                "file": name,
-                "sha256": content_hash(folder / name),
-                "methods": [m.name for m in experiment.methods if experiment.choice_of(m) == known],
-            }
+            CalibrationFile(
+                calibration=str(known),
+                file=name,
+                sha256=content_hash(folder / name),
+                methods=[m.name for m in experiment.methods if experiment.choice_of(m) == known],
+            )
         )
     return records
 
@@ -209,7 +208,7 @@ def results_key(experiment: Experiment, backend: str) -> str:
 
 def finished_run(
     experiment: Experiment, folder: Path, *, backend: str | None = None, export_truth: bool = False
-) -> tuple[dict[str, Any] | None, str]:
+) -> tuple[Results | None, str]:
     """Find what an earlier run of an experiment left in its folder, and whether it is still what it would be.
 
     Parameters
@@ -225,7 +224,7 @@ def finished_run(
 
     Returns
     -------
-    results : dict or None
+    results : Results or None
         Content of results.json; None when the run is to be made, for the first time or anew.
     why : str
         Why a finished run is made anew; empty when there is none.
@@ -234,18 +233,18 @@ def finished_run(
         return None, ""
     if (folder / UNFINISHED).exists():
         return None, "another run into it was stopped"
-    results: dict[str, Any] = {}
+    results = None
     with contextlib.suppress(OptsimError):
-        results = cast("dict[str, Any]", check_results(read_record(folder / RESULTS)))
-    if not results:
+        results = check_results(read_record(folder / RESULTS))
+    if results is None:
         return None, f"its {RESULTS} is damaged, or of another version"
     chosen, _ = renderer(experiment, backend)
-    if results.get("run_key") != results_key(experiment, chosen):
+    if results.run_key != results_key(experiment, chosen):
         return None, _changes(results, chosen)
     # A truth of another run may lie there, whose results these aren't.
-    if export_truth and not results.get("exported_truth"):
+    if export_truth and not results.exported_truth:
         return None, "it holds no truth"
-    shown = ("report.html", CHECKSUMS, *(picture["file"] for picture in results["pictures"]))
+    shown = ("report.html", CHECKSUMS, *(picture.file for picture in results.pictures))
     empty = [name for name in shown if not ((folder / name).is_file() and (folder / name).stat().st_size)]
     try:
         lost = empty[0] if empty else changed_file(folder)
@@ -254,15 +253,15 @@ def finished_run(
     return (None, f"{lost} is lost or changed") if lost else (results, "")
 
 
-def _changes(results: dict[str, Any], backend: str) -> str:
+def _changes(results: Results, backend: str) -> str:
     """Say what is other than when a run was made."""
-    before, now = results["versions"], versions()
+    before, now = results.versions, versions()
     changes = [
         f"{name} was {before.get(name, 'absent')} and is {now.get(name, 'absent')}"
         for name in {**before, **now}
         if before.get(name) != now.get(name)
     ]
-    was = results["backend"].partition(":")[0]
+    was = results.backend.partition(":")[0]
     if was != backend:
         changes.append(f"backend was {was} and is {backend}")
     return ", ".join(changes) or "the code of optsim, or a file that the experiment names, has changed since"

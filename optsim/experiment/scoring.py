@@ -15,9 +15,10 @@ from optsim.core.quantities import Bools, Doubles, Floats, IrradianceVideo, Radi
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import Frames, Result
 from optsim.experiment.resume import FrameScores
-from optsim.metrics.scoring import ScoreRecord
+from optsim.metrics.records import MaskScore, PairRecord, Score
 from optsim.optics.integrate import cell_means, slot_means
 from optsim.optics.readings import brightest, mean_reading
+from optsim.report.schema import Photons
 
 # Name of the row of movers' own masks among those of the methods.
 OBJECTS = "moving objects"
@@ -151,7 +152,7 @@ class Scorer:
         self.spreads += [each for each in scores if isinstance(each, metrics.UncertaintyTally)]
         self.pairs += [each for each in scores if isinstance(each, metrics.PairTally)]
 
-    def noise_ceiling(self, progress: Progress = silent) -> list[ScoreRecord]:
+    def noise_ceiling(self, progress: Progress = silent) -> list[Score]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
         if self._half_difference is None:
             return []
@@ -177,7 +178,7 @@ class Scorer:
             "claims": metrics.judge_claims([pairs], no_rivals(self.experiment)),
         }
 
-    def pair_records(self) -> list[metrics.PairRecord]:
+    def pair_records(self) -> list[PairRecord]:
         """Scores of the adaptive method beside each other one: of their own pixels, steady phase."""
         latency = self.camera.latency_frames
         return metrics.pair_records(metrics.ALL, self.pairs, self.camera.coded_slots, latency)
@@ -205,14 +206,23 @@ class Scorer:
         if objects is not None and tallies:
             agreements = (metrics.mask_agreement(mask, self.moving(k)) for k, mask in enumerate(objects))
             tallies += [metrics.MaskTally(OBJECTS, k, each) for k, each in enumerate(agreements)]
-        rows = [{"method": t.method, "frame": t.index, **t.agreement.shares} for t in tallies]
+        rows = [
+            MaskScore(
+                method=t.method,
+                frame=t.index,
+                precision=t.agreement.precision,
+                recall=t.agreement.recall,
+                iou=t.agreement.iou,
+            )
+            for t in tallies
+        ]
         pooled = metrics.pooled_mask_records(tallies, self.camera.latency_frames)
         return {"masks": rows, "pooled_masks": pooled}
 
-    def photons(self, frames: Frames) -> list[dict[str, Any]]:
+    def photons(self, frames: Frames) -> list[Photons]:
         """Photoelectrons that each method used of a panel pixel, over all frames."""
         pixel = self._ideal_pixel
-        rows: list[dict[str, Any]] = []
+        rows: list[Photons] = []
         for method in self.experiment.methods:
             name, taken, side = method.name, frames[method.name], self.experiment.choice_of(method).reading_px
             square = pixel.pick_row, pixel.pick_col, side
@@ -220,13 +230,13 @@ class Scorer:
             most = np.stack([brightest(f.dn, *square)[pixel.valid] for f in taken])
             electrons = (raw - pixel.black_dn[pixel.valid]) * side**2 / pixel.dn_per_e
             rows.append(
-                {
-                    "method": name,
-                    "mean_e": float(electrons.mean(dtype=np.float64)),
-                    "dark_e": float(np.percentile(electrons, 5)),
-                    "saturated_share": float((most >= pixel.saturation_dn[pixel.valid]).mean()),
-                    "negative_light": sum(f.negative_light for f in taken),
-                }
+                Photons(
+                    method=name,
+                    mean_e=float(electrons.mean(dtype=np.float64)),
+                    dark_e=float(np.percentile(electrons, 5)),
+                    saturated_share=float((most >= pixel.saturation_dn[pixel.valid]).mean()),
+                    negative_light=sum(f.negative_light for f in taken),
+                )
             )
         return rows
 

@@ -4,7 +4,7 @@ Every metric takes luminance in cd/m^2, (slot, v, u), float32, and streams: ``su
 ``finish`` at the end. To add one, write its file and name an instance in :data:`ALL`.
 """
 
-from optsim.metrics.claims import ADAPTIVE, Verdict, judge_claims, measured
+from optsim.metrics.claims import ADAPTIVE, judge_claims, measured
 from optsim.metrics.log_error import LogRmse
 from optsim.metrics.metric import Metric
 from optsim.metrics.oracle import (
@@ -15,10 +15,11 @@ from optsim.metrics.oracle import (
     pooled_agreement,
     pooled_mask_records,
 )
-from optsim.metrics.pairs import PairRecord, PairTally, pair_records, pixel_errors, tally_pair
+from optsim.metrics.pairs import PairTally, pair_records, pixel_errors, tally_pair
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
+from optsim.metrics.records import MaskScore, PairRecord, Record, Score, Verdict
 from optsim.metrics.score_table import Scores
 from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, first_steady, phase_of
 from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, uncertainty_records
@@ -32,6 +33,7 @@ __all__ = [
     "FrameTally",
     "LogRmse",
     "MaskAgreement",
+    "MaskScore",
     "MaskTally",
     "Metric",
     "PairRecord",
@@ -39,6 +41,8 @@ __all__ = [
     "PhotometricScale",
     "Psnr",
     "Pu21Psnr",
+    "Record",
+    "Score",
     "ScoreBoard",
     "Scores",
     "UncertaintyTally",

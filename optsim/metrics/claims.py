@@ -22,12 +22,11 @@ from typing import Literal, cast
 
 import numpy as np
 from scipy import special  # type: ignore[import-untyped]
-from typing_extensions import TypedDict
 
 from optsim.metrics.log_error import LogRmse
-from optsim.metrics.pairs import AREAS, Area, PairRecord, advantage
+from optsim.metrics.pairs import advantage
 from optsim.metrics.pu21 import Pu21Psnr
-from optsim.metrics.scoring import Region
+from optsim.metrics.records import AREAS, Area, PairRecord, Region, Verdict
 
 ADAPTIVE = "adaptive"
 """Name of the method that the claims are about."""
@@ -68,29 +67,6 @@ CLAIMS = (
 )
 
 
-class Verdict(TypedDict):
-    """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
-
-    ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. ``excluded``
-    is the share of pixels that one of the pair gives up; ``advantage_of_all`` is the same on all pixels.
-    """
-
-    claim: str
-    metric: str
-    unit: str
-    region: Region
-    area: Area
-    rival: str | None
-    verdict: Literal["holds", "fails", "undecided"]
-    advantage: float | None
-    low: float | None
-    high: float | None
-    margin: float
-    draws: int
-    excluded: float | None
-    advantage_of_all: float | None
-
-
 @dataclass(frozen=True)
 class _Rival:
     """What draws say of one rival."""
@@ -116,19 +92,19 @@ def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[st
 
     Returns
     -------
-    list of dict
-        A verdict for each claim and area in which any draw has a score; one without a score where none has.
+    list of Verdict
+        One for each claim and area in which any draw has a score; one without a score where none has.
     """
     areas: tuple[Area, ...] = tuple(area for area in AREAS if _seen(area, draws)) or AREAS[:1]
     found: list[Verdict] = []
     for claim in CLAIMS:
         judged = [_judge(claim, area, draws, no_rivals) for area in areas]
-        found += [v for v in judged if v["rival"] is not None] or judged[:1]
+        found += [v for v in judged if v.rival is not None] or judged[:1]
     return found
 
 
 def _seen(area: Area, draws: Sequence[Sequence[PairRecord]]) -> bool:
-    return any(r["area"] == area for draw in draws for r in draw)
+    return any(r.area == area for draw in draws for r in draw)
 
 
 def _judge(
@@ -138,35 +114,35 @@ def _judge(
         [
             r
             for r in draw
-            if (r["metric"], r["region"], r["area"]) == (claim.metric, claim.region, area)
-            and r["rival"] not in no_rivals
-            and claim.rival in (None, r["rival"])
+            if (r.metric, r.region, r.area) == (claim.metric, claim.region, area)
+            and r.rival not in no_rivals
+            and claim.rival in (None, r.rival)
         ]
         for draw in draws
     ]
-    names = list(dict.fromkeys(r["rival"] for draw in of_claim for r in draw))
+    names = list(dict.fromkeys(r.rival for draw in of_claim for r in draw))
     rivals = [
         rival
         for name in names
-        if (rival := _rival(name, [r for draw in of_claim for r in draw if r["rival"] == name], len(names)))
+        if (rival := _rival(name, [r for draw in of_claim for r in draw if r.rival == name], len(names)))
     ]
     nearest = min(rivals, key=lambda rival: rival.mean, default=None)
-    return {
-        "claim": claim.words,
-        "metric": claim.metric,
-        "unit": claim.unit,
-        "region": claim.region,
-        "area": area,
-        "rival": nearest.name if nearest else None,
-        "verdict": _verdict(rivals, claim.margin),
-        "advantage": nearest.mean if nearest else None,
-        "low": nearest.low if nearest else None,
-        "high": nearest.high if nearest else None,
-        "margin": claim.margin,
-        "draws": nearest.draws if nearest else 0,
-        "excluded": nearest.excluded if nearest else None,
-        "advantage_of_all": nearest.mean_of_all if nearest else None,
-    }
+    return Verdict(
+        claim=claim.words,
+        metric=claim.metric,
+        unit=claim.unit,
+        region=claim.region,
+        area=area,
+        rival=nearest.name if nearest else None,
+        verdict=_verdict(rivals, claim.margin),
+        advantage=nearest.mean if nearest else None,
+        low=nearest.low if nearest else None,
+        high=nearest.high if nearest else None,
+        margin=claim.margin,
+        draws=nearest.draws if nearest else 0,
+        excluded=nearest.excluded if nearest else None,
+        advantage_of_all=nearest.mean_of_all if nearest else None,
+    )
 
 
 def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | None:
@@ -181,7 +157,7 @@ def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | 
         times = float(cast("float", special.stdtrit(n - 1, 1 - (1 - _CONFIDENCE) / 2 / n_rivals)))
         half = times * float(np.std(found, ddof=1)) / math.sqrt(n)
         low, high = mean - half, mean + half
-    excluded = float(np.mean([r["excluded"] for r in records]))
+    excluded = float(np.mean([r.excluded for r in records]))
     return _Rival(name, mean, low, high, n, excluded, float(np.mean(of_all)) if of_all else None)
 
 
@@ -196,16 +172,16 @@ def _verdict(rivals: Sequence[_Rival], margin: float) -> Literal["holds", "fails
 
 def measured(verdict: Verdict) -> str:
     """Say for people what was measured: the advantage over the nearest rival, its interval, and of what."""
-    if verdict["advantage"] is None:
+    if verdict.advantage is None:
         return "not measured: it needs the steady phase of both methods"
-    digits, unit = (2, "dB") if verdict["unit"] == "dB" else (3, verdict["unit"])
-    said = f"{verdict['advantage']:+.{digits}f} {unit} over {verdict['rival']}"
-    if verdict["low"] is not None and verdict["high"] is not None:
-        said += f" ({verdict['low']:+.{digits}f} to {verdict['high']:+.{digits}f}, {verdict['draws']} draws)"
+    digits, unit = (2, "dB") if verdict.unit == "dB" else (3, verdict.unit)
+    said = f"{verdict.advantage:+.{digits}f} {unit} over {verdict.rival}"
+    if verdict.low is not None and verdict.high is not None:
+        said += f" ({verdict.low:+.{digits}f} to {verdict.high:+.{digits}f}, {verdict.draws} draws)"
     else:
         said += f" in one draw of the {LEAST_DRAWS} that a verdict takes"
-    if verdict["excluded"]:
-        said += f"; without {verdict['excluded']:.1%} of pixels that one of both gives up"
-        if verdict["advantage_of_all"] is not None:
-            said += f", {verdict['advantage_of_all']:+.{digits}f} with them"
+    if verdict.excluded:
+        said += f"; without {verdict.excluded:.1%} of pixels that one of both gives up"
+        if verdict.advantage_of_all is not None:
+            said += f", {verdict.advantage_of_all:+.{digits}f} with them"
     return said

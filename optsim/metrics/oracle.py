@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypedDict, cast
+from typing import cast
 
 import numpy as np
 from scipy import ndimage  # type: ignore[import-untyped]
 
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, Floats, checked
-from optsim.metrics.scoring import Phase, by_method_and_phase
+from optsim.metrics.records import PooledMask
+from optsim.metrics.scoring import by_method_and_phase
 
 SIGMAS = 2.0
 RELATIVE_CHANGE = 0.02
@@ -106,14 +107,6 @@ def _change(light: Floats, chosen_by: Floats) -> Floats:
     return (np.take_along_axis(light, brightest, 0) - np.take_along_axis(light, darkest, 0))[0]
 
 
-class MaskShares(TypedDict):
-    """How a mask and the oracle agree; None where a share has no meaning."""
-
-    precision: float | None
-    recall: float | None
-    iou: float | None
-
-
 @dataclass(frozen=True)
 class MaskAgreement:
     """Counts of a mask against the oracle; shares are None where they have no meaning.
@@ -146,11 +139,6 @@ class MaskAgreement:
     def iou(self) -> float | None:
         """Intersection over union."""
         return _share(self.hits, self.hits + self.false_alarms + self.misses)
-
-    @property
-    def shares(self) -> MaskShares:
-        """All three."""
-        return {"precision": self.precision, "recall": self.recall, "iou": self.iou}
 
 
 def mask_agreement(mask: Bools, oracle: Bools) -> MaskAgreement:
@@ -185,15 +173,6 @@ class MaskTally:
     agreement: MaskAgreement
 
 
-class PooledMaskRecord(MaskShares):
-    """Masks of a phase against the oracle: shares of pixels that move and are marked, and how they agree."""
-
-    method: str
-    phase: Phase
-    moves: float
-    marked: float
-
-
 def pooled_agreement(agreements: Iterable[MaskAgreement]) -> MaskAgreement:
     """Add up the counts of several frames.
 
@@ -204,20 +183,22 @@ def pooled_agreement(agreements: Iterable[MaskAgreement]) -> MaskAgreement:
     return MaskAgreement(*(sum(column) for column in zip(*counts, strict=True)))
 
 
-def pooled_mask_records(tallies: Iterable[MaskTally], latency_frames: int) -> list[PooledMaskRecord]:
+def pooled_mask_records(tallies: Iterable[MaskTally], latency_frames: int) -> list[PooledMask]:
     """Pool masks by method and phase; phases without frames are left out."""
-    found: list[PooledMaskRecord] = []
+    found: list[PooledMask] = []
     for (method, phase), group in by_method_and_phase(tallies, latency_frames).items():
         mask = pooled_agreement(t.agreement for t in group)
         pixels = mask.hits + mask.false_alarms + mask.misses + mask.correct_static
         found.append(
-            {
-                "method": method,
-                "phase": phase,
-                "moves": (mask.hits + mask.misses) / pixels,
-                "marked": (mask.hits + mask.false_alarms) / pixels,
-                **mask.shares,
-            }
+            PooledMask(
+                method=method,
+                phase=phase,
+                moves=(mask.hits + mask.misses) / pixels,
+                marked=(mask.hits + mask.false_alarms) / pixels,
+                precision=mask.precision,
+                recall=mask.recall,
+                iou=mask.iou,
+            )
         )
     return found
 

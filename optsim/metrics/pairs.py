@@ -10,18 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from typing_extensions import TypedDict
 
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.metrics.metric import Metric
 from optsim.metrics.photometry import PhotometricScale
-from optsim.metrics.scoring import REGIONS, Region, phase_of, rows_of
-
-Area = Literal["room", "window"]
-AREAS: tuple[Area, ...] = ("room", "window")
+from optsim.metrics.records import AREAS, REGIONS, PairRecord
+from optsim.metrics.scoring import phase_of, rows_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,22 +57,6 @@ class PairTally:
     index: int
     sums: Doubles
     counts: Ints
-
-
-class PairRecord(TypedDict):
-    """Scores of a pair in the steady phase; ``excluded`` is the share of pixels that one of both gives up."""
-
-    rival: str
-    metric: str
-    unit: str
-    higher_is_better: bool
-    area: Area
-    region: Region
-    ours: float | None
-    theirs: float | None
-    excluded: float
-    ours_of_all: float | None
-    theirs_of_all: float | None
 
 
 def pixel_errors(
@@ -168,28 +148,26 @@ def pair_records(
                         for side in (0, 1)
                     )
                     found.append(
-                        {
-                            "rival": rival,
-                            "metric": metric.name,
-                            "unit": metric.unit,
-                            "higher_is_better": metric.higher_is_better,
-                            "area": area,
-                            "region": region,
-                            "ours": ours,
-                            "theirs": theirs,
-                            "excluded": 1 - n[0] / n[1],
-                            "ours_of_all": ours_of_all,
-                            "theirs_of_all": theirs_of_all,
-                        }
+                        PairRecord(
+                            rival=rival,
+                            metric=metric.name,
+                            unit=metric.unit,
+                            higher_is_better=metric.higher_is_better,
+                            area=area,
+                            region=region,
+                            ours=ours,
+                            theirs=theirs,
+                            excluded=1 - n[0] / n[1],
+                            ours_of_all=ours_of_all,
+                            theirs_of_all=theirs_of_all,
+                        )
                     )
     return found
 
 
 def advantage(record: PairRecord, *, of_all: bool = False) -> float | None:
     """By how much the adaptive method is better than the rival, in the metric's unit; less than 0: worse."""
-    ours, theirs = (
-        (record["ours_of_all"], record["theirs_of_all"]) if of_all else (record["ours"], record["theirs"])
-    )
+    ours, theirs = (record.ours_of_all, record.theirs_of_all) if of_all else (record.ours, record.theirs)
     if ours is None or theirs is None:
         return None
-    return (ours - theirs) * (1 if record["higher_is_better"] else -1)
+    return (ours - theirs) * (1 if record.higher_is_better else -1)

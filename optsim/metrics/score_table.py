@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
-from optsim.metrics.scoring import PHASES, ScoreRecord
+from optsim.metrics.records import PHASES, Score
 
 
-class Scores(list[ScoreRecord]):
+class Scores(list[Score]):
     """One record a method, metric, region and phase; shown are those of the most settled phase."""
 
     def __str__(self) -> str:
@@ -32,10 +32,10 @@ class Scores(list[ScoreRecord]):
 
     def _table(self) -> tuple[str, list[str], list[tuple[str, str, list[str]]]]:
         """Phase, methods, and a row a metric and region with a cell a method."""
-        known = [r for r in self if r["value"] is not None]
-        phase = next((p for p in reversed(PHASES) if any(r["phase"] == p for r in known)), "steady")
-        cells = {(r["metric"], r["region"], r["method"]): r["value"] for r in known if r["phase"] == phase}
-        names = list(dict.fromkeys(r["method"] for r in self))
+        known = [r for r in self if r.value is not None]
+        phase = next((p for p in reversed(PHASES) if any(r.phase == p for r in known)), "steady")
+        cells = {(r.metric, r.region, r.method): r.value for r in known if r.phase == phase}
+        names = list(dict.fromkeys(r.method for r in self))
         return (
             phase,
             names,

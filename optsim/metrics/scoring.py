@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypedDict, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -16,11 +16,8 @@ from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 from optsim.metrics.metric import Metric
 from optsim.metrics.photometry import PhotometricScale
+from optsim.metrics.records import PHASES, REGIONS, Coverage, Phase, Region, Score, Series
 
-Region = Literal["all", "moving", "static"]
-Phase = Literal["warm-up", "merging", "steady"]
-REGIONS: tuple[Region, ...] = ("all", "moving", "static")
-PHASES: tuple[Phase, ...] = ("warm-up", "merging", "steady")
 TRUTH_NOISE = "truth noise"
 """Method name of the tallies that say what the truth's own noise can certify."""
 
@@ -35,42 +32,6 @@ def phase_of(index: int, latency_frames: int) -> Phase:
 def first_steady(latency_frames: int) -> int:
     """First coded frame of the steady phase, counted from 0."""
     return latency_frames + 4
-
-
-class ScoreRecord(TypedDict):
-    """One score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error."""
-
-    method: str
-    metric: str
-    unit: str
-    region: Region
-    phase: Phase
-    value: float | None
-    flag: str
-    n: int
-    higher_is_better: bool
-    clamped_share: float
-
-
-class CoverageRecord(TypedDict):
-    """Shares of the samples of a region: scored, and of those filled from neighbours."""
-
-    method: str
-    region: Region
-    phase: Phase
-    valid: float
-    interpolated: float
-
-
-class SeriesRecord(TypedDict):
-    """A score per coded frame or per slot: ``x`` is the index, ``values`` may hold None."""
-
-    method: str
-    metric: str
-    unit: str
-    region: Region
-    x: list[int]
-    values: list[float | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,33 +210,33 @@ class ScoreBoard:
                     clamped[m, r] += metric.clamped(theirs)
         return FrameTally(method, index, sums, counts, covered, interpolated_counts, samples, clamped)
 
-    def records(self, tallies: Iterable[FrameTally]) -> list[ScoreRecord]:
+    def records(self, tallies: Iterable[FrameTally]) -> list[Score]:
         """Scores by method, phase, metric and region, JSON-able; phases without frames are left out."""
-        found: list[ScoreRecord] = []
+        found: list[Score] = []
         for (method, phase), group in by_method_and_phase(tallies, self.latency_frames).items():
             for m, metric in enumerate(self.metrics):
                 for region in REGIONS:
                     value, flag, n = self._pooled(group, m, region, None)
                     clamped = sum(int(t.clamped[m, rows_of(region)].sum()) for t in group)
                     found.append(
-                        {
-                            "method": method,
-                            "metric": metric.name,
-                            "unit": metric.unit,
-                            "region": region,
-                            "phase": phase,
-                            "value": value,
-                            "flag": flag,
-                            "n": n,
-                            "higher_is_better": metric.higher_is_better,
-                            "clamped_share": clamped / n if n else 0.0,
-                        }
+                        Score(
+                            method=method,
+                            metric=metric.name,
+                            unit=metric.unit,
+                            region=region,
+                            phase=phase,
+                            value=value,
+                            flag=flag,
+                            n=n,
+                            higher_is_better=metric.higher_is_better,
+                            clamped_share=clamped / n if n else 0.0,
+                        )
                     )
         return found
 
-    def coverage(self, tallies: Iterable[FrameTally]) -> list[CoverageRecord]:
+    def coverage(self, tallies: Iterable[FrameTally]) -> list[Coverage]:
         """Share of each region that was scored, by method and phase."""
-        found: list[CoverageRecord] = []
+        found: list[Coverage] = []
         for (method, phase), group in by_method_and_phase(tallies, self.latency_frames).items():
             for region in REGIONS:
                 rows = rows_of(region)
@@ -284,47 +245,47 @@ class ScoreBoard:
                     for name in ("samples", "covered", "interpolated")
                 )
                 found.append(
-                    {
-                        "method": method,
-                        "region": region,
-                        "phase": phase,
-                        "valid": counts / samples if samples else 0.0,
-                        "interpolated": filled / counts if counts else 0.0,
-                    }
+                    Coverage(
+                        method=method,
+                        region=region,
+                        phase=phase,
+                        valid=counts / samples if samples else 0.0,
+                        interpolated=filled / counts if counts else 0.0,
+                    )
                 )
         return found
 
-    def frame_series(self, tallies: Iterable[FrameTally]) -> list[SeriesRecord]:
+    def frame_series(self, tallies: Iterable[FrameTally]) -> list[Series]:
         """Score of each coded frame, by method, metric and region."""
         groups: dict[str, list[FrameTally]] = {}
         for tally in sorted(tallies, key=lambda t: t.index):
             groups.setdefault(tally.method, []).append(tally)
         return [
-            {
-                "method": method,
-                "metric": metric.name,
-                "unit": metric.unit,
-                "region": region,
-                "x": [t.index for t in group],
-                "values": [self._pooled([t], m, region, None)[0] for t in group],
-            }
+            Series(
+                method=method,
+                metric=metric.name,
+                unit=metric.unit,
+                region=region,
+                x=[t.index for t in group],
+                values=[self._pooled([t], m, region, None)[0] for t in group],
+            )
             for method, group in groups.items()
             for m, metric in enumerate(self.metrics)
             for region in REGIONS
         ]
 
-    def slot_series(self, tallies: Iterable[FrameTally], phase: Phase = "steady") -> list[SeriesRecord]:
+    def slot_series(self, tallies: Iterable[FrameTally], phase: Phase = "steady") -> list[Series]:
         """Score of each slot inside a coded frame, pooled over a phase: shows code-synchronous flicker."""
         slots = range(self.coded_slots)
         return [
-            {
-                "method": method,
-                "metric": metric.name,
-                "unit": metric.unit,
-                "region": region,
-                "x": list(slots),
-                "values": [self._pooled(group, m, region, slot)[0] for slot in slots],
-            }
+            Series(
+                method=method,
+                metric=metric.name,
+                unit=metric.unit,
+                region=region,
+                x=list(slots),
+                values=[self._pooled(group, m, region, slot)[0] for slot in slots],
+            )
             for (method, found), group in by_method_and_phase(tallies, self.latency_frames).items()
             if found == phase
             for m, metric in enumerate(self.metrics)

@@ -9,26 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypedDict
 
 import numpy as np
 
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
-from optsim.metrics.scoring import REGIONS, Phase, Region, by_method_and_phase, rows_of
+from optsim.metrics.records import REGIONS, Uncertainty
+from optsim.metrics.scoring import by_method_and_phase, rows_of
 
 _WITHIN = (1.0, 2.0)
-
-
-class UncertaintyRecord(TypedDict):
-    """Errors over stated standard deviations: shares within one and two, rms; None where nothing counts."""
-
-    method: str
-    region: Region
-    phase: Phase
-    n: int
-    within_one: float | None
-    within_two: float | None
-    rms: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +77,9 @@ def tally_uncertainty(
     return UncertaintyTally(method, video.index, squares, within, counts)
 
 
-def uncertainty_records(tallies: Iterable[UncertaintyTally], latency_frames: int) -> list[UncertaintyRecord]:
+def uncertainty_records(tallies: Iterable[UncertaintyTally], latency_frames: int) -> list[Uncertainty]:
     """Pool tallies by method, phase and region; phases without frames are left out."""
-    found: list[UncertaintyRecord] = []
+    found: list[Uncertainty] = []
     for (method, phase), group in by_method_and_phase(tallies, latency_frames).items():
         for region in REGIONS:
             rows = rows_of(region)
@@ -99,14 +87,14 @@ def uncertainty_records(tallies: Iterable[UncertaintyTally], latency_frames: int
             one, two = (sum(int(t.within[rows, limit].sum()) for t in group) for limit in (0, 1))
             square = math.fsum(float(each) for t in group for each in t.squares[rows])
             found.append(
-                {
-                    "method": method,
-                    "region": region,
-                    "phase": phase,
-                    "n": n,
-                    "within_one": one / n if n else None,
-                    "within_two": two / n if n else None,
-                    "rms": math.sqrt(square / n) if n else None,
-                }
+                Uncertainty(
+                    method=method,
+                    region=region,
+                    phase=phase,
+                    n=n,
+                    within_one=one / n if n else None,
+                    within_two=two / n if n else None,
+                    rms=math.sqrt(square / n) if n else None,
+                )
             )
     return found

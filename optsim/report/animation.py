@@ -84,17 +84,17 @@ def animate(
         )
     write_png8(folder / still, strips[0])
     slower = frame_ms / 1000 / instant_s
-    return {
-        "file": name,
-        "still": still,
-        "caption": f"Left: reconstruction of {method}. Right: truth. {len(strips)} instants, "
+    return Picture(
+        file=name,
+        still=still,
+        caption=f"Left: reconstruction of {method}. Right: truth. {len(strips)} instants, "
         f"{slower:.3g} times slower than life; {tone.caption}; compressed, for looking only.",
-        "section": "moving",
-        "group": "",
-        "label": f"{method} beside truth",
-        "width": strips[0].shape[1],
-        "height": strips[0].shape[0],
-    }
+        section="moving",
+        group="",
+        label=f"{method} beside truth",
+        width=strips[0].shape[1],
+        height=strips[0].shape[0],
+    )
 
 
 def _strip(left: Bytes, right: Bytes, width: int) -> Bytes:

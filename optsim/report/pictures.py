@@ -93,7 +93,7 @@ def error_scale(limit_stops: float) -> ColourScale:
     """Colour bar of :func:`error_picture`."""
     half = limit_stops / 2
     ticks = [f"≤ −{limit_stops:g}", f"−{half:g}", "0", f"+{half:g}", f"≥ +{limit_stops:g}"]
-    return {"colours": list(_STOPS), "ticks": ticks, "unit": "stops: too dark … too bright"}
+    return ColourScale(colours=list(_STOPS), ticks=ticks, unit="stops: too dark … too bright")
 
 
 def start_picture(levels: Bytes) -> Bytes:
@@ -106,7 +106,7 @@ def start_picture(levels: Bytes) -> Bytes:
 def start_scale(slots: int) -> ColourScale:
     """Colour bar of :func:`start_picture`."""
     ticks = [str(round(share * (slots - 1))) for share in (0, 0.25, 0.5, 0.75, 1)]
-    return {"colours": list(_TIME), "ticks": ticks, "unit": "slot of first opening"}
+    return ColourScale(colours=list(_TIME), ticks=ticks, unit="slot of first opening")
 
 
 def mask_picture(mask: Bools, oracle: Bools, background: Bytes) -> Bytes:
@@ -121,10 +121,10 @@ def mask_picture(mask: Bools, oracle: Bools, background: Bytes) -> Bytes:
 def mask_legend() -> list[LegendEntry]:
     """Colours of :func:`mask_picture`."""
     return [
-        {"colour": _HIT, "meaning": "hit: moves, coded as moving"},
-        {"colour": _MISS, "meaning": "miss: moves, coded as static"},
-        {"colour": _ALARM, "meaning": "false alarm: static, coded as moving"},
-        {"colour": "#4a4a4a", "meaning": "static, coded as static"},
+        LegendEntry(colour=_HIT, meaning="hit: moves, coded as moving"),
+        LegendEntry(colour=_MISS, meaning="miss: moves, coded as static"),
+        LegendEntry(colour=_ALARM, meaning="false alarm: static, coded as moving"),
+        LegendEntry(colour="#4a4a4a", meaning="static, coded as static"),
     ]
 
 
@@ -138,7 +138,7 @@ def captured_picture(dn: Words, saturation_dn: float) -> Bytes:
 
 def captured_legend() -> list[LegendEntry]:
     """Colours of :func:`captured_picture`."""
-    return [{"colour": _SATURATED, "meaning": "saturated"}]
+    return [LegendEntry(colour=_SATURATED, meaning="saturated")]
 
 
 def _channels(colour: str) -> Colour:

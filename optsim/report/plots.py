@@ -1,41 +1,65 @@
-"""Plots as inline SVG: colours come from the page's style sheet, so they follow light and dark."""
+# pyright: reportUnknownMemberType=false
+"""Plots by matplotlib, as inline SVG: the page's style sheet colours them, so they follow light and dark."""
 
 from __future__ import annotations
 
-import math
+import io
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
+from optsim.report.schema import ColourScale
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Variables of report.css, and colours that stand for them until the SVG is written.
+COLOURS = {
+    "ink": "#1b1d22",
+    "soft": "#5d6068",
+    "rule": "#dfdbd1",
+    "sunk": "#f1efe9",
+    "noise": "#77797f",
+    "s0": "#1d5fc4",
+    "s1": "#b8560f",
+    "s2": "#0d7f5f",
+    "s3": "#9a2f92",
+    "s4": "#6b6a1b",
+    "s5": "#a3283d",
+}
+# Text stays text. The salt makes the names of shapes the same in every run.
+SVG: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "optsim", "font.family": "DejaVu Sans"}
+# Fonts and line joins are the style sheet's. A name is needed only where something is used again.
+_USELESS = [
+    (re.compile(pattern, re.DOTALL), instead)
+    for pattern, instead in (
+        (r"^.*?<svg[^>]*>|<metadata>.*?</metadata>|<style.*?</style>", ""),
+        (r' (transform="rotate\(-0 [^"]*\)"|vector-effect="[^"]*")', ""),
+        (r"font-(size|family): [^;]*; ", ""),
+        (r'<g id="[^"]*"(/?)>', r"<g\1>"),
+        (r"\s+", " "),
+        (r"> <", "><"),
+        (r"<g/>|<defs></defs>", ""),
+    )
+]
+_PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
+_UNITS_AN_INCH = 72
 _WIDTH, _HEIGHT = 540, 250
-_LEFT, _RIGHT, _TOP, _BOTTOM = 66, 100, 24, 42
-_LABEL_STEP = 15
+_NOTHING = Markup('<p class="none">Nothing to plot: no values.</p>')
 
-
-@dataclass(frozen=True)
-class Line:
-    """One line of a plot: ``style`` is a CSS class, a None breaks the line."""
-
-    label: str
-    style: str
-    x: Sequence[float]
-    y: Sequence[float | None]
-
-
-@dataclass(frozen=True)
-class Band:
-    """A shaded stretch of the horizontal axis."""
-
-    start: float
-    stop: float
-    label: str
+Line = tuple[str, str, Sequence[float], Sequence[float | None]]
+"""Label, CSS variable of its colour, x, y; a None breaks the line."""
+Band = tuple[float, float, str]
+"""Start and stop of a shaded stretch of the horizontal axis, and its label."""
 
 
 def line_plot(
     lines: Sequence[Line], *, title: str, x_label: str, y_label: str, bands: Sequence[Band] = ()
 ) -> Markup:
-    """Lines with direct labels at their right ends.
+    """Draw lines, with a legend in the order of their last values.
 
     Parameters
     ----------
@@ -48,119 +72,122 @@ def line_plot(
     bands : sequence of Band
         Shaded and labelled stretches.
     """
-    drawn = [line for line in lines if any(y is not None for y in line.y)]
+    from matplotlib.ticker import MaxNLocator
+
+    drawn = [line for line in lines if any(y is not None for y in line[3])]
     if not drawn:
-        return Markup('<p class="none">Nothing to plot: no values.</p>')
-    xs = [x for line in drawn for x in line.x]
-    ys = [y for line in drawn for y in line.y if y is not None]
-    x_low, x_high = min(xs) - 0.5, max(xs) + 0.5
-    ticks = nice_ticks(min(ys), max(ys))
-    y_low, y_high = ticks[0], ticks[-1]
-
-    def across(x: float) -> float:
-        return _LEFT + (x - x_low) / (x_high - x_low) * (_WIDTH - _LEFT - _RIGHT)
-
-    def down(y: float) -> float:
-        return _HEIGHT - _BOTTOM - (y - y_low) / (y_high - y_low) * (_HEIGHT - _TOP - _BOTTOM)
-
-    parts: list[str] = []
-    for band in bands:
-        start, stop = across(max(band.start, x_low)), across(min(band.stop, x_high))
-        if stop > start:
-            parts.append(
-                f'<rect class="band" x="{start:.1f}" y="{_TOP}" width="{stop - start:.1f}" '
-                f'height="{_HEIGHT - _TOP - _BOTTOM}"/>'
-                f'<text class="tick" x="{(start + stop) / 2:.1f}" y="{_TOP - 7}" '
-                f'text-anchor="middle">{escape(band.label)}</text>'
-            )
-    left, right, bottom = _LEFT, _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    parts += [
-        f'<line class="grid" x1="{left}" x2="{right}" y1="{down(tick):.1f}" y2="{down(tick):.1f}"/>'
-        f'<text class="tick" x="{left - 8}" y="{down(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>'
-        for tick in ticks
-    ]
-    whole = sorted({int(x) for x in xs})
-    parts += [
-        f'<text class="tick" x="{across(x):.1f}" y="{bottom + 17}" text-anchor="middle">{x}</text>'
-        for x in whole[:: max(1, math.ceil(len(whole) / 12))]
-    ]
-    ends: list[tuple[float, Line]] = []
-    for line in drawn:
-        points = [(across(x), None if y is None else down(y)) for x, y in zip(line.x, line.y, strict=True)]
-        ends.append((next(y for _, y in reversed(points) if y is not None), line))
-        parts.append(f'<path class="line {line.style}" d="{_path(points)}"/>')
-        if len(points) <= 16:
-            parts += [
-                f'<circle class="dot {line.style}" cx="{x:.1f}" cy="{y:.1f}" r="3"/>'
-                for x, y in points
-                if y is not None
-            ]
-    parts += [
-        f'<text class="end {line.style}" x="{right + 10}" y="{y + 4:.1f}">{escape(line.label)}</text>'
-        for y, line in _spread(ends)
-    ]
-    middle = (_TOP + bottom) // 2
-    parts.append(
-        f'<text class="tick" x="{(left + right) // 2}" y="{_HEIGHT - 6}" text-anchor="middle">'
-        f"{escape(x_label)}</text>"
-        f'<text class="tick" x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
-        f"{escape(y_label)}</text>"
+        return _NOTHING
+    figure, axes = _axes(_WIDTH, _HEIGHT, left=60, right=108, top=24, bottom=42)
+    xs = [x for line in drawn for x in line[2]]
+    low, high = min(xs) - 0.5, max(xs) + 0.5
+    for place, (start, stop, label) in enumerate(bands):
+        first, last = max(start, low), min(stop, high)
+        if last <= first:
+            continue
+        if place % 2 == 0:
+            axes.axvspan(first, last, color=COLOURS["sunk"], linewidth=0)
+        middle = (first + last) / 2
+        axes.text(
+            middle,
+            1.03,
+            label,
+            transform=axes.get_xaxis_transform(),
+            fontsize=13,
+            ha="center",
+            color=COLOURS["soft"],
+        )
+    for label, style, x, y in sorted(drawn, key=_last_value, reverse=True):
+        dashed = style == "noise"
+        axes.plot(
+            x,
+            [float("nan") if value is None else value for value in y],
+            label=label,
+            color=COLOURS.get(style, COLOURS["ink"]),
+            linestyle=(0, (2, 2.5)) if dashed else "-",
+            linewidth=1.5 if dashed else 2,
+            marker="o" if len(x) <= 16 else "",
+            markersize=5,
+        )
+    axes.set(xlim=(low, high), xlabel=x_label, ylabel=y_label)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(axis="y", color=COLOURS["rule"], linewidth=1)
+    legend = axes.legend(
+        loc="center left",
+        bbox_to_anchor=(1, 0.5),
+        frameon=False,
+        labelcolor="linecolor",
+        handlelength=0,
+        borderpad=0,
     )
-    return _svg(title, _HEIGHT, parts)
+    for text in legend.get_texts():
+        text.set_fontweight("bold")
+    return _inline(figure, title)
 
 
 def bar_plot(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
-    """Horizontal bars from zero; a row is (label, value, value in words)."""
+    """Draw horizontal bars from zero; a row is (label, value, value in words)."""
     if not rows:
-        return Markup('<p class="none">Nothing to plot: no values.</p>')
-    longest = max(value for _, value, _ in rows) or 1.0
-    left, right, step = 130, 90, 26
-    parts: list[str] = []
-    for i, (label, value, words) in enumerate(rows):
-        width = max(1.0, value / longest * (_WIDTH - left - right))
-        y = i * step + 4
-        parts.append(
-            f'<text class="name" x="{left - 10}" y="{y + 13}" text-anchor="end">{escape(label)}</text>'
-            f'<rect class="bar" x="{left}" y="{y}" width="{width:.1f}" height="{step - 8}" rx="2"/>'
-            f'<text class="tick" x="{left + width + 8:.1f}" y="{y + 13}">{escape(words)}</text>'
-        )
-    return _svg(title, len(rows) * step + 4, parts)
+        return _NOTHING
+    labels, values, words = zip(*rows, strict=True)
+    figure, axes = _axes(_WIDTH, 26 * len(rows), left=130, right=90)
+    bars = axes.barh(range(len(rows)), values, height=0.7, color=COLOURS["s0"])
+    axes.bar_label(bars, words, padding=6)
+    axes.set_yticks(range(len(rows)), labels, color=COLOURS["ink"])
+    axes.set_xlim(0, max(values) or 1)
+    axes.set_xticks([])
+    axes.invert_yaxis()
+    return _inline(figure, title)
 
 
-def nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
-    """Round values that enclose low .. high, about ``wanted`` of them."""
-    span = (high - low) or abs(high) or 1.0
-    raw = span / (wanted - 1)
-    magnitude = 10.0 ** math.floor(math.log10(raw))
-    step = next(f * magnitude for f in (1, 2, 2.5, 5, 10) if f * magnitude >= raw * 0.999)
-    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-    return [round(i * step, 12) for i in range(first, max(last, first + 1) + 1)]
+def colour_bar(scale: ColourScale) -> Markup:
+    """Draw the colours of a scale with its ticks and unit."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    figure, axes = _axes(400, 54, left=16, right=26, bottom=42)
+    shades = LinearSegmentedColormap.from_list("scale", scale.colours)
+    axes.imshow([[i / 255 for i in range(256)]], cmap=shades, aspect="auto", extent=(0, 1, 0, 1))
+    axes.set_xticks([i / (len(scale.ticks) - 1) for i in range(len(scale.ticks))], scale.ticks)
+    axes.set_yticks([])
+    axes.set_xlabel(scale.unit)
+    return _inline(figure, scale.unit)
 
 
-def _path(points: Sequence[tuple[float, float | None]]) -> str:
-    steps: list[str] = []
-    pen_down = False
-    for x, y in points:
-        if y is not None:
-            steps.append(f"{'L' if pen_down else 'M'}{x:.1f} {y:.1f}")
-        pen_down = y is not None
-    return " ".join(steps)
+def _last_value(line: Line) -> float:
+    return next(y for y in reversed(line[3]) if y is not None)
 
 
-def _spread(ends: list[tuple[float, Line]]) -> list[tuple[float, Line]]:
-    """Move labels apart so that none covers another, and back inside the picture."""
-    ordered = sorted(ends, key=lambda end: end[0])
-    ys = [y for y, _ in ordered]
-    for i in range(1, len(ys)):
-        ys[i] = max(ys[i], ys[i - 1] + _LABEL_STEP)
-    ys[-1] = min(ys[-1], _HEIGHT - _BOTTOM)
-    for i in range(len(ys) - 2, -1, -1):
-        ys[i] = min(ys[i], ys[i + 1] - _LABEL_STEP)
-    return [(y, line) for y, (_, line) in zip(ys, ordered, strict=True)]
+def _axes(
+    width: float, height: float, *, left: float, right: float, top: float = 0, bottom: float = 0
+) -> tuple[Figure, Axes]:
+    """Return a figure of a size in SVG units, with margins, and its axes, which have no frame."""
+    from matplotlib.figure import Figure
+    from matplotlib.style import context
+
+    with context({"font.size": 13, "text.color": COLOURS["soft"], "axes.labelcolor": COLOURS["soft"]}):
+        figure = Figure((width / _UNITS_AN_INCH, height / _UNITS_AN_INCH))
+        inside = (width - left - right) / width, (height - top - bottom) / height
+        axes = figure.add_axes((left / width, bottom / height, *inside))
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0, labelsize=13, labelcolor=COLOURS["soft"])
+    return figure, axes
 
 
-def _svg(title: str, height: int, parts: Sequence[str]) -> Markup:
+def _inline(figure: Figure, title: str) -> Markup:
+    """Write a figure as an element of a page, with the page's colours and font."""
+    from matplotlib.style import context
+
+    for artist in figure.findobj():
+        artist.set_clip_on(False)
+    written = io.StringIO()
+    with context(SVG):
+        figure.savefig(written, format="svg", transparent=True, metadata={"Date": None})
+    body = written.getvalue()
+    for useless, instead in _USELESS:
+        body = useless.sub(instead, body)
+    body = _PLACES.sub(lambda place: re.sub(r"(\.\d\d)\d+", r"\1", place[0]), body)
+    for name, colour in COLOURS.items():
+        body = body.replace(colour, f"var(--{name})")
+    width, height = figure.get_size_inches() * _UNITS_AN_INCH
     return Markup(
-        f'<svg class="plot" viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escape(title)}">'
-        f"{''.join(parts)}</svg>"
+        f'<svg class="plot" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">{body}'
     )

@@ -6,27 +6,31 @@ unit in the name. Sections that a run cannot fill are empty lists or null, and t
 
 from __future__ import annotations
 
-from typing import Any, Literal, NotRequired
+from typing import Any, Literal
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
-from typing_extensions import TypedDict
+from pydantic import Field, ValidationError
 
 from optsim.core.errors import ValueCheckError
-from optsim.metrics.claims import Verdict
-from optsim.metrics.pairs import PairRecord
+from optsim.metrics.records import (
+    Coverage,
+    MaskScore,
+    PairRecord,
+    PooledMask,
+    Record,
+    Score,
+    Series,
+    Uncertainty,
+    Verdict,
+)
 
 SCHEMA_VERSION = 2
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Scalar = str | int | float | bool | None
 Cell = Scalar | list[Scalar]
-Region = Literal["all", "moving", "static"]
-Phase = Literal["warm-up", "merging", "steady"]
 Section = Literal["compare", "crops", "moving", "capture", "errors"]
 
 
-@with_config(_STRICT)
-class StageTime(TypedDict):
+class StageTime(Record):
     """One stage of the run."""
 
     stage: str
@@ -36,16 +40,14 @@ class StageTime(TypedDict):
     peak_is_of_this_stage: bool
 
 
-@with_config(_STRICT)
-class Resumed(TypedDict):
+class Resumed(Record):
     """Coded frames of all methods that an interrupted run had left."""
 
     captured: int
     scored: int
 
 
-@with_config(_STRICT)
-class LightRule(TypedDict):
+class LightRule(Record):
     """The fixed light rule and what it decided, the same for all methods."""
 
     statement: str
@@ -55,8 +57,7 @@ class LightRule(TypedDict):
     saturation_dn: float
 
 
-@with_config(_STRICT)
-class Photons(TypedDict):
+class Photons(Record):
     """Light that a method used: mean and 5th percentile of photoelectrons a CCD pixel and coded frame.
 
     ``negative_light``: CCD pixels, over all frames, whose unbiased light fell below zero and was clipped.
@@ -69,8 +70,7 @@ class Photons(TypedDict):
     negative_light: int
 
 
-@with_config(_STRICT)
-class Ledger(TypedDict):
+class Ledger(Record):
     """One photon ledger: rows as ``dataclasses.asdict`` of the camera's rows, all with the same keys."""
 
     name: str
@@ -78,18 +78,16 @@ class Ledger(TypedDict):
     rows: list[dict[str, Cell]]
 
 
-@with_config(_STRICT)
-class Latency(TypedDict):
+class Latency(Record):
     """Latency of the loop in coded frames."""
 
     frames: int
     smallest_physical: int
     hypothetical: bool
-    details: NotRequired[dict[str, Cell]]
+    details: dict[str, Cell] | None = None
 
 
-@with_config(_STRICT)
-class SceneFacts(TypedDict):
+class SceneFacts(Record):
     """What was looked at; ratios are 95th percentile of the window over 5th of the interior."""
 
     name: str
@@ -103,8 +101,7 @@ class SceneFacts(TypedDict):
     window_interior_ratio_after_glare: float | None
 
 
-@with_config(_STRICT)
-class PlanChoice(TypedDict):
+class PlanChoice(Record):
     """Whether one thing was left out; ``bound`` is the most that a frame errs, rms, relative to its noise."""
 
     skip: str
@@ -114,8 +111,7 @@ class PlanChoice(TypedDict):
     bound: float
 
 
-@with_config(_STRICT)
-class Plan(TypedDict):
+class Plan(Record):
     """What was left out of the camera's model, and what that costs at most, relative to a frame's noise."""
 
     tolerance: float
@@ -123,88 +119,7 @@ class Plan(TypedDict):
     choices: list[PlanChoice]
 
 
-@with_config(_STRICT)
-class Score(TypedDict):
-    """One pooled score, as :class:`optsim.metrics.ScoreBoard` makes it."""
-
-    method: str
-    metric: str
-    unit: str
-    region: Region
-    phase: Phase
-    value: float | None
-    flag: str
-    n: int
-    higher_is_better: bool
-    clamped_share: float
-
-
-@with_config(_STRICT)
-class Coverage(TypedDict):
-    """Share of a region that a method was scored on, and of that the share filled from neighbours."""
-
-    method: str
-    region: Region
-    phase: Phase
-    valid: float
-    interpolated: float
-
-
-@with_config(_STRICT)
-class Series(TypedDict):
-    """A score against coded frame or slot."""
-
-    method: str
-    metric: str
-    unit: str
-    region: Region
-    x: list[int]
-    values: list[float | None]
-
-
-@with_config(_STRICT)
-class Uncertainty(TypedDict):
-    """Errors over the standard deviations that a method states: shares within one and two, and rms."""
-
-    method: str
-    region: Region
-    phase: Phase
-    n: int
-    within_one: float | None
-    within_two: float | None
-    rms: float | None
-
-
-@with_config(_STRICT)
-class MaskScore(TypedDict):
-    """The motion mask of a method, or of moving objects, against the oracle in one coded frame."""
-
-    method: str
-    frame: int
-    precision: float | None
-    recall: float | None
-    iou: float | None
-
-
-@with_config(_STRICT)
-class PooledMask(TypedDict):
-    """Motion masks of a method, or of moving objects, against the oracle: all pixels of a phase together.
-
-    ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is null where nothing is marked,
-    ``recall`` where nothing moves, ``iou`` where both are so.
-    """
-
-    method: str
-    phase: Phase
-    moves: float
-    marked: float
-    precision: float | None
-    recall: float | None
-    iou: float | None
-
-
-@with_config(_STRICT)
-class EvidenceRow(TypedDict):
+class EvidenceRow(Record):
     """State of one modelled effect, as ``optsim.experiment.evidence.status`` gives it."""
 
     effect: str
@@ -219,8 +134,7 @@ class EvidenceRow(TypedDict):
     reason: str | None
 
 
-@with_config(_STRICT)
-class ColourScale(TypedDict):
+class ColourScale(Record):
     """A labelled colour bar: CSS colours from low to high, evenly spaced."""
 
     colours: list[str]
@@ -228,16 +142,14 @@ class ColourScale(TypedDict):
     unit: str
 
 
-@with_config(_STRICT)
-class LegendEntry(TypedDict):
+class LegendEntry(Record):
     """One colour of a picture and what it means."""
 
     colour: str
     meaning: str
 
 
-@with_config(_STRICT)
-class Picture(TypedDict):
+class Picture(Record):
     """An image file below the run folder, and where it belongs."""
 
     file: str
@@ -247,13 +159,12 @@ class Picture(TypedDict):
     label: str
     width: int
     height: int
-    still: NotRequired[str]
-    scale: NotRequired[ColourScale]
-    legend: NotRequired[list[LegendEntry]]
+    still: str | None = None
+    scale: ColourScale | None = None
+    legend: list[LegendEntry] = Field(default_factory=list[LegendEntry])
 
 
-@with_config(_STRICT)
-class CalibrationFile(TypedDict):
+class CalibrationFile(Record):
     """File of the run's folder that joins the frames of some methods (CCD) with their codes (panel)."""
 
     calibration: str
@@ -262,9 +173,8 @@ class CalibrationFile(TypedDict):
     methods: list[str]
 
 
-@with_config(_STRICT)
-class Results(TypedDict):
-    """Everything a report is made of."""
+class Results(Record):
+    """Everything a report is made of; what has a default was absent in earlier versions."""
 
     schema_version: Literal[2]
     title: str
@@ -272,12 +182,12 @@ class Results(TypedDict):
     command: str
     finished_utc: str
     versions: dict[str, str]
-    run_key: NotRequired[str]
-    exported_truth: NotRequired[bool]
+    run_key: str | None = None
+    exported_truth: bool | None = None
     backend: str
     seeds: dict[str, int]
     timings: list[StageTime]
-    resumed: NotRequired[Resumed]
+    resumed: Resumed | None = None
     light_rule: LightRule
     photons: list[Photons]
     ledgers: list[Ledger]
@@ -285,15 +195,15 @@ class Results(TypedDict):
     latency: Latency
     scene: SceneFacts
     methods: dict[str, str]
-    calibrations: NotRequired[dict[str, str]]
-    calibration_files: NotRequired[list[CalibrationFile]]
+    calibrations: dict[str, str] = Field(default_factory=dict[str, str])
+    calibration_files: list[CalibrationFile] = Field(default_factory=list[CalibrationFile])
     scores: list[Score]
     coverage: list[Coverage]
     frame_series: list[Series]
     slot_series: list[Series]
-    uncertainty: NotRequired[list[Uncertainty]]
+    uncertainty: list[Uncertainty] = Field(default_factory=list[Uncertainty])
     masks: list[MaskScore]
-    pooled_masks: NotRequired[list[PooledMask]]
+    pooled_masks: list[PooledMask] = Field(default_factory=list[PooledMask])
     noise_ceiling: list[Score]
     pairs: list[PairRecord]
     claims: list[Verdict]
@@ -313,7 +223,7 @@ def check_results(results: object) -> Results:
         One line a problem: where, what was got, what was expected.
     """
     try:
-        return TypeAdapter(Results).validate_python(results)
+        return Results.model_validate(results)
     except ValidationError as error:
         lines = [
             f"  {'.'.join(map(str, item['loc']))}: {item['msg']}"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from optsim.core.errors import ValueCheckError
 from optsim.core.files import write_png8
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
 from optsim.report import pictures as draw
-from optsim.report.schema import ColourScale, LegendEntry, Picture, Section
+from optsim.report.schema import Picture, Section
 
 LIMIT_STOPS = 2.0
 _SHOWN_PX = 260
@@ -161,111 +162,68 @@ def render_pictures(
     truth = moment.reference_cd_m2[moment.slot]
     views = {"truth": truth, **{n: s.estimate_cd_m2[moment.slot] for n, s in moment.shots.items()}}
     toned = {name: tone.apply(view) for name, view in views.items()}
-    sheet = _Sheet(folder)
     found = [
-        sheet.save(f"full_{name}", image, "compare", at, "full frame", name) for name, image in toned.items()
+        _save(folder, f"full_{name}", image, "compare", caption=at, group="full frame", label=name)
+        for name, image in toned.items()
     ]
     for number, crop in enumerate(crops):
         factor = max(1, round(_SHOWN_PX / crop.width))
         place = f"{crop.width} × {crop.height} panel pixels at row {crop.row}, column {crop.col}. {at}"
-        found += [
-            sheet.save(
-                f"crop{number}_{name}",
-                draw.enlarge(crop.of(image), factor),
-                "crops",
-                place,
-                crop.name,
-                name,
-            )
-            for name, image in toned.items()
-        ]
+        for name, image in toned.items():
+            shown = draw.enlarge(crop.of(image), factor)
+            about = {"caption": place, "group": crop.name, "label": name}
+            found.append(_save(folder, f"crop{number}_{name}", shown, "crops", **about))
     of_code = half_moving(moment, (crops[0].height, crops[0].width) if crops else moment.oracle.shape)
+    caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {when}."
+    about = {"caption": caption, "group": "error", "scale": draw.error_scale(LIMIT_STOPS)}
     for name, shot in moment.shots.items():
-        found += _capture(sheet, moment, name, shot, toned["truth"], of_code)
+        found += _capture(folder, moment, name, shot, toned["truth"], of_code)
         error = draw.error_picture(views[name], truth, shot.valid, e_cd_m2=e_cd_m2, limit_stops=LIMIT_STOPS)
-        caption = f"Signed error, log2((estimate + e) / (truth + e)), e = {e_cd_m2:g} cd/m². {when}."
-        scale = draw.error_scale(LIMIT_STOPS)
-        found.append(sheet.save(f"error_{name}", error, "errors", caption, "error", name, scale=scale))
+        found.append(_save(folder, f"error_{name}", error, "errors", label=name, **about))
     return found
 
 
-def _capture(sheet: _Sheet, moment: Moment, name: str, shot: Shot, truth: Bytes, cut: Crop) -> list[Picture]:
+def _capture(folder: Path, moment: Moment, name: str, shot: Shot, truth: Bytes, cut: Crop) -> list[Picture]:
     """Draw captured frame, code and mask of one method."""
     factor = max(1, round(_SHOWN_PX / cut.width))
     place = f"{cut.width} × {cut.height} panel pixels at row {cut.row}, column {cut.col}"
+    captured = draw.captured_picture(shot.dn, moment.saturation_dn)
     code = draw.enlarge(cut.of(shot.levels[moment.slot]), factor)
     starts = draw.enlarge(cut.of(draw.start_picture(shot.levels)), factor)
+    save = partial(_save, folder, section="capture", group=name)
     found = [
-        sheet.save(
+        save(
             f"captured_{name}",
-            draw.captured_picture(shot.dn, moment.saturation_dn),
-            "capture",
-            f"Raw CCD frame {moment.index}, gamma 1/2.2.",
-            name,
-            "captured frame",
+            captured,
+            label="captured frame",
+            caption=f"Raw CCD frame {moment.index}, gamma 1/2.2.",
             legend=draw.captured_legend(),
         ),
-        sheet.save(
+        save(
             f"code_{name}",
             code,
-            "capture",
-            f"Drive level in slot {moment.slot}; {place}.",
-            name,
-            "code, one slot",
+            label="code, one slot",
+            caption=f"Drive level in slot {moment.slot}; {place}.",
         ),
-        sheet.save(
+        save(
             f"starts_{name}",
             starts,
-            "capture",
-            f"When each pixel first opens; grey chequer: never. {place}.",
-            name,
-            "code, exposure start",
+            label="code, exposure start",
+            caption=f"When each pixel first opens; grey chequer: never. {place}.",
             scale=draw.start_scale(len(shot.levels)),
         ),
     ]
     if shot.moving.any() and not shot.moving.all():
-        mask = draw.mask_picture(shot.moving, moment.oracle, truth)
         caption = f"Motion mask of coded frame {moment.index} against the oracle from the truth."
+        mask = draw.mask_picture(shot.moving, moment.oracle, truth)
         found.append(
-            sheet.save(
-                f"mask_{name}", mask, "capture", caption, name, "motion mask", legend=draw.mask_legend()
-            )
+            save(f"mask_{name}", mask, label="motion mask", caption=caption, legend=draw.mask_legend())
         )
     return found
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """Writes pictures below one run folder."""
-
-    folder: Path
-
-    def save(
-        self,
-        name: str,
-        image: Bytes,
-        section: Section,
-        caption: str,
-        group: str,
-        label: str,
-        *,
-        scale: ColourScale | None = None,
-        legend: list[LegendEntry] | None = None,
-    ) -> Picture:
-        """Write one picture as PNG."""
-        file = f"assets/{name}.png"
-        write_png8(self.folder / file, image)
-        picture: Picture = {
-            "file": file,
-            "caption": caption,
-            "section": section,
-            "group": group,
-            "label": label,
-            "width": image.shape[1],
-            "height": image.shape[0],
-        }
-        if scale:
-            picture["scale"] = scale
-        if legend:
-            picture["legend"] = legend
-        return picture
+def _save(folder: Path, name: str, image: Bytes, section: Section, **about: Any) -> Picture:
+    """Write one picture as PNG."""
+    file = f"assets/{name}.png"
+    write_png8(folder / file, image)
+    return Picture(file=file, section=section, width=image.shape[1], height=image.shape[0], **about)

@@ -1,200 +1,194 @@
+# pyright: reportUnknownMemberType=false
 """A trace of one CCD pixel as one picture: light, code and electrons slot by slot; beside them where from."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
-from markupsafe import escape
+import numpy as np
 
-from optsim.report.plots import nice_ticks
+from optsim.report.plots import COLOURS, SVG
 from optsim.report.trace_record import Reading, Source, Trace, sentences
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 _WIDTH, _HEIGHT = 1200, 896
+_UNITS_AN_INCH = 72
 _NOTE_CHARS = 170  # of the widest common sans-serif
 _LEFT, _RIGHT = 84, 660  # of the plots over slots
 _SIDE, _END = 790, 1180  # of what stands beside them
-_SOFT, _RULE = "#5d6068", "#dfdbd1"
+_INK, _SOFT, _RULE = COLOURS["ink"], COLOURS["soft"], COLOURS["rule"]
+_CODE = "#d9d5ca"
+_DECADES = 4
 # Names for people, and colours that colour-blind readers tell apart (M. Okabe and K. Ito, 2008).
 _ORIGINS = {
-    "own_open": ("own pixel, told open", "#0072b2"),
-    "own_leak": ("own pixel, told dark: leak", "#56b4e9"),
-    "own_late": ("own pixel, told dark: late", "#a6d8f5"),
+    "own_open": ("own pixel, open", "#0072b2"),
+    "own_leak": ("own pixel, dark: leak", "#56b4e9"),
+    "own_late": ("own pixel, dark: late", "#a6d8f5"),
     "neighbours": ("8 neighbours", "#d55e00"),
     "near_field": ("2 to 5 pixels away", "#e69f00"),
-    "wings": ("farther, PSF wings", "#f0d264"),
+    "wings": ("farther, PSF tails", "#f0d264"),
     "ghost": ("relay ghost", "#cc79a7"),
     "veil": ("relay veil", "#009e73"),
     "dark_current": ("dark current", "#77797f"),
     "smear": ("smear", "#1b1d22"),
 }
+_OWN, _ALL = _ORIGINS["own_open"][1], _SOFT
+_STYLE: dict[str, Any] = {
+    "font.size": 12.5,
+    "text.color": _INK,
+    "text.parse_math": False,
+    "axes.edgecolor": _RULE,
+    "axes.labelcolor": _SOFT,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 14,
+    "axes.titleweight": "bold",
+    "axes.axisbelow": True,
+    "grid.color": _RULE,
+    "xtick.color": _RULE,
+    "ytick.color": _RULE,
+    "xtick.labelcolor": _SOFT,
+    "ytick.labelcolor": _SOFT,
+    "legend.frameon": False,
+    "legend.fontsize": 11.5,
+}
 
 
 def trace_plot(trace: Trace) -> str:
     """Draw a trace as one self-contained SVG with a white ground."""
-    title, looks, reads = sentences(trace)
-    notes = [line for note in trace.notes for line in wrap(note, _NOTE_CHARS)]
-    parts = [
-        _text(24, 34, title, size=20, weight=600),
-        _text(24, 58, looks, size=14),
-        _text(24, 78, reads, size=14),
-        *_light(trace),
-        *_panel(trace),
-        *_electrons(trace),
-        *_bars(trace),
-        *_chain(trace.reading),
-        *_map(trace),
-        *_sources(trace.sources),
-        *(
-            _text(24, _HEIGHT - 10 - 16 * (len(notes) - 1 - i), note, size=11.5, fill=_SOFT)
-            for i, note in enumerate(notes)
-        ),
-    ]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" '
-        f'height="{_HEIGHT}" role="img" aria-label="{escape(title)}" font-family="sans-serif" fill="#1b1d22">'
-        f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="white"/>{"".join(parts)}</svg>\n'
-    )
+    from matplotlib.figure import Figure
+    from matplotlib.style import context
+
+    title, looked, read = sentences(trace)
+    with context({**SVG, **_STYLE}):
+        figure = Figure((_WIDTH / _UNITS_AN_INCH, _HEIGHT / _UNITS_AN_INCH))
+        _write(figure, 24, 34, title, size=20, weight="bold")
+        _write(figure, 24, 58, looked, size=14)
+        _write(figure, 24, 78, read, size=14)
+        _light(_plot(figure, _LEFT, 134, _RIGHT, 264), trace)
+        _panel(_plot(figure, _LEFT, 322, _RIGHT, 412), trace)
+        _electrons(_plot(figure, _LEFT, 470, _RIGHT, 740), trace)
+        _origins(_plot(figure, _SIDE + 184, 132, _SIDE + 258, 346), trace)
+        _chain(figure, trace.reading)
+        _map(_plot(figure, _SIDE, 640, _SIDE + 154, 794), trace)
+        _sources(figure, trace.sources)
+        notes = [line for note in trace.notes for line in wrap(note, _NOTE_CHARS)]
+        for place, note in enumerate(reversed(notes)):
+            _write(figure, 24, _HEIGHT - 10 - 16 * place, note, size=11.5, color=_SOFT)
+        written = io.StringIO()
+        figure.savefig(written, format="svg", metadata={"Title": title, "Date": None})
+    return written.getvalue()
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """Axes of a plot over slots: from the bottom value to the top one, linear or logarithmic."""
-
-    top: float
-    bottom: float
-    n_slots: int
-    ticks: Sequence[float]
-    log: bool = False
-
-    def across(self, slot: float) -> float:
-        return _LEFT + slot / self.n_slots * (_RIGHT - _LEFT)
-
-    def down(self, value: float) -> float:
-        low, high = self.ticks[0], self.ticks[-1]
-        if self.log:
-            share = math.log(max(value, low) / low) / math.log(high / low)
-        else:
-            share = (value - low) / (high - low)
-        return self.bottom - share * (self.bottom - self.top)
-
-    def axes(self, title: str, y_label: str, x_label: str = "") -> list[str]:
-        parts = [_text(_LEFT, self.top - 12, title, size=14, weight=600)]
-        for tick in self.ticks:
-            y = self.down(tick)
-            parts.append(f'<path d="M{_LEFT} {y:.1f}H{_RIGHT}" stroke="{_RULE}"/>')
-            parts.append(_text(_LEFT - 8, y + 4, f"{tick:.4g}", anchor="end", fill=_SOFT))
-        parts.append(_upright(22, (self.top + self.bottom) / 2, y_label))
-        step = max(1, math.ceil(self.n_slots / 12))
-        for slot in range(0, self.n_slots, step):
-            x = self.across(slot + 0.5)
-            parts.append(_text(x, self.bottom + 17, str(slot), anchor="middle", fill=_SOFT))
-        if x_label:
-            x = (_LEFT + _RIGHT) / 2
-            parts.append(_text(x, self.bottom + 36, x_label, anchor="middle", fill=_SOFT))
-        return parts
-
-    def steps(self, values: Sequence[float | None], style: str) -> str:
-        path = ""
-        for slot, value in enumerate(values):
-            if value is not None:
-                y = self.down(value)
-                path += f"{'L' if path else 'M'}{self.across(slot):.1f} {y:.1f}H{self.across(slot + 1):.1f}"
-        return f'<path d="{path}" fill="none" stroke-width="2" {style}/>' if path else ""
+def _plot(figure: Figure, left: float, top: float, right: float, bottom: float) -> Axes:
+    """Return axes at a place in SVG units, counted from the top left."""
+    place = left / _WIDTH, 1 - bottom / _HEIGHT, (right - left) / _WIDTH, (bottom - top) / _HEIGHT
+    axes = figure.add_axes(place)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    return axes
 
 
-def _light(trace: Trace) -> list[str]:
+def _write(figure: Figure, x: float, y: float, words: str, **style: Any) -> None:
+    figure.text(x / _WIDTH, 1 - y / _HEIGHT, words, **style)
+
+
+def _over_slots(axes: Axes, n_slots: int, title: str, y_label: str) -> None:
+    axes.set(xlim=(0, n_slots), title=title, ylabel=y_label)
+    slots = range(0, n_slots, max(1, math.ceil(n_slots / 12)))
+    axes.set_xticks([slot + 0.5 for slot in slots], [str(slot) for slot in slots])
+    axes.grid(axis="y")
+
+
+def _steps(axes: Axes, values: Sequence[float | None], **style: Any) -> None:
+    known = [math.nan if value is None else value for value in values]
+    axes.stairs(known, baseline=None, linewidth=2, **style)
+
+
+def _light(axes: Axes, trace: Trace) -> None:
     """Irradiance to the left, radiance to the right: where a sharp lens without glare puts it."""
     slots, scale = trace.slots, trace.irradiance_per_radiance
-    lines = [
-        ("own panel pixel", slots.own_irradiance_w_m2, slots.own_radiance_w_m2_sr, "#0072b2"),
-        ("all that can reach it", slots.irradiance_w_m2, slots.radiance_w_m2_sr, _SOFT),
-    ]
-    drawn = [
-        (irradiance, [None if r is None else r * scale for r in radiance], colour)
-        for _, irradiance, radiance, colour in lines
-    ]
-    values = [v for one, other, _ in drawn for v in (*one, *other) if v is not None]
-    low, high = min(values), max(values)
-    log = low > 0 and high > 30 * low
-    ticks = _decades(low, high) if log else nice_ticks(min(low, 0), high)
-    frame = _Frame(134, 264, len(slots.level), ticks, log)
-    parts = frame.axes("Light on the modulator", "irradiance, W m⁻²")
-    low, high = ticks[0] / scale, ticks[-1] / scale
-    for tick in _decades(low, high) if log else nice_ticks(low, high):
-        if low <= tick <= high:
-            parts.append(_text(_RIGHT + 8, frame.down(tick * scale) + 4, f"{tick:.4g}", fill=_SOFT))
-    parts.append(_upright(_RIGHT + 64, 199, "radiance, W m⁻² sr⁻¹"))
-    for irradiance, radiance, colour in drawn:
-        parts.append(frame.steps(radiance, f'stroke="{colour}" stroke-dasharray="3 3"'))
-        parts.append(frame.steps(irradiance, f'stroke="{colour}"'))
-    for x, (label, _, _, colour) in zip((288, 414), lines, strict=True):
-        parts.append(f'<path d="M{x} 118h18" stroke="{colour}" stroke-width="2"/>')
-        parts.append(_text(x + 23, 122, label, size=11.5))
-    parts.append(_text(_RIGHT, 122, "dashed: radiance", size=11.5, anchor="end", fill=_SOFT))
-    return parts
-
-
-def _panel(trace: Trace) -> list[str]:
-    slots = trace.slots
-    top = max(1.0, *slots.weight)
-    frame = _Frame(322, 412, len(slots.level), nice_ticks(0, top, 3))
-    parts = frame.axes("What its panel pixel was told, and what it did", "weight (on = 1)")
-    for slot, (level, shutter) in enumerate(zip(slots.level, slots.shutter_open, strict=True)):
-        x, width = frame.across(slot), frame.across(1) - frame.across(0)
-        y = frame.down(level / 255)
-        parts.append(_rect(x, y, width, frame.bottom - y, "#d9d5ca"))
-        if not shutter:
-            parts.append(_rect(x, frame.top, width, frame.bottom - frame.top, "#00000022"))
-    parts.append(frame.steps(slots.weight, 'stroke="#0072b2"'))
-    parts.append(_rect(480, frame.top - 22, 12, 12, "#d9d5ca"))
-    parts.append(_text(498, frame.top - 12, "told: level / 255", size=11.5))
-    parts.append(f'<path d="M{_RIGHT - 48} {frame.top - 16}h18" stroke="#0072b2" stroke-width="2"/>')
-    parts.append(_text(_RIGHT, frame.top - 12, "did", size=11.5, anchor="end"))
-    return parts
-
-
-def _electrons(trace: Trace) -> list[str]:
-    slots = trace.slots
-    columns = list(zip(*(slots.origins_e[name] for name in slots.origins_e), strict=True))
-    highest = max(sum(max(e, 0.0) for e in column) for column in columns)
-    frame = _Frame(470, 740, len(slots.level), nice_ticks(0, highest or 1.0))
-    parts = frame.axes(
-        "Electrons of each slot, by origin: colours as on the right", "electrons", "slot of the exposure"
+    drawn: list[float] = []
+    for label, irradiance, radiance, colour in (
+        ("own panel pixel", slots.own_irradiance_w_m2, slots.own_radiance_w_m2_sr, _OWN),
+        ("all that can reach it", slots.irradiance_w_m2, slots.radiance_w_m2_sr, _ALL),
+    ):
+        laid = [None if value is None else value * scale for value in radiance]
+        _steps(axes, laid, color=colour, linestyle=":")
+        _steps(axes, irradiance, color=colour, label=label)
+        drawn += [value for value in (*laid, *irradiance) if value is not None]
+    _over_slots(axes, len(slots.level), "Light on the modulator", "irradiance, W m⁻²")
+    if min(drawn) > 0 and max(drawn) > 30 * min(drawn):
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(min(0.0, *drawn), 1.05 * max(drawn) or 1.0)
+    beside = axes.secondary_yaxis(
+        "right", functions=(lambda e: np.asarray(e) / scale, lambda r: np.asarray(r) * scale)
     )
-    for slot, column in enumerate(columns):
-        base = 0.0
-        for name, electrons in zip(slots.origins_e, column, strict=True):
-            # Monte-Carlo noise of the truth can be negative; a bar cannot.
-            up = base + max(electrons, 0.0)
-            y, x = frame.down(up), frame.across(slot) + 0.75
-            width = frame.across(1) - frame.across(0) - 1.5
-            if up > base:
-                parts.append(_rect(x, y, width, frame.down(base) - y, _ORIGINS[name][1]))
-            base = up
-    return parts
+    beside.set_ylabel("radiance, W m⁻² sr⁻¹ (dotted)")
+    beside.tick_params(length=0)
+    beside.spines[:].set_visible(False)
+    _legend(axes)
 
 
-def _bars(trace: Trace) -> list[str]:
-    parts = [_text(_SIDE, 122, "Electrons of the whole exposure", size=14, weight=600)]
-    longest = max((origin.electrons_e for origin in trace.origins), default=0.0) or 1.0
+def _panel(axes: Axes, trace: Trace) -> None:
+    slots = trace.slots
+    middles = np.arange(len(slots.level)) + 0.5
+    axes.bar(
+        middles,
+        np.array(slots.level) / 255,
+        width=1,
+        linewidth=0,
+        color=_CODE,
+        label="commanded: level / 255",
+    )
+    for slot, is_open in enumerate(slots.shutter_open):
+        if not is_open:
+            axes.axvspan(slot, slot + 1, color="black", alpha=0.13, linewidth=0)
+    _steps(axes, slots.weight, color=_OWN, label="effective")
+    axes.set_ylim(0, 1.05 * max(1.0, *slots.weight))
+    _over_slots(axes, len(slots.level), "Code of its panel pixel", "weight (on = 1)")
+    _legend(axes)
+
+
+def _electrons(axes: Axes, trace: Trace) -> None:
+    slots = trace.slots
+    n_slots = len(slots.level)
+    base = np.zeros(n_slots)
+    for name, electrons in slots.origins_e.items():
+        # Monte-Carlo noise of the truth can be negative; a bar cannot.
+        height = np.maximum(electrons, 0.0)
+        axes.bar(np.arange(n_slots) + 0.5, height, width=0.9, bottom=base, color=_ORIGINS[name][1])
+        base = base + height
+    axes.set_ylim(0, 1.05 * float(base.max()) or 1.0)
+    _over_slots(axes, n_slots, "Electrons of each slot, by origin: colours as on the right", "electrons")
+    axes.set_xlabel("slot of the exposure")
+
+
+def _origins(axes: Axes, trace: Trace) -> None:
+    rows = range(len(trace.origins))
+    names, colours = zip(*(_ORIGINS[origin.name] for origin in trace.origins), strict=True)
+    electrons = [max(origin.electrons_e, 0.0) for origin in trace.origins]
+    axes.barh(rows, electrons, height=0.62, color=colours)
+    beside = axes.get_yaxis_transform()
+    axes.barh(rows, 0.16, left=-2.49, height=0.62, color=colours, transform=beside, clip_on=False)
+    axes.set(xlim=(0, max(electrons, default=0.0) or 1.0), ylim=(len(rows) - 0.4, -0.6), xticks=[])
+    axes.set_yticks(rows, names, ha="left", color=_INK)
+    axes.tick_params(axis="y", pad=166)
+    axes.set_title("Electrons of the whole exposure", x=-2.49)
     for row, origin in enumerate(trace.origins):
-        label, colour = _ORIGINS[origin.name]
-        y = 134 + 21 * row
-        width = max(origin.electrons_e / longest * 74, float(origin.electrons_e > 0))
-        parts += [
-            _rect(_SIDE, y, 12, 13, colour),
-            _text(_SIDE + 18, y + 11, label),
-            _rect(_SIDE + 184, y, width, 13, colour),
-            _text(_END - 58, y + 11, _electron_count(origin.electrons_e), anchor="end"),
-            _text(_END, y + 11, f"{100 * origin.share:.2f} %", anchor="end", fill=_SOFT),
-        ]
-    return parts
+        count, share = _electron_count(origin.electrons_e), f"{100 * origin.share:.2f} %"
+        axes.text(2, row, count, transform=beside, ha="right", va="center")
+        axes.text(2.78, row, share, transform=beside, ha="right", va="center", color=_SOFT)
 
 
-def _chain(reading: Reading) -> list[str]:
+def _chain(figure: Figure, reading: Reading) -> None:
     rows = [
         ("collected, dark current included", f"{_electron_count(reading.collected_e)} e⁻"),
         ("less: cut off by the full well", f"{_electron_count(reading.lost_at_well_e)} e⁻"),
@@ -213,108 +207,68 @@ def _chain(reading: Reading) -> list[str]:
         ("all noise", f"{reading.sigma_dn:.2f} DN"),
         ("drawn in this frame", f"{reading.drawn_dn} DN"),
     ]
-    parts = [_text(_SIDE, 380, "From electrons to the digital number", size=14, weight=600)]
+    _write(figure, _SIDE, 380, "From electrons to the digital number", size=14, weight="bold")
     for row, (label, value) in enumerate(rows):
-        weight = 600 if row in (0, 5, len(rows) - 1) else 400
-        parts.append(_text(_SIDE, 402 + 18 * row, label, weight=weight))
-        parts.append(_text(_END, 402 + 18 * row, value, anchor="end", weight=weight))
-    return parts
+        weight = "bold" if row in (0, 5, len(rows) - 1) else "normal"
+        _write(figure, _SIDE, 402 + 18 * row, label, weight=weight)
+        _write(figure, _END, 402 + 18 * row, value, ha="right", weight=weight)
 
 
-def _map(trace: Trace) -> list[str]:
-    """Electrons of the panel pixels around the own one, logarithmic over four decades."""
-    size, left, top = 14, _SIDE, 640
-    values = [e for row in trace.neighbourhood_e for e in row if e is not None]
-    highest = max(values, default=0.0)
-    parts = [_text(left, 618, "Near panel pixels", size=14, weight=600)]
-    n = len(trace.neighbourhood_e)
-    for v, row in enumerate(trace.neighbourhood_e):
-        for u, electrons in enumerate(row):
-            x, y = left + u * size, top + v * size
-            if electrons is None:
-                parts.append(_rect(x, y, size - 1, size - 1, "#f1efe9"))
-                continue
-            share = 1 + math.log10(electrons / highest) / 4 if electrons > 0 and highest > 0 else 0.0
-            parts.append(_rect(x, y, size - 1, size - 1, _shade(min(max(share, 0.0), 1.0))))
-    edge = n * size + 1
-    parts.append(
-        f'<rect x="{left - 1}" y="{top - 1}" width="{edge}" height="{edge}" fill="none" stroke="{_RULE}"/>'
+def _map(axes: Axes, trace: Trace) -> None:
+    """Electrons of the panel pixels around the own one, logarithmic."""
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+    from matplotlib.patches import Rectangle
+
+    electrons = np.array([[np.nan if e is None else e for e in row] for row in trace.neighbourhood_e])
+    highest = float(np.nanmax(electrons, initial=0.0))
+    shades = LinearSegmentedColormap.from_list("electrons", ["#ffffff", "#08306b"]).with_extremes(
+        bad=COLOURS["sunk"]
     )
-    centre = n // 2 * size
-    parts.append(
-        f'<rect x="{left + centre - 1}" y="{top + centre - 1}" width="{size + 1}" height="{size + 1}" '
-        f'fill="none" stroke="#d55e00" stroke-width="2"/>'
+    # No electrons at all are as white as four decades below the most.
+    floor = highest / 10**_DECADES or 1.0
+    norm = LogNorm(floor, highest or 10.0, clip=True)
+    edges = np.arange(len(electrons) + 1)
+    shown = np.where(electrons <= 0, floor, electrons)
+    axes.pcolormesh(edges, edges, shown, norm=norm, cmap=shades, edgecolor="white", linewidth=0.5)
+    centre = len(electrons) // 2
+    axes.add_patch(Rectangle((centre, centre), 1, 1, fill=False, edgecolor="#d55e00", linewidth=2))
+    axes.invert_yaxis()
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(True)
+    axes.set_title("Near panel pixels", pad=20)
+    scale = (
+        f"{_DECADES} decades, up to {_electron_count(highest)} e⁻"
+        if highest > 0
+        else "none on the direct path"
     )
-    scale = f"4 decades, up to {_electron_count(highest)} e⁻" if highest > 0 else "none on the direct path"
-    parts.append(_text(left, 634, scale, size=11.5, fill=_SOFT))
-    return parts
+    axes.text(0, 1.03, scale, transform=axes.transAxes, size=11.5, color=_SOFT)
 
 
-def _sources(sources: Sequence[Source]) -> list[str]:
+def _sources(figure: Figure, sources: Sequence[Source]) -> None:
     left, top = _SIDE + 190, 618
-    parts = [_text(left, top, "Others that give most", size=14, weight=600)]
+    _write(figure, left, top, "Others that give most", size=14, weight="bold")
     if not sources:
-        return [*parts, _text(left, top + 24, "none on the direct path", fill=_SOFT)]
-    parts += [
-        _text(left, top + 16, "dv, du", size=11.5, fill=_SOFT),
-        _text(left + 98, top + 16, "e⁻", size=11.5, anchor="end", fill=_SOFT),
-        _text(left + 108, top + 16, "told, slot by slot", size=11.5, fill=_SOFT),
-    ]
+        _write(figure, left, top + 24, "none on the direct path", color=_SOFT)
+        return
+    soft = {"size": 11.5, "color": _SOFT}
+    _write(figure, left, top + 16, "dv, du", **soft)
+    _write(figure, left + 98, top + 16, "e⁻", ha="right", **soft)
+    _write(figure, left + 108, top + 16, "commanded, by slot", **soft)
     for row, source in enumerate(sources[:8]):
         y = top + 34 + 18 * row
-        parts.append(_text(left, y, f"{source.dv:+d}, {source.du:+d}"))
-        parts.append(_text(left + 98, y, _electron_count(source.electrons_e), anchor="end"))
-        step = (_END - left - 108) / len(source.level)
-        parts.append(
-            f'<rect x="{left + 108}" y="{y - 10}" width="{_END - left - 108}" height="12" fill="#1b1d22"/>'
-        )
-        for slot, level in enumerate(source.level):
-            if level:
-                grey = f"#{level:02x}{level:02x}{level:02x}"
-                parts.append(_rect(left + 108 + slot * step, y - 9, step, 10, grey))
-    return parts
+        _write(figure, left, y, f"{source.dv:+d}, {source.du:+d}")
+        _write(figure, left + 98, y, _electron_count(source.electrons_e), ha="right")
+        axes = _plot(figure, left + 108, y - 10, _END, y + 2)
+        axes.imshow([source.level], cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="nearest")
+        axes.set(xticks=[], yticks=[])
 
 
-def _shade(share: float) -> str:
-    """White to dark blue."""
-    return "#" + "".join(f"{round(255 + (end - 255) * share):02x}" for end in (8, 48, 107))
-
-
-def _decades(low: float, high: float) -> list[float]:
-    return [10.0**k for k in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
+def _legend(axes: Axes) -> None:
+    """Name the lines above the plot, at the right."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.02, 0.98), ncols=3, borderpad=0.2, columnspacing=1.2)
 
 
 def _electron_count(electrons: float) -> str:
     if abs(electrons) >= 100:
         return f"{electrons:,.0f}".replace(",", " ")
     return "<0.01" if 0 < electrons < 0.005 else f"{electrons:.2f}"
-
-
-def _rect(x: float, y: float, width: float, height: float, fill: str) -> str:
-    return (
-        f'<rect x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}" fill="{fill}" '
-        'shape-rendering="crispEdges"/>'
-    )
-
-
-def _text(
-    x: float,
-    y: float,
-    words: str,
-    *,
-    anchor: str = "start",
-    size: float = 12.5,
-    fill: str = "#1b1d22",
-    weight: int = 400,
-) -> str:
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="{anchor}" fill="{fill}" '
-        f'font-weight="{weight}">{escape(words)}</text>'
-    )
-
-
-def _upright(x: float, y: float, words: str) -> str:
-    return (
-        f'<text transform="translate({x} {y}) rotate(-90)" font-size="12.5" text-anchor="middle" '
-        f'fill="{_SOFT}">{escape(words)}</text>'
-    )

@@ -39,7 +39,7 @@ from optsim.experiment.loop import (
 )
 from optsim.experiment.scoring import Scorer
 from optsim.metrics import FrameTally
-from optsim.metrics.scoring import ScoreRecord
+from optsim.metrics.records import Score
 
 # From f/1.4, as such lenses can be set; the project's has no data sheet. Slower ones than f/16 nobody shares.
 THIRD_STOPS = tuple(2 ** (k / 6) for k in range(3, 25))
@@ -61,7 +61,7 @@ class OwnLight:
         Method name -> photoelectrons a pixel and frame, mean.
     filled : dict
         Method name -> share of saturation that the interior's percentile reaches under its fullest exposure.
-    scores : list of ScoreRecord
+    scores : list of Score
         Of all methods, as at one f-number for all.
     """
 
@@ -69,7 +69,7 @@ class OwnLight:
     open_shares: dict[str, float]
     mean_e: dict[str, float]
     filled: dict[str, float]
-    scores: list[ScoreRecord]
+    scores: list[Score]
 
 
 def open_share(frames: Iterable[CodedFrame], calibration: Calibration) -> float:
@@ -198,7 +198,7 @@ def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progre
     return OwnLight(
         f_numbers,
         {name: taken_shares[name] for name in f_numbers},
-        {row["method"]: row["mean_e"] for row in photons},
+        {row.method: row.mean_e for row in photons},
         {name: each.filled * share for each in taken for name, share in each.open_shares.items()},
         scores,
     )

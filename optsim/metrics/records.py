@@ -1,0 +1,148 @@
+"""Rows of results.json that scoring makes, and the words that they share: regions, phases, areas.
+
+A missing number is None, never NaN or infinity. Shares are 0..1.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Region = Literal["all", "moving", "static"]
+REGIONS: tuple[Region, ...] = ("all", "moving", "static")
+Phase = Literal["warm-up", "merging", "steady"]
+PHASES: tuple[Phase, ...] = ("warm-up", "merging", "steady")
+Area = Literal["room", "window"]
+AREAS: tuple[Area, ...] = ("room", "window")
+
+
+class Record(BaseModel):
+    """Part of results.json: frozen, no unknown keys, read by attribute."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def __getitem__(self, key: str) -> Any:
+        """Read a key as from a dict, with a warning."""
+        if key not in type(self).model_fields:
+            raise KeyError(key)
+        warnings.warn(f"record[{key!r}] is record.{key} now", DeprecationWarning, stacklevel=2)
+        return getattr(self, key)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what a JSON file holds of it; a key that was not stated is absent."""
+        return self.model_dump(mode="json", exclude_unset=True)
+
+
+class Score(Record):
+    """One pooled score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    phase: Phase
+    value: float | None
+    flag: str
+    n: int
+    higher_is_better: bool
+    clamped_share: float
+
+
+class Coverage(Record):
+    """Share of a region that a method holds valid, and of that the share filled from neighbours."""
+
+    method: str
+    region: Region
+    phase: Phase
+    valid: float
+    interpolated: float
+
+
+class Series(Record):
+    """A score against coded frame or slot: ``x`` is the index, ``values`` may hold None."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    x: list[int]
+    values: list[float | None]
+
+
+class Uncertainty(Record):
+    """Errors over the standard deviations that a method states: shares within one and two, and rms."""
+
+    method: str
+    region: Region
+    phase: Phase
+    n: int
+    within_one: float | None
+    within_two: float | None
+    rms: float | None
+
+
+class MaskScore(Record):
+    """The motion mask of a method, or of moving objects, against the oracle in one coded frame."""
+
+    method: str
+    frame: int
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
+class PooledMask(Record):
+    """Motion masks of a method, or of moving objects, against the oracle: all pixels of a phase together.
+
+    ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is None where nothing is marked,
+    ``recall`` where nothing moves, ``iou`` where both are so.
+    """
+
+    method: str
+    phase: Phase
+    moves: float
+    marked: float
+    precision: float | None
+    recall: float | None
+    iou: float | None
+
+
+class PairRecord(Record):
+    """Scores of a pair in the steady phase; ``excluded`` is the share of pixels that one of both gives up."""
+
+    rival: str
+    metric: str
+    unit: str
+    higher_is_better: bool
+    area: Area
+    region: Region
+    ours: float | None
+    theirs: float | None
+    excluded: float
+    ours_of_all: float | None
+    theirs_of_all: float | None
+
+
+class Verdict(Record):
+    """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
+
+    ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. ``excluded``
+    is the share of pixels that one of the pair gives up; ``advantage_of_all`` is the same on all pixels.
+    """
+
+    claim: str
+    metric: str
+    unit: str
+    region: Region
+    area: Area
+    rival: str | None
+    verdict: Literal["holds", "fails", "undecided"]
+    advantage: float | None
+    low: float | None
+    high: float | None
+    margin: float
+    draws: int
+    excluded: float | None
+    advantage_of_all: float | None
