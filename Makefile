@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup bench claims figure4 imperfections validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup bench claims figure4 imperfections fidelity validate lint types architecture requirements clean help
 
 force:
 
@@ -43,6 +43,9 @@ figure4: setup ## all schemes on the same scenes, as the paper's figure 4; write
 
 imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
 	$(BIN)/python validation/imperfections.py
+
+fidelity: setup ## what each fine approximation is worth; writes reports/fidelity.md (30 minutes)
+	$(BIN)/python validation/fidelity.py
 
 validate: setup ## is the model true of the world? (long; rewrites optsim/experiment/evidence.json)
 	@$(BIN)/python validation/environments.py >/dev/null # first what needs a network

@@ -1,10 +1,10 @@
-"""Blur tap by tap: what each place collects, with fewer products than taps."""
+"""Blur tap by tap: what each place collects."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
+from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, kernels_in_sixes
 
 RNG = np.random.default_rng(9)
 FIELD = 61, 83
@@ -13,7 +13,7 @@ FIELD = 61, 83
 def collected(kernels, excess, borders):
     """What a patch's light brings to the rows 5 to 47 of the field, which it fills."""
     target = Patch(np.zeros_like(excess), 0, 0)
-    nodes = factors_of_kernels(kernels)
+    nodes = kernels_in_sixes(kernels)
     collect_strip(Patch(excess, 0, 0), Grid(*FIELD), nodes, np.array(borders), target, 5, 47)
     return target.excess
 
@@ -56,7 +56,7 @@ def test_light_that_touches_no_border_is_collected_to_its_last_row():
     field[rows, cols] = RNG.random((11, 15))
     light = Patch(field[None, rows, cols].astype(np.float32), rows.start, cols.start)
     target = Patch(np.zeros((1, *FIELD), np.float32), 0, 0)
-    nodes, borders = factors_of_kernels(kernel[None, None]), np.array([0, 40, FIELD[1]])
+    nodes, borders = kernels_in_sixes(kernel[None, None]), np.array([0, 40, FIELD[1]])
     for first in range(0, FIELD[0], 25):
         collect_strip(light, Grid(*FIELD), nodes, borders, target, first, min(first + 25, FIELD[0]))
     exact = ndimage.correlate(field, kernel, mode="nearest")

@@ -1,5 +1,9 @@
 # pyright: reportMissingTypeStubs=false
-"""How bright what saturates in every frame is: its glare, far away, tells."""
+"""How bright what saturates in every frame is: its glare, far away, tells.
+
+Worth 0.8 dB to the adaptive scheme in ``night_street`` while frames still merge, and 0.8 stops of a bright
+window; the steady mosaic loses 0.6 dB by it there (``reports/fidelity.md``).
+"""
 
 from __future__ import annotations
 

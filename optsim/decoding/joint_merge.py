@@ -1,6 +1,10 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Pixels that saturate each other's frames, from all their frames at once: a sparse least-squares problem."""
+"""Pixels that saturate each other's frames, from all their frames at once: a sparse least-squares problem.
+
+Without it the mosaic loses 0.18 dB where ``window_room`` is static, 0.35 dB while frames still merge
+(``reports/fidelity.md``).
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from optsim.core.threads import side_by_side
 from optsim.optics.field_blur import FieldPsf, uniform
 from optsim.optics.moving_psf import MovingPsf, divided
 from optsim.optics.pixel_splines import draw, spread
-from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, factors_of_kernels
+from optsim.optics.tap_blur import LARGEST_TAPS, Grid, Patch, collect_strip, kernels_in_sixes
 from optsim.optics.tile_blur import collect_tile
 
 # Side of transformed tiles in half widths of the PSF, and its minimum: shorter tiles transform more margin,
@@ -115,7 +115,7 @@ class _Collector(NamedTuple):
 
 
 def _by_taps(psf: FieldPsf, grid: Grid) -> _Collector:
-    nodes = factors_of_kernels(psf.whole)
+    nodes = kernels_in_sixes(psf.whole)
     cells = max(len(nodes) - 1, 1)
     borders = _borders(grid.cols, grid.margin, cells * max(1, -(-grid.cols // (cells * _COLS))))
 

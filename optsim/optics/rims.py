@@ -1,6 +1,9 @@
 # pyright: reportMissingTypeStubs=false
 """What fringing fields do to the rims of panel pixels beyond the mixing of weights.
 
+It is worth up to 1.8 dB to the adaptive scheme in ``night_street``, and below 0.1 dB in ``window_room`` and
+``half_moving`` (``reports/fidelity.md``).
+
 Fringing fields blur retardance, and intensity is a bent function of it: ``sin^2(Gamma / 2)``. Mixing the
 neighbours' weights (:mod:`optsim.optics.fringing`) is right for a straight border between black and white
 that stands still; on grey levels, in corners and in passing from level to level the rims differ. Here the

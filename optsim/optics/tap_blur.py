@@ -1,10 +1,6 @@
 """Blur by small kernels that vary over the field, tap by tap: a compiled loop.
 
 To multiply and add is cheaper than to transform where kernels are small, and needs no more than is lit.
-Columns are collected four at a time, with nine products instead of sixteen. Of light d and taps g the sums
-d0 g0 + d1 g1 and d1 g0 + d2 g1 take three instead of four: (d0 - d1) g0 and (d2 - d1) g1, to each of which
-d1 (g0 + g1) is added; and pairs of columns are again two such sums (S. Winograd, *Arithmetic Complexity of
-Computations*, SIAM, 1980).
 """
 
 from __future__ import annotations
@@ -18,7 +14,7 @@ from optsim.core.quantities import Doubles, Floats, Ints
 
 # Half width of kernels beyond which transforms are cheaper.
 LARGEST_TAPS = 12
-# Taps of each fourth column that are worked through together.
+# Taps that are worked through together.
 _TAPS = 6
 # Loops over whole vectors, several at a time, have no rest to do one by one.
 _WHOLE = 32
@@ -56,24 +52,9 @@ class Patch(NamedTuple):
     col: int
 
 
-def factors_of_kernels(kernels: Doubles) -> Floats:
-    """Make kernels ready to collect with.
-
-    Parameters
-    ----------
-    kernels : ndarray of shape (i, i, 2 h + 1, 2 h + 1), float64
-        At the nodes of an even grid from edge to edge of the field, or one for all of it.
-
-    Returns
-    -------
-    ndarray of shape (i, i, 9, 2 h + 1, taps), float32
-        What each of the nine factors of light is multiplied with, from each fourth column of taps.
-    """
-    side = kernels.shape[3]
-    taps = np.pad(kernels, [(0, 0)] * 3 + [(0, -side % (4 * _TAPS))])
-    g0, g1, g2, g3 = np.moveaxis(taps.reshape(*taps.shape[:3], -1, 4), -1, 0)
-    pairs = [(g0, g2), (g0 + g1, g2 + g3), (g1, g3)]
-    return np.stack([part for a, b in pairs for part in (a, a + b, b)], axis=2).astype(np.float32)
+def kernels_in_sixes(kernels: Doubles) -> Floats:
+    """Make kernels ready to collect with: (i, i, 2 h + 1, 2 h + 1), taps filled up to whole sixes by none."""
+    return np.pad(kernels, [(0, 0)] * 3 + [(0, -kernels.shape[3] % _TAPS)]).astype(np.float32)
 
 
 @compiled(fastmath=True)
@@ -94,8 +75,8 @@ def collect_strip(
         What is collected.
     grid : Grid
         Where it lies.
-    nodes : ndarray of shape (i, i, 9, 2 h + 1, taps), float32
-        From :func:`factors_of_kernels`.
+    nodes : ndarray of shape (i, i, 2 h + 1, taps), float32
+        From :func:`kernels_in_sixes`: at the nodes of an even grid from edge to edge of the field, or one.
     borders : ndarray of shape (tile + 1,), int64
         Columns of the field at which tiles begin and end, no node's column within any.
     target : Patch
@@ -103,15 +84,15 @@ def collect_strip(
     first, end : int
         The grid's rows that collect.
     """
-    n, n_nodes, side = len(light.excess), len(nodes), nodes.shape[3]
-    half, tall, taps = side // 2, end - first + side - 1, nodes.shape[4]
+    n, n_nodes, side = len(light.excess), len(nodes), nodes.shape[2]
+    half, tall, taps = side // 2, end - first + side - 1, nodes.shape[3]
     widest = np.diff(borders).max()
-    fours = -(-n * (widest + 2 * half) // (4 * _WHOLE)) * _WHOLE + taps
-    # A tile's light, all instants side by side, and its nine factors.
-    lines, factors = np.empty((tall, 4 * fours + 3), np.float32), np.empty(9 * tall * fours, np.float32)
+    room = -(-n * (widest + 2 * half) // _WHOLE) * _WHOLE
+    # A tile's light, all instants side by side.
+    lines = np.empty((tall, room + taps), np.float32)
     # Of a row, with the kernels of both nodes beside a tile, or with the only one; and these kernels.
-    totals, sums = np.empty((2, 9, fours), np.float32), np.zeros((2, 4 * fours), np.float32)
-    own = np.empty((min(n_nodes, 2), 9, side, taps), np.float32)
+    totals = np.zeros((2, room), np.float32)
+    own = np.empty((min(n_nodes, 2), side, taps), np.float32)
     all_nodes, all_own = nodes.reshape((n_nodes, n_nodes, -1)), own.reshape((len(own), -1))
     hats = np.empty((2, widest), np.float32)
     # Of each instant: the columns that collect anything, and where they begin in the lines.
@@ -131,11 +112,8 @@ def collect_strip(
             _copy_lines(light, grid, t, first - half, reached[t, 0] - half, lines[:, begin[t] : begin[t + 1]])
         if begin[n] == 0:
             continue
-        length = -(-begin[n] // (4 * _WHOLE)) * _WHOLE
-        wide = length + taps
-        lines[:, begin[n] : 4 * wide + 3] = 0
-        of_light = factors[: 9 * tall * wide].reshape((9, tall, wide))
-        _factors_of_light(lines, of_light)
+        length = -(-begin[n] // _WHOLE) * _WHOLE
+        lines[:, begin[n] : length + taps] = 0
         node = int(_place((start + stop - 1) / 2, grid.cols, grid.margin, n_nodes))
         for x in range(start, stop):
             hats[1, x - start] = min(max(_place(x, grid.cols, grid.margin, n_nodes) - node, 0.0), 1.0)
@@ -143,9 +121,8 @@ def collect_strip(
         for y in range(first, end):
             _kernels_between(all_nodes, _place(y, grid.rows, grid.margin, n_nodes), node, all_own)
             taps_down = max(top - (y - first), 0), min(bottom - (y - first), side)
-            _add_products(of_light, y - first, taps_down, own, totals, length)
-            _put_together(totals, len(own), length, sums)
-            _weigh(sums, begin, hats, start, reached, target, y)
+            _add_products(lines, y - first, taps_down, own, totals, length)
+            _weigh(totals, begin, hats, start, reached, target, y)
 
 
 @compiled(fastmath=True)
@@ -214,62 +191,31 @@ def _kernels_between(nodes: Floats, place: float, node: int, own: Floats) -> Non
 
 
 @compiled(fastmath=True, makes_arrays=False)
-def _factors_of_light(lines: Floats, factors: Floats) -> None:
-    """Find the nine factors of each four columns, (9, y, four), of these and the three after them."""
-    for y in range(np.uint64(factors.shape[1])):
-        for four in range(np.uint64(factors.shape[2])):
-            x = np.uint64(4) * four
-            d0, d1, d2 = lines[y, x], lines[y, x + np.uint64(1)], lines[y, x + np.uint64(2)]
-            d3, d4 = lines[y, x + np.uint64(3)], lines[y, x + np.uint64(4)]
-            d5, d6 = lines[y, x + np.uint64(5)], lines[y, x + np.uint64(6)]
-            factors[0, y, four], factors[1, y, four] = d0 - d1 - d2 + d3, d2 - d3
-            factors[2, y, four], factors[3, y, four] = d4 - d5 - d2 + d3, d1 - d3
-            factors[4, y, four], factors[5, y, four] = d3, d5 - d3
-            factors[6, y, four], factors[7, y, four] = d2 - d1 - d4 + d3, d4 - d3
-            factors[8, y, four] = d6 - d5 - d4 + d3
-
-
-@compiled(fastmath=True, makes_arrays=False)
 def _add_products(
-    factors: Floats, first: int, taps_down: tuple[int, int], kernels: Floats, totals: Floats, length: int
+    lines: Floats, first: int, taps_down: tuple[int, int], kernels: Floats, totals: Floats, length: int
 ) -> None:
     """Sum the products of a row, with one kernel or two; of taps from the first to before the last of two.
 
     Several taps of both kernels at a time: light is read, and sums are written, that much more seldom.
     """
     n, last = np.uint64(length), np.uint64(kernels.shape[0] - 1)
-    for p in range(np.uint64(9)):
-        for x in range(n):
-            totals[0, p, x] = totals[1, p, x] = 0
-        for a in range(np.uint64(taps_down[0]), np.uint64(max(taps_down))):
-            y = np.uint64(first) + a
-            for b in range(np.uint64(0), np.uint64(kernels.shape[3]), np.uint64(_TAPS)):
-                b1, b2, b3 = b + np.uint64(1), b + np.uint64(2), b + np.uint64(3)
-                b4, b5 = b + np.uint64(4), b + np.uint64(5)
-                k0, k1, k2 = kernels[0, p, a, b], kernels[0, p, a, b1], kernels[0, p, a, b2]
-                k3, k4, k5 = kernels[0, p, a, b3], kernels[0, p, a, b4], kernels[0, p, a, b5]
-                q0, q1, q2 = kernels[last, p, a, b], kernels[last, p, a, b1], kernels[last, p, a, b2]
-                q3, q4, q5 = kernels[last, p, a, b3], kernels[last, p, a, b4], kernels[last, p, a, b5]
-                for x in range(n):
-                    v0, v1, v2 = factors[p, y, x + b], factors[p, y, x + b1], factors[p, y, x + b2]
-                    v3, v4, v5 = factors[p, y, x + b3], factors[p, y, x + b4], factors[p, y, x + b5]
-                    totals[0, p, x] += k0 * v0 + k1 * v1 + k2 * v2 + k3 * v3 + k4 * v4 + k5 * v5
-                    if last:
-                        totals[1, p, x] += q0 * v0 + q1 * v1 + q2 * v2 + q3 * v3 + q4 * v4 + q5 * v5
-
-
-@compiled(fastmath=True, makes_arrays=False)
-def _put_together(totals: Floats, kernels: int, length: int, sums: Floats) -> None:
-    """Put the columns of a row together from its sums of products."""
-    for j in range(np.uint64(kernels)):
-        for four in range(np.uint64(length)):
-            x = np.uint64(4) * four
-            before, after = totals[j, 1, four], totals[j, 7, four]
-            early, late = totals[j, 4, four] + totals[j, 3, four], totals[j, 4, four] + totals[j, 5, four]
-            sums[j, x] = early + before + totals[j, 0, four]
-            sums[j, x + np.uint64(1)] = early + after + totals[j, 6, four]
-            sums[j, x + np.uint64(2)] = late + before + totals[j, 2, four]
-            sums[j, x + np.uint64(3)] = late + after + totals[j, 8, four]
+    for x in range(n):
+        totals[0, x] = totals[1, x] = 0
+    for a in range(np.uint64(taps_down[0]), np.uint64(max(taps_down))):
+        y = np.uint64(first) + a
+        for b in range(np.uint64(0), np.uint64(kernels.shape[2]), np.uint64(_TAPS)):
+            b1, b2, b3 = b + np.uint64(1), b + np.uint64(2), b + np.uint64(3)
+            b4, b5 = b + np.uint64(4), b + np.uint64(5)
+            k0, k1, k2 = kernels[0, a, b], kernels[0, a, b1], kernels[0, a, b2]
+            k3, k4, k5 = kernels[0, a, b3], kernels[0, a, b4], kernels[0, a, b5]
+            q0, q1, q2 = kernels[last, a, b], kernels[last, a, b1], kernels[last, a, b2]
+            q3, q4, q5 = kernels[last, a, b3], kernels[last, a, b4], kernels[last, a, b5]
+            for x in range(n):
+                v0, v1, v2 = lines[y, x + b], lines[y, x + b1], lines[y, x + b2]
+                v3, v4, v5 = lines[y, x + b3], lines[y, x + b4], lines[y, x + b5]
+                totals[0, x] += k0 * v0 + k1 * v1 + k2 * v2 + k3 * v3 + k4 * v4 + k5 * v5
+                if last:
+                    totals[1, x] += q0 * v0 + q1 * v1 + q2 * v2 + q3 * v3 + q4 * v4 + q5 * v5
 
 
 @compiled(fastmath=True, makes_arrays=False)
