@@ -27,7 +27,7 @@ class Keyframed(Part):
 
     At any time the body is spun about ``spin_axis`` through ``spin_center_m``. Then it is rotated by the yaw
     about the vertical through ``pivot_m``, and then shifted. Before the first and after the last keyframe it
-    rests (except for its steady spin), unless it repeats.
+    rests (except for its steady spin and velocity), unless it repeats.
 
     Parameters
     ----------
@@ -49,6 +49,9 @@ class Keyframed(Part):
         Steady spin, revolutions per second.
     spin_rad : tuple of float
         Angle of the spin on top of the steady one, one a keyframe; empty for none.
+    velocity_m_s, acceleration_m_s2 : vector
+        Steady velocity and acceleration on top of the keyframes; a body that is thrown falls by
+        (0, 0, -9.81).
     interpolation : "linear" or "smooth"
         Between keyframes: linear, or the monotone cubic of F. N. Fritsch and J. Butland, "A method for
         constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5 (1984) 300.
@@ -68,6 +71,8 @@ class Keyframed(Part):
     spin_center_m: Vector | None = None
     spin_hz: float = 0.0
     spin_rad: tuple[float, ...] = ()
+    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    acceleration_m_s2: Vector = (0.0, 0.0, 0.0)
     interpolation: Literal["linear", "smooth"] = "smooth"
     repeat: bool = False
 
@@ -112,7 +117,8 @@ class Keyframed(Part):
         spin = self._at(self.spin_rad, time_s) + 2 * np.pi * self.spin_hz * time_s
         spun = (points_m - center) @ rotation(self.spin_axis, float(spin)).T + center
         turned = geometry.turn(spun - pivot, float(self._at(self.yaw_rad, time_s))) + pivot
-        return turned + self._at(self.positions_m, time_s)
+        steady = np.asarray(self.velocity_m_s) * time_s + np.asarray(self.acceleration_m_s2) / 2 * time_s**2
+        return turned + self._at(self.positions_m, time_s) + steady
 
     def _at(self, values: tuple[float, ...] | tuple[Vector, ...], time_s: float) -> Doubles:
         if not values:

@@ -21,6 +21,7 @@ from optsim.core.quantities import Doubles
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
 from optsim.scene.models import FORMATS, Model, read_model, sha256_of
+from optsim.scene.solids import rotated
 
 Unit = Literal["m", "cm", "mm", "in", "ft"]
 _UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -48,8 +49,9 @@ class MeshObject(Part):
         Scale the model to this height instead.
     up : {"x", "y", "z"} or None
         Axis of the file that points up; y by the rule of glTF. Other formats need it.
-    anchor : {"base", "origin"}
-        Point of the model that is placed: the middle of its lowest side, or the file's own origin.
+    anchor : {"base", "middle", "origin"}
+        Point of the model that is placed: the middle of its lowest side, the middle of its bounding box, or
+        the file's own origin.
     position_m : vector
         Place of this point.
     rotation_rad : vector
@@ -66,7 +68,7 @@ class MeshObject(Part):
     unit: Unit | None = None
     height_m: Positive | None = None
     up: Literal["x", "y", "z"] | None = None
-    anchor: Literal["base", "origin"] = "base"
+    anchor: Literal["base", "middle", "origin"] = "base"
     position_m: Vector = (0.0, 0.0, 0.0)
     rotation_rad: Vector = (0.0, 0.0, 0.0)
     part: int = Field(default=0, ge=0)
@@ -135,10 +137,12 @@ def _placed(item: MeshObject) -> Mesh:
     model = read_model(Path(item.file))
     up = item.up or "z"
     low, high = _upright(model, up)
-    anchor = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    anchor = (low + high) / 2 if item.anchor != "origin" else np.zeros(3)
+    if item.anchor == "base":
+        anchor[2] = low[2]
     mesh = model.parts[item.part][1]
-    points = mesh.vertices_m @ _UPRIGHT[up].T - (anchor if item.anchor == "base" else 0)
-    turned = points * item.scale(model) @ _rotation(item.rotation_rad).T
+    points = mesh.vertices_m @ _UPRIGHT[up].T - anchor
+    turned = points * item.scale(model) @ rotated(item.rotation_rad).T
     return Mesh(turned + np.asarray(item.position_m), mesh.faces, mesh.uv)
 
 
@@ -146,12 +150,6 @@ def _upright(model: Model, up: str) -> tuple[Doubles, Doubles]:
     """Lowest and highest corner with the file's up axis along z."""
     points = [mesh.vertices_m @ _UPRIGHT[up].T for _, mesh in model.parts]
     return np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
-
-
-def _rotation(angles_rad: Vector) -> Doubles:
-    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
-
-    return np.asarray(Rotation.from_euler("xyz", angles_rad).as_matrix(), np.float64)
 
 
 @functools.lru_cache(maxsize=32)

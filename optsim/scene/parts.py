@@ -12,6 +12,7 @@ from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
 from optsim.scene.mesh_objects import MeshObject
+from optsim.scene.solids import Solid
 
 
 def check_edges(u_m: Vector, v_m: Vector, *, orthogonal: bool) -> None:
@@ -168,4 +169,6 @@ class Plant(Part):
         return geometry.merge(leaves)
 
 
-StillObject = Annotated[Quad | Box | Wall | Rod | Globe | Plant | MeshObject, Field(discriminator="kind")]
+StillObject = Annotated[
+    Quad | Box | Wall | Rod | Globe | Plant | Solid | MeshObject, Field(discriminator="kind")
+]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optsim.core.config import Part, build, read_toml
+from optsim.core.config import Part, Table, build, read_toml
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.scene.bands import MONO_NM, Band, tables, taken
 from optsim.scene.camera_pose import CameraPose
@@ -20,6 +20,7 @@ from optsim.scene.materials import Diffuse, Material, Plastic, polarises
 from optsim.scene.mesh_objects import VertexSequence, model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
+from optsim.scene.populate import with_population
 from optsim.scene.static_shapes import StaticShapes, read_static
 from optsim.scene.textures import PHOTOGRAPHS, photograph
 from optsim.scene.variation import extremes, named_variations, varied
@@ -316,14 +317,19 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     if isinstance(static, str):
         table["static"] = read_static(path.parent, static)
     for extreme in extremes(table, str(path)):
-        whole = with_models(extreme, path.parent, f"{path}, at an end of its ranges")
-        build(Scene, whole, where=f"{path}, at an end of its ranges")
-    chosen = with_models(varied(table, variation, str(path)), path.parent, str(path))
+        end = f"{path}, at an end of its ranges"
+        build(Scene, _expanded(extreme, "0", path.parent, end), where=end)
+    chosen = _expanded(varied(table, variation, str(path)), variation, path.parent, str(path))
     scene = build(Scene, chosen | {"variation": variation}, where=str(path))
     for material in scene.materials.values():
         if isinstance(material, Diffuse | Plastic) and material.texture in PHOTOGRAPHS:
             photograph(material.texture)
     return scene
+
+
+def _expanded(table: Table, variation: str, folder: Path, where: str) -> Table:
+    """Draw the populations of a scene's table and expand its models."""
+    return with_models(with_population(table, variation, folder, where), folder, where)
 
 
 def model_scene(path: Path) -> Scene:

@@ -70,12 +70,12 @@ def is_number(variation: str) -> bool:
     )
 
 
-def _number_of(variation: str, key: str) -> int:
-    """Return the number that the ranges of a key's table follow."""
+def number_of(variation: str, aspect: str) -> int:
+    """Return the number that an aspect of a variation follows; 0 for a variation with a name."""
+    if not is_number(variation):
+        return 0
     first, *further = variation.split(",")
-    numbers = dict(text.split("=") for text in further)
-    aspect = next((name for name, tables in ASPECTS.items() if key.partition(".")[0] in tables), "")
-    return int(numbers.get(aspect, first))
+    return int(dict(text.split("=") for text in further).get(aspect, first))
 
 
 def varied(table: Table, variation: str, where: str) -> Table:
@@ -104,7 +104,7 @@ def varied(table: Table, variation: str, where: str) -> Table:
         return plain
     if not is_number(variation):
         raise unknown_name(f"variation of {where}", variation, ["main", *named])
-    if not ranges:
+    if not ranges and "populate" not in table:
         raise ConfigError(
             f"{where}: variation {variation!r} is a number, which draws the scene's ranges, but it has none; "
             "cure: add a table [ranges], or choose one of: " + ", ".join(["main", *named])
@@ -116,7 +116,9 @@ def varied(table: Table, variation: str, where: str) -> Table:
 def _stream(scene: str, key: str, variation: str) -> np.random.Generator:
     """Random numbers of one key in a variation of a scene."""
     words = [zlib.crc32(text.encode()) for text in (scene, key)]
-    return np.random.default_rng([*words, _number_of(variation, key)])
+    table = key.partition(".")[0]
+    aspect = next((name for name, tables in ASPECTS.items() if table in tables), "")
+    return np.random.default_rng([*words, number_of(variation, aspect)])
 
 
 def extremes(table: Table, where: str) -> Iterator[Table]:

@@ -136,7 +136,7 @@ def _attempt(root: Path, task: Task) -> tuple[str, str]:
 @contextmanager
 def _client(workers: int, scheduler: str | None) -> Generator[Any]:
     """Connect to workers: to a scheduler's, or to new ones, which end with the block."""
-    import dask
+    from dask import config
     from distributed import Client, LocalCluster
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -159,7 +159,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any]:
     }
     environment = {"OPTSIM_THREADS": str(max(1, CORES // workers)), "PYTHONWARNINGS": "ignore"}
     with (
-        dask.config.set(settings),
+        config.set(settings),
         TemporaryDirectory(prefix="optsim-") as scratch,
         LocalCluster(
             n_workers=workers,
