@@ -113,10 +113,10 @@ def _measure(experiment: Experiment, variant: str) -> dict[str, Any]:
         result = loop.run(experiment, radiance)
         seconds = time.process_time() - start
         cells = {
-            f"{name}, {r['method']}, {r['region']}, {r['phase']}": r["value"]
+            f"{name}, {r.method}, {r.region}, {r.phase}": r.value
             for r in score(result)
             for name in _METRICS
-            if r["metric"].startswith(name) and r["value"] is not None
+            if r.metric.startswith(name) and r.value is not None
         }
     return {"cells": cells, "seconds": seconds}
 
