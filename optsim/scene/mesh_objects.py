@@ -86,6 +86,43 @@ class MeshObject(Part):
         return _UNITS_M[self.unit or "m"]
 
 
+class AnimatedModel(Part):
+    """Part of a model that its file's own animation moves; scenes write it as a mover of kind ``mesh``.
+
+    Parameters
+    ----------
+    item : MeshObject
+        The part, at rest.
+    speed : float
+        Times as fast as the file says.
+    repeat : bool
+        Start again after the last keyframe.
+    """
+
+    kind: Literal["animated"] = "animated"
+    item: MeshObject
+    speed: Positive = 1.0
+    repeat: bool = True
+
+    @property
+    def material(self) -> str:
+        """Material of the part."""
+        return self.item.material
+
+    def rest(self) -> Mesh:
+        """Mesh at time 0."""
+        mesh = self.item.mesh()
+        return Mesh(self.vertices(0.0), mesh.faces, mesh.uv)
+
+    def vertices(self, time_s: float) -> Doubles:
+        """Positions (n, 3), m."""
+        model = read_model(Path(self.item.file))
+        place = time_s * self.speed
+        if self.repeat and model.animation is not None:
+            place %= max(model.animation.duration_s, 1e-9)
+        return _in_scene(self.item, model, model.vertices(self.item.part, place))
+
+
 class VertexSequence(Part):
     """Mesh whose vertices are known at times: bodies, cloth; between them they move in straight lines.
 
@@ -135,15 +172,19 @@ class VertexSequence(Part):
 def _placed(item: MeshObject) -> Mesh:
     """Triangles of a part in the scene's frame; cached, since every pose starts from it."""
     model = read_model(Path(item.file))
+    mesh = model.parts[item.part][1]
+    return Mesh(_in_scene(item, model, mesh.vertices_m), mesh.faces, mesh.uv)
+
+
+def _in_scene(item: MeshObject, model: Model, vertices: Doubles) -> Doubles:
+    """Take vertices of the file to the scene, m."""
     up = item.up or "z"
     low, high = _upright(model, up)
     anchor = (low + high) / 2 if item.anchor != "origin" else np.zeros(3)
     if item.anchor == "base":
         anchor[2] = low[2]
-    mesh = model.parts[item.part][1]
-    points = mesh.vertices_m @ _UPRIGHT[up].T - anchor
-    turned = points * item.scale(model) @ rotated(item.rotation_rad).T
-    return Mesh(turned + np.asarray(item.position_m), mesh.faces, mesh.uv)
+    points = vertices @ _UPRIGHT[up].T - anchor
+    return points * item.scale(model) @ rotated(item.rotation_rad).T + np.asarray(item.position_m)
 
 
 def _upright(model: Model, up: str) -> tuple[Doubles, Doubles]:
@@ -206,8 +247,12 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
         if _kind(mover) == "vertices":
             movers[name] = {**mover, **_hashed(folder, f"{where}: movers.{name}", mover)}
         elif _kind(mover) == "mesh":
-            # A model that moves is an object on keyframes.
             own = {key: value for key, value in mover.items() if key in MeshObject.model_fields}
+            if mover.get("animation") is not None:
+                del movers[name]
+                movers |= _animated(own, mover, name, folder, where, materials, _distance(table))
+                continue
+            # A model that moves otherwise is an object on keyframes.
             objects[name] = own
             path = {key: value for key, value in mover.items() if key not in own or key == "kind"}
             movers[name] = {**path, "kind": "keyframed", "objects": [name]}
@@ -231,6 +276,33 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
             movers[name] = {**mover, "objects": listed}
     changed = {"objects": objects, "movers": movers, "materials": materials}
     return {**table, **{key: value for key, value in changed.items() if value or key in table}}
+
+
+def _animated(
+    own: Table, mover: Table, name: str, folder: Path, where: str, materials: Table, distance_m: float
+) -> Table:
+    """Movers that a model with an animation becomes; its materials are added."""
+    place = f"{where}: movers.{name}"
+    if mover["animation"] != "play":
+        raise ConfigError(
+            f'{place}.animation: got {mover["animation"]!r}, expected "play"; cure: leave it out'
+        )
+    if extra := sorted({*mover} - {*own, "kind", "animation", "speed", "repeat"}):
+        raise ConfigError(f"{place}.{extra[0]}: got it beside an animation, expected one of the two; drop it")
+    found: Table = {}
+    parts = _expanded(own, name, folder, place, distance_m)
+    model = read_model(Path(parts[0][1][0]["file"]))
+    if not model.moves():
+        raise ConfigError(
+            f'{place}.animation: got "play", but the nodes of {own["file"]} rest (skins and morph targets '
+            "are not read); cure: leave it out, or export the vertices and take a mover of kind vertices"
+        )
+    for key, (part, material) in parts:
+        further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
+        found[key] = {"kind": "animated", "item": {**part, "kind": "mesh"}, **further}
+        if material is not None:
+            materials[key] = material
+    return found
 
 
 def _expanded(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +17,7 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles, Floats
 from optsim.scene.geometry import Faces, Mesh
+from optsim.scene.node_animation import NodeAnimation, read_animation, world_matrices
 
 FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
 """Suffix -> axis that points up by the format's own rule; None where files differ."""
@@ -61,10 +63,38 @@ class Model:
         Triangles of one material each; texture v points up.
     dropped : int
         Degenerate triangles that were left out.
+    played : tuple of (int, ndarray)
+        Of each part its node, and its vertices in the node's frame, (n, 3); empty without an animation.
+    animation : NodeAnimation or None
+        How nodes move.
+    roots : tuple of int
+        Nodes at the top.
     """
 
     parts: tuple[tuple[Surface, Mesh], ...]
     dropped: int
+    played: tuple[tuple[int, Doubles], ...] = ()
+    animation: NodeAnimation | None = None
+    roots: tuple[int, ...] = ()
+
+    def vertices(self, part: int, time_s: float) -> Doubles:
+        """Vertices of a part at a time of the animation, (n, 3), in the file's frame and unit."""
+        if self.animation is None:
+            return self.parts[part][1].vertices_m
+        node, points = self.played[part]
+        matrix = world_matrices(self.animation, self.roots, time_s)[node]
+        return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def moves(self) -> bool:
+        """Whether the animation moves any part."""
+        if self.animation is None:
+            return False
+        times = np.linspace(0, self.animation.duration_s, 9)
+        return any(
+            (self.vertices(part, time) != self.vertices(part, 0.0)).any()
+            for part in range(len(self.parts))
+            for time in times
+        )
 
     def bounds(self) -> tuple[Doubles, Doubles]:
         """Lowest and highest corner, in the file's unit."""
@@ -104,9 +134,14 @@ def _sha256(path: Path, _mtime_ns: int, _size: int) -> str:
 def _read(path: Path, _mtime_ns: int, _size: int) -> Model:
     import trimesh
 
+    # What it warns of leaves no triangles, which is refused below.
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     with reading(path, "a model with triangles", "export it again, for example as GLB"):
         scene = cast("Any", trimesh.load_scene(path, process=False))
         found: list[tuple[Surface, Mesh]] = []
+        played: list[tuple[int, Doubles]] = []
+        animation = read_animation(path) if path.suffix.lower() in (".glb", ".gltf") else None
+        numbers = _node_numbers(animation)
         dropped = 0
         for node in scene.graph.nodes_geometry:
             matrix, name = scene.graph[node]
@@ -117,9 +152,28 @@ def _read(path: Path, _mtime_ns: int, _size: int) -> Model:
             dropped += bad
             if len(mesh.faces):
                 found.append((_surface(geometry), mesh))
+                if animation is not None:
+                    above = scene.graph.transforms.parents.get(node)
+                    played.append((numbers.get(node, numbers.get(above, -1)), np.asarray(geometry.vertices)))
     if not found:
         raise ConfigError(f"{path}: got no triangles, expected a mesh; cure: triangulate and export it again")
-    return Model(tuple(found), dropped)
+    if animation is None or any(node < 0 for node, _ in played):
+        return Model(tuple(found), dropped)
+    below = {child for node in animation.nodes for child in node.get("children", [])}
+    roots = tuple(node for node in range(len(animation.nodes)) if node not in below)
+    return Model(tuple(found), dropped, tuple(played), animation, roots)
+
+
+def _node_numbers(animation: NodeAnimation | None) -> dict[str, int]:
+    """Numbers of the nodes by the names that trimesh gives them."""
+    from trimesh.util import unique_name
+
+    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    for number, node in enumerate(animation.nodes if animation is not None else []):
+        name = cast("Any", unique_name)(node.get("name", str(number)), found, counts=counts)
+        found[name] = number
+    return found
 
 
 def _mesh(path: Path, name: str, geometry: Any, matrix: Doubles) -> tuple[Mesh, int]:

@@ -17,7 +17,7 @@ from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
-from optsim.scene.mesh_objects import VertexSequence, model_table, with_models
+from optsim.scene.mesh_objects import AnimatedModel, VertexSequence, model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
 from optsim.scene.populate import with_population
@@ -38,12 +38,13 @@ Mover = Annotated[
     | Car
     | Crowd
     | Keyframed
-    | VertexSequence,
+    | VertexSequence
+    | AnimatedModel,
     Field(discriminator="kind"),
 ]
 
 # Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.
-SingleMover = Single | Wheel | CarBody | KeyframedObjects | VertexSequence
+SingleMover = Single | Wheel | CarBody | KeyframedObjects | VertexSequence | AnimatedModel
 
 
 class Scene(Part):
