@@ -1,11 +1,13 @@
 """Decoders: coded frames -> Reconstruction, causally, from the calibration alone. One decoder a file."""
 
-from typing import Annotated
+from typing import Annotated, get_args
 
 from pydantic import Field
 
+from optsim.core.config import Part
 from optsim.decoding.average import Average
 from optsim.decoding.partial_decoders import (
+    AnyPartialDecoder,
     GaussianMixture,
     HdrMerge,
     Interpolation,
@@ -15,27 +17,9 @@ from optsim.decoding.partial_decoders import (
 )
 from optsim.decoding.union import Union
 
-ALL = (
-    HdrMerge,
-    SparseCoding,
-    GaussianMixture,
-    Average,
-    Interpolation,
-    TotalVariation,
-    MotionDeblurring,
-    Union,
-)
-Decoder = Annotated[
-    HdrMerge
-    | SparseCoding
-    | GaussianMixture
-    | Average
-    | Interpolation
-    | TotalVariation
-    | MotionDeblurring
-    | Union,
-    Field(discriminator="kind"),
-]
+# Decoders that the union may take for what moves stand in one list, :mod:`optsim.decoding.partial_decoders`.
+ALL: tuple[type[Part], ...] = (*get_args(AnyPartialDecoder), Average, Union)
+Decoder = Annotated[AnyPartialDecoder | Average | Union, Field(discriminator="kind")]
 
 __all__ = [
     "ALL",

@@ -25,7 +25,7 @@ _TOO_FEW = 0.25
 class CodedImage:
     """A coded frame on the panel grid, each pixel by itself.
 
-    Zero where not usable; but where few pixels around are, those that aren't have the nearest one's sample.
+    Unusable pixels are zero. In gaps with under a quarter usable pixels they have the nearest usable sample.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def covered(
     full: Floats,
     variance: Floats | None = None,
 ) -> Partial:
-    """Mean of the patches over each pixel; the fewer of all patches there are, the less opaque.
+    """Average the patches over each pixel; the blend weight is the share of possible patches decoded.
 
     Patches over a pixel have seen the same samples with the same prior, so their errors are nearly the same
     error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation

@@ -46,10 +46,10 @@ class HdrMerge(PartialDecoder):
     its inventors interpolate (S. K. Nayar and T. Mitsunaga, CVPR 2000, doi:10.1109/CVPR.2000.855857). Of
     texture below its noise, white from pixel to pixel, the uncertainty is too small: by 1.4 at most in tests.
 
-    What saturates in every frame is as bright as its glare says, region by region
-    (:func:`~optsim.decoding.hidden_light.told_by_glare`), or just bright enough to saturate. What is
-    filled is as uncertain as bright. ``moving`` is what changed since the frame before; all that nobody
-    compared counts as changed.
+    A pixel that saturates in every frame gets its irradiance from the glare it causes, region by region
+    (:func:`~optsim.decoding.hidden_light.told_by_glare`), or else the saturation level. The standard
+    deviation of a filled value equals the value. ``moving`` is what changed since the frame before; all that
+    nobody compared counts as changed.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class PartialDecoder(Part, ABC):
 
     @abstractmethod
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the blend weights of a seam."""
+        """Decode frame by frame, with blend weights for the union: all that a new decoder writes."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
         """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.

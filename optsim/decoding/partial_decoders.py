@@ -1,4 +1,4 @@
-"""The decoders that others are made of."""
+"""The decoders that others are made of; this is their only list, and a new one goes into it."""
 
 from optsim.decoding.gaussian_mixture import GaussianMixture
 from optsim.decoding.hdr_merge import HdrMerge
@@ -7,11 +7,6 @@ from optsim.decoding.motion_deblurring import MotionDeblurring
 from optsim.decoding.sparse_coding import SparseCoding
 from optsim.decoding.total_variation import TotalVariation
 
-__all__ = [
-    "GaussianMixture",
-    "HdrMerge",
-    "Interpolation",
-    "MotionDeblurring",
-    "SparseCoding",
-    "TotalVariation",
-]
+AnyPartialDecoder = (
+    HdrMerge | SparseCoding | GaussianMixture | Interpolation | TotalVariation | MotionDeblurring
+)

@@ -18,19 +18,9 @@ from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
 from optsim.decoding.average import Average
 from optsim.decoding.coded_images import box_mean
 from optsim.decoding.partial import Partial
-from optsim.decoding.partial_decoders import (
-    GaussianMixture,
-    HdrMerge,
-    Interpolation,
-    MotionDeblurring,
-    SparseCoding,
-    TotalVariation,
-)
+from optsim.decoding.partial_decoders import AnyPartialDecoder, HdrMerge, SparseCoding
 
-_Moving = Annotated[
-    SparseCoding | GaussianMixture | Average | Interpolation | TotalVariation | MotionDeblurring,
-    Field(discriminator="kind"),
-]
+_Moving = Annotated[AnyPartialDecoder | Average, Field(discriminator="kind")]
 # Where its share of the picture would be less, no video is decoded.
 _LEAST_SHARE = 0.05
 _SMOOTH_PX = 3
@@ -47,7 +37,7 @@ class Union(Part):
     ``moving`` is where all of the video is decoded: within the code's mask, near a change.
 
     Where the two are mixed so are their standard deviations, as if both made the same error: an upper bound.
-    Without a word from the video's decoder it is 0, not known, where there is any video.
+    Where the video's decoder states no uncertainty, pixels with any video have 0, which means unknown.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) ->
     ----------
     experiment : Experiment
         Its camera, as planned, and its seed.
-    known : Known, optional
+    known : CalibrationChoice, optional
         By default the experiment's own.
     """
     return _calibrations(experiment, (known or experiment.calibration_choice,))[0]
@@ -303,7 +303,7 @@ class Result:
     light : LightLevel
         What the light rule decided.
     calibrations : dict
-        What was known of the camera: :class:`~optsim.calibration.choice.Known` -> calibration.
+        What was known of the camera: :class:`~optsim.calibration.choice.CalibrationChoice` -> calibration.
     truth : IrradianceVideo
         Light on the modulator; lazy.
     radiance : RadianceVideo

@@ -47,7 +47,7 @@ class TruthFacts:
 
 @dataclass(frozen=True)
 class SceneLight:
-    """As what light a scene is rendered.
+    """Whether a scene is rendered polarised or unpolarised, and why.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _STEPS = 2000
 
 
 def border_shares(sigma_px: float, pitch: int) -> Doubles:
-    """Whose reflectance the fine cells of a pixel have along one axis.
+    """Shares of the previous, own and next pixel in the reflectance of each fine cell along an axis.
 
     Parameters
     ----------

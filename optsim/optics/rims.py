@@ -1,8 +1,8 @@
 # pyright: reportMissingTypeStubs=false
 """What fringing fields do to the rims of panel pixels beyond the mixing of weights.
 
-It is worth up to 1.8 dB to the adaptive scheme in ``night_street``, and below 0.1 dB in ``window_room`` and
-``half_moving`` (``reports/fidelity.md``).
+Without it the adaptive scheme scores up to 1.8 dB too well in ``night_street``; in ``window_room`` and
+``half_moving`` scores move by less than 0.1 dB (``reports/fidelity.md``).
 
 Fringing fields blur retardance, and intensity is a bent function of it: ``sin^2(Gamma / 2)``. Mixing the
 neighbours' weights (:mod:`optsim.optics.fringing`) is right for a straight border between black and white
@@ -13,12 +13,13 @@ pixel and its eight neighbours, which relax as in :mod:`optsim.optics.relaxation
     weight of a cell = mix of weights
                        + mean over points and times of (sin^2(blurred Gamma / 2) - mix of sin^2(Gamma / 2))
 
-where the mix at a point is that of a border which stands still, so that nothing is added there whatever the
-points. Along a pixel intensity is a smooth function of the neighbour's share in the retardance, and in time
-of what is left of a step: so points and times are those of Gauss-Radau rules in these two (G. H. Golub, SIAM
-Review 15(2) 318, 1973), with fixed nodes where the neighbour has no share and where an instant ends.
-``validation/fringing`` measures what is left. Rows are looked at as if their neighbours turned when they do:
-off by the time from one row's turn to the next one's.
+The mix is that of a settled straight border between black and white. There the bracket is zero, whichever
+points are used. Intensity is a smooth function of the neighbour's share in the retardance along a pixel, and
+of what is left of a step in time. So points and times are those of Gauss-Radau rules in these two (G. H.
+Golub, SIAM Review 15(2) 318, 1973). Fixed nodes lie where the neighbour has no share and where an instant
+ends.
+``validation/fringing`` measures what is left. Neighbouring rows are assumed to switch at the same instant;
+the error is the scan time of one row.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
-from optsim.scene.mesh_objects import AnimatedModel, VertexSequence, model_table, with_models
+from optsim.scene.mesh_objects import AnimatedModel, VertexSequence
+from optsim.scene.model_tables import model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
 from optsim.scene.populate import with_population

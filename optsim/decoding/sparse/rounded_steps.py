@@ -1,10 +1,10 @@
 """What a pursuit asks :func:`.correlate` to renew, and how far the outcome may be off.
 
 Correlations start from a rounded residual and lose the share of one rounded direction after the other. All
-meet the same rounded matrix: so what is computed are its exact products with the residual plus a *drift*,
-the sum of what rounding the vectors added, which is known. The matrix's own rounding is never more than its
-largest error times the residual that is left, however many steps were taken (Cauchy and Schwarz); and its
-products with orthonormal directions, of which distances are made, are together no longer than it is (Bessel).
+use one rounded matrix. So the outcome equals that matrix times (residual + drift), where the drift is the
+known sum of the vectors' rounding errors. The matrix's own rounding adds at most its largest error times the
+norm of the residual, however many steps were taken (Cauchy and Schwarz). Its products with orthonormal
+directions, of which distances are made, are together no longer than it is (Bessel).
 """
 
 from __future__ import annotations

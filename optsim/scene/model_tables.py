@@ -1,0 +1,226 @@
+"""Models in a scene's table: expanded into parts of one material each before the scene is checked.
+
+A model with three materials becomes three objects, ``statue-0`` to ``statue-2``, and three materials of these
+names. So all that is known of objects holds for models.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.core.config import Table
+from optsim.core.errors import ConfigError
+from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
+from optsim.scene.models import FORMATS, read_model, sha256_of
+
+# Size over distance to the camera's target beyond which a model is taken to be in another unit.
+_LARGEST, _SMALLEST = 200.0, 1e-4
+
+
+def with_models(table: Table, folder: Path, where: str) -> Table:
+    """Expand the models of a scene's table: each part an object, each material of a file a material.
+
+    Parameters
+    ----------
+    table : dict
+        A scene's table in one variation.
+    folder : Path
+        Folder of ``scene.toml``; no file outside of it is read.
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ConfigError
+        For a file that is missing, outside of the folder or no model, a unit or axis that must be stated, or
+        a size that does not fit the scene.
+    """
+    objects, movers = dict(table.get("objects", {})), dict(table.get("movers", {}))
+    materials = dict(table.get("materials", {}))
+    parts: dict[str, list[str]] = {}
+    for name, mover in list(movers.items()):
+        if _kind(mover) == "vertices":
+            movers[name] = {**mover, **_hashed(folder, f"{where}: movers.{name}", mover)}
+        elif _kind(mover) == "mesh":
+            own = {key: value for key, value in mover.items() if key in MeshObject.model_fields}
+            if mover.get("animation") is not None:
+                del movers[name]
+                movers |= _animated(own, mover, name, folder, where, materials, _distance(table))
+                continue
+            # A model that moves otherwise is an object on keyframes.
+            objects[name] = own
+            path = {key: value for key, value in mover.items() if key not in own or key == "kind"}
+            movers[name] = {**path, "kind": "keyframed", "objects": [name]}
+    for name, item in list(objects.items()):
+        if _kind(item) == "mesh":
+            del objects[name]
+            made = _expanded(item, name, folder, f"{where}: objects.{name}", _distance(table))
+            parts[name] = [key for key, _ in made]
+            for key, (part, material) in made:
+                objects[key] = part
+                if material is not None:
+                    materials[key] = material
+    for name, material in list(materials.items()):
+        if isinstance(material, Mapping) and "picture" in material and "sha256" not in material:
+            stated = cast("Table", material)
+            file = inside(folder, str(stated["picture"]), f"{where}: materials.{name}.picture")
+            materials[name] = {**stated, "picture": str(file), "sha256": sha256_of(file)}
+    for name, mover in movers.items():
+        if _kind(mover) == "keyframed" and isinstance(mover.get("objects"), list):
+            listed = [part for key in mover["objects"] for part in parts.get(key, [key])]
+            movers[name] = {**mover, "objects": listed}
+    changed = {"objects": objects, "movers": movers, "materials": materials}
+    return {**table, **{key: value for key, value in changed.items() if value or key in table}}
+
+
+def _animated(
+    own: Table, mover: Table, name: str, folder: Path, where: str, materials: Table, distance_m: float
+) -> Table:
+    """Movers that a model with an animation becomes; its materials are added."""
+    place = f"{where}: movers.{name}"
+    if mover["animation"] != "play":
+        raise ConfigError(
+            f'{place}.animation: got {mover["animation"]!r}, expected "play"; cure: leave it out'
+        )
+    if extra := sorted({*mover} - {*own, "kind", "animation", "speed", "repeat"}):
+        raise ConfigError(f"{place}.{extra[0]}: got it beside an animation, expected one of the two; drop it")
+    found: Table = {}
+    parts = _expanded(own, name, folder, place, distance_m)
+    model = read_model(Path(parts[0][1][0]["file"]))
+    if not model.moves():
+        raise ConfigError(
+            f'{place}.animation: got "play", but the nodes of {own["file"]} rest (skins and morph targets '
+            "are not read); cure: leave it out, or export the vertices and take a mover of kind vertices"
+        )
+    for key, (part, material) in parts:
+        further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
+        found[key] = {"kind": "animated", "item": {**part, "kind": "mesh"}, **further}
+        if material is not None:
+            materials[key] = material
+    return found
+
+
+def _expanded(
+    item: Mapping[str, Any], name: str, folder: Path, where: str, distance_m: float
+) -> list[tuple[str, tuple[Table, Table | None]]]:
+    """Objects and materials that a model becomes."""
+    stated = dict(item)
+    file = inside(folder, str(stated.get("file", "")), f"{where}.file")
+    model = read_model(file)
+    up, unit = stated.get("up") or FORMATS[file.suffix.lower()], stated.get("unit")
+    if up not in UPRIGHT:
+        raise ConfigError(
+            f"{where}.up: got {stated.get('up')!r}, expected x, y or z, as {file.suffix} files differ; "
+            'cure: up = "z"'
+        )
+    if unit is None and stated.get("height_m") is None and FORMATS[file.suffix.lower()] is None:
+        raise ConfigError(
+            f"{where}.unit: got none, expected one of {', '.join(UNITS_M)}, as {file.suffix} files have no "
+            'unit; cure: unit = "mm", or height_m = 0.3 to scale it to a height'
+        )
+    stated |= {"file": str(file), "sha256": sha256_of(file), "up": up}
+    low, high = upright(model, up)
+    height_m = stated.get("height_m")
+    # Anything else is refused when the object is built.
+    if unit in (None, *UNITS_M) and isinstance(height_m, int | float | type(None)):
+        scale = UNITS_M[unit or "m"] if height_m is None else height_m / max(float(high[2] - low[2]), 1e-12)
+        size_m = float((high - low).max()) * scale
+        if not _SMALLEST * distance_m < size_m < _LARGEST * distance_m:
+            raise ConfigError(
+                f"{where}: got a model of {size_m:.3g} m, expected one that fits a scene seen from "
+                f'{distance_m:.3g} m; is it in another unit? cure: unit = "mm", or height_m = 0.3'
+            )
+    found: list[tuple[str, tuple[Table, Table | None]]] = []
+    for number, (surface, _) in enumerate(model.parts):
+        key = name if len(model.parts) == 1 else f"{name}-{number}"
+        material: Table | None = None
+        if stated.get("material") is None:
+            material = {
+                "kind": "principled",
+                "reflectance": min(surface.reflectance, 1.0),
+                "roughness": float(np.clip(surface.roughness, 0.01, 1)),
+                "metallic": float(np.clip(surface.metallic, 0, 1)),
+                "opacity": float(np.clip(surface.opacity, 0, 1)),
+            }
+            if surface.picture is not None or surface.cutout is not None:
+                material |= {"picture": str(file), "sha256": stated["sha256"], "part": number}
+        found.append((key, ({**stated, "material": stated.get("material") or key, "part": number}, material)))
+    return found
+
+
+def _hashed(folder: Path, where: str, mover: Mapping[str, Any]) -> Table:
+    path = inside(folder, str(mover.get("file", "")), f"{where}.file", or_folder=True)
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in FORMATS)
+        digest = hashlib.sha256("".join(map(sha256_of, files)).encode()).hexdigest()
+    else:
+        digest = sha256_of(path)
+    steps_of(path, digest)
+    return {"file": str(path), "sha256": digest}
+
+
+def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
+    """Find a file of the scene's folder; a scene must be complete in itself."""
+    root = folder.resolve()
+    path = (root / name).resolve()
+    if not name or not path.is_relative_to(root):
+        raise ConfigError(f"{where}: got {name!r}, expected a path inside {root}; cure: copy the file there")
+    if not (path.is_file() or (or_folder and path.is_dir())):
+        raise ConfigError(f"{where}: got {name!r}, but there is no such file in {root}")
+    return path
+
+
+def _kind(item: object) -> str | None:
+    return cast("Mapping[str, Any]", item).get("kind") if isinstance(item, Mapping) else None
+
+
+def _distance(table: Table) -> float:
+    camera: object = table.get("camera", {})
+    known = cast("Mapping[str, Any]", camera if isinstance(camera, Mapping) else {})
+    ends = known.get("position_m"), known.get("target_m")
+    try:
+        start, stop = (np.asarray(end, np.float64) for end in ends)
+        return float(np.linalg.norm(stop - start)) or 1.0
+    except (TypeError, ValueError):
+        return 1.0
+
+
+def model_table(path: Path) -> Table:
+    """Table of a scene that shows a model from its front and above, under one large lamp."""
+    model = read_model(path.resolve())
+    up = FORMATS[path.suffix.lower()] or "z"
+    low, high = upright(model, up)
+    size = float((high - low).max()) or 1.0
+    height = float(high[2] - low[2]) / size
+    return {
+        "name": path.stem,
+        "white_w_m2_sr": 1.0,
+        "camera": {
+            "position_m": [0.7 * size, -2.0 * size, 1.1 * size],
+            "target_m": [0.0, 0.0, 0.45 * height * size],
+        },
+        "materials": {"ground": {"reflectance": 0.4}},
+        "lamps": {
+            "sky": {
+                "center_m": [-size, -size, 4 * size],
+                "edge_u_m": [3 * size, 0.0, 0.0],
+                "edge_v_m": [0.0, -3 * size, 0.0],
+                "radiance_w_m2_sr": 4.0,
+            }
+        },
+        "objects": {
+            "model": {"kind": "mesh", "file": path.name, "unit": "m", "up": up},
+            "ground": {
+                "kind": "quad",
+                "material": "ground",
+                "corner_m": [-20 * size, -20 * size, -1e-3 * size],
+                "edge_u_m": [40 * size, 0.0, 0.0],
+                "edge_v_m": [0.0, 40 * size, 0.0],
+            },
+        },
+    }
