@@ -20,7 +20,7 @@ from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
-from optsim.scene.models import FORMATS, Model, read_model, sha256_of
+from optsim.scene.models import FORMATS, Model, inside, read_model, sha256_of
 from optsim.scene.solids import rotated
 
 Unit = Literal["m", "cm", "mm", "in", "ft"]
@@ -268,7 +268,7 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
     for name, material in list(materials.items()):
         if isinstance(material, Mapping) and "picture" in material and "sha256" not in material:
             stated = cast("Table", material)
-            file = _inside(folder, str(stated["picture"]), f"{where}: materials.{name}.picture")
+            file = inside(folder, str(stated["picture"]), f"{where}: materials.{name}.picture")
             materials[name] = {**stated, "picture": str(file), "sha256": sha256_of(file)}
     for name, mover in movers.items():
         if _kind(mover) == "keyframed" and isinstance(mover.get("objects"), list):
@@ -310,7 +310,7 @@ def _expanded(
 ) -> list[tuple[str, tuple[Table, Table | None]]]:
     """Objects and materials that a model becomes."""
     stated = dict(item)
-    file = _inside(folder, str(stated.get("file", "")), f"{where}.file")
+    file = inside(folder, str(stated.get("file", "")), f"{where}.file")
     model = read_model(file)
     up, unit = stated.get("up") or FORMATS[file.suffix.lower()], stated.get("unit")
     if up not in _UPRIGHT:
@@ -354,7 +354,7 @@ def _expanded(
 
 
 def _hashed(folder: Path, where: str, mover: Mapping[str, Any]) -> Table:
-    path = _inside(folder, str(mover.get("file", "")), f"{where}.file", or_folder=True)
+    path = inside(folder, str(mover.get("file", "")), f"{where}.file", or_folder=True)
     if path.is_dir():
         import hashlib
 
@@ -364,17 +364,6 @@ def _hashed(folder: Path, where: str, mover: Mapping[str, Any]) -> Table:
         digest = sha256_of(path)
     _steps(path, digest)
     return {"file": str(path), "sha256": digest}
-
-
-def _inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
-    """Find a file of the scene's folder; a scene must be complete in itself."""
-    root = folder.resolve()
-    path = (root / name).resolve()
-    if not name or not path.is_relative_to(root):
-        raise ConfigError(f"{where}: got {name!r}, expected a path inside {root}; cure: copy the file there")
-    if not (path.is_file() or (or_folder and path.is_dir())):
-        raise ConfigError(f"{where}: got {name!r}, but there is no such file in {root}")
-    return path
 
 
 def _kind(item: object) -> str | None:
