@@ -16,6 +16,7 @@ from optsim.render.backend import activate
 from optsim.render.fireflies import pilot
 from optsim.render.nearby import boxes_around
 from optsim.render.stage import Stage, outside_mask
+from optsim.render.stokes import polarised
 from optsim.scene import bright_lights, load_scene
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.depths import depth_range_m
@@ -246,6 +247,16 @@ def test_difference_rendering_under_a_sky_agrees_with_the_plain_loop(tmp_path):
     assert np.abs(z).mean() < 2
     np.testing.assert_allclose(ours.mean(), mean.mean(), rtol=0.005)
     assert ours.std() > 0.05 * ours.mean(), "there are a shadow and a fan"
+
+
+@pytest.mark.usefixtures("_renderer")
+def test_the_sky_is_unpolarised():
+    """Matt ground under it gives either component half of its light, path by path."""
+    scene = Scene(**DOWN, sky=SUN)
+    plain = Stage(scene, VIEW).radiance(PIXELS, 2, (1,))
+    with polarised():
+        seen = Stage(scene, VIEW, azimuth_rad=0.3).radiance(PIXELS, 2, (1,))
+    np.testing.assert_allclose(seen, plain, rtol=1e-4)
 
 
 @pytest.mark.usefixtures("_renderer")
