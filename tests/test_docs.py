@@ -20,6 +20,7 @@ from test_cli import cli  # noqa: F401  a fixture
 import optsim
 from optsim.app.cli import app
 from optsim.core.errors import GeometryError
+from optsim.core.files import write_exr
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.scene import load_scene
 
@@ -163,6 +164,17 @@ def test_the_scene_loads_with_its_variations(folder: Path) -> None:
         assert load_scene("./my_room", variation).name == "my_room"
 
 
+@pytest.mark.parametrize("kind", ["picture", "sunsky"])
+def test_the_scene_loads_under_each_sky(kind: str, folder: Path) -> None:
+    write_scene(folder)
+    write_exr(Path("my_room/panorama.exr"), {"Y": np.ones((32, 64), np.float32)}, attributes={})
+    with Path("my_room/scene.toml").open("a") as file:
+        file.write(toml("docs/how-to/scene.md", f'[sky]\nkind = "{kind}"'))
+    sky = load_scene("./my_room").sky
+    assert sky is not None
+    assert sky.kind == kind
+
+
 @pytest.mark.parametrize("page", ["docs/how-to/scheme.md", "docs/how-to/decoder.md"])
 def test_methods_join_an_experiment(page: str, folder: Path, cli: Callable[..., Any]) -> None:  # noqa: F811
     cli("init", "demo", "--out", "mine.toml")
@@ -180,7 +192,7 @@ def test_keys_of_footage_exist(folder: Path) -> None:
 
 def test_all_toml_is_toml() -> None:
     found = [tomllib.loads(code) for _, code in blocks("toml")]
-    assert len(found) == 6
+    assert len(found) == 8
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -9,8 +9,8 @@ from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, project
-from optsim.render.stage import Stage
-from optsim.scene import list_scenes
+from optsim.render.stage import Stage, outside_mask
+from optsim.scene import bright_lights, list_scenes
 from optsim.scene import load_scene as load_afresh
 from optsim.scene.scene import scenes_folder
 
@@ -27,6 +27,7 @@ SHARES = {
     "night_street": (0.02, 0.2),
     "moving_camera": (0.02, 0.1),
     "chart": (0.04, 0.07),
+    "courtyard": (0.08, 0.12),
 }
 NUMBERS = ("1", "2", "3")
 ALL = [(n, v) for n in SHARES for v in (*list_scenes()[n], *NUMBERS)]
@@ -103,6 +104,8 @@ def test_readmes_state_what_a_user_must_know(name):
     [
         ("wheel", "wheel", 4.0),
         ("night_street", "car_body", 0.55),
+        ("courtyard", "pinwheel", 0.686),
+        ("courtyard", "car_body", 0.122),
         ("chart", "slow_bars_6", 0.5),
         ("chart", "fast_bars_6", 2.0),
     ],
@@ -161,6 +164,31 @@ def test_night_street_lamps_outshine_the_road_by_more_than_1e5():
     ratio = lamps.max() / np.median(road)
     assert 1e5 < ratio < 4e5
     assert (lamps > 100).sum() >= 4
+
+
+@pytest.mark.usefixtures("_renderer")
+def test_courtyard_has_the_sky_the_shadows_and_the_sun_that_its_readme_states():
+    outside = outside_mask(load_scene("courtyard"), VIEW)
+    assert outside.mean() == pytest.approx(0.14, abs=0.01)
+    assert not outside[VIEW.rows // 3 :].any()
+    image = Stage(load_scene("courtyard"), VIEW).picture(16, 1)
+    high, low = np.percentile(image[~outside], (99.5, 1))
+    assert high / low == pytest.approx(115, rel=0.15)
+    assert 45 < np.median(image[outside]) < 65
+    assert image.max() < 2 * load_scene("courtyard").white_w_m2_sr
+    against = Stage(load_scene("courtyard", "low_sun"), VIEW).picture(16, 1)
+    assert 1e6 < against.max() / np.median(against[~outside]) < 3e6
+    row, col = np.unravel_index(against.argmax(), against.shape)
+    assert row < 70
+    assert 300 < col < 400
+    assert 25 < (against > against.max() / 2).sum() < 50, "the sun is seven fine samples across"
+
+
+@pytest.mark.parametrize("number", [str(n) for n in range(12)])
+def test_the_sun_of_a_numbered_courtyard_is_high_and_not_in_the_picture(number):
+    scene = load_scene("courtyard", number)
+    assert not [light for light in bright_lights(scene, 0.32, 0.75) if light.over_white > 10]
+    assert 0.35 <= scene.sky.elevation_rad <= 1.1
 
 
 @pytest.mark.usefixtures("_renderer")

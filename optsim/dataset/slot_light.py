@@ -18,7 +18,7 @@ from optsim.scene.bands import mono
 def named_groups(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Lamps of each light group, by a short name: kind of its flicker, numbered where several share it."""
     groups = scene.light_groups().values()
-    kinds = [flicker.kind if (flicker := scene.lamps[lamps[0]].flicker) else "steady" for lamps in groups]
+    kinds = [flicker.kind if (flicker := scene.flicker(lamps[0])) else "steady" for lamps in groups]
     total, seen = Counter(kinds), Counter[str]()
     found: dict[str, tuple[str, ...]] = {}
     for kind, lamps in zip(kinds, groups, strict=True):
@@ -38,8 +38,8 @@ def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
         else lamp.model_copy(update={"lit": False})
         for name, lamp in scene.lamps.items()
     }
-    lit = any(lamp.lit for lamp in lamps.values())
-    return scene.model_copy(update={"lamps": lamps}) if lit else None
+    bright = scene.model_copy(update={"lamps": lamps})
+    return bright if bright.lit() else None
 
 
 class SlotLight:
@@ -61,7 +61,7 @@ class SlotLight:
 
         view, settings = truth_view(experiment), experiment.render
         self.groups = named_groups(scene)
-        self._lamps, self._samples = scene.lamps, samples
+        self._scene, self._samples = scene, samples
         self._plan = Plan(scene, view, experiment.timing, settings, None, Cache(), silent, "slot light")
         self._stages = {name: Stage(scene.only_lamps(lamps), view) for name, lamps in self.groups.items()}
 
@@ -80,9 +80,9 @@ class SlotLight:
 
     def gains(self, group: str, slot: int) -> list[float]:
         """Brightness of a group in each truth instant of a slot, relative to its mean."""
-        n, lamp = self._plan.settings.instants_per_slot, self._lamps[self.groups[group][0]]
+        n, lamp = self._plan.settings.instants_per_slot, self.groups[group][0]
         return [
-            lamp.gain(self._plan.time_s(slot + i / n), self._plan.time_s(slot + (i + 1) / n))
+            self._scene.gain(lamp, self._plan.time_s(slot + i / n), self._plan.time_s(slot + (i + 1) / n))
             for i in range(n)
         ]
 

@@ -1,4 +1,4 @@
-"""Describe a scene for Mitsuba: shapes, surfaces, lamps and the sensor, in a fixed order."""
+"""Describe a scene for Mitsuba: shapes, surfaces, lamps, sky and the sensor, in a fixed order."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Floats, View
 from optsim.render.lens import focus_depth_m, ideal
-from optsim.scene.bands import mono
+from optsim.scene.bands import MONO_NM, mono
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
 from optsim.scene.lamps import Lamp
 from optsim.scene.materials import Diffuse, Glass, Material, Metal, Plastic, Principled
 from optsim.scene.models import FORMATS, Surface, read_model, read_picture
 from optsim.scene.scene import Scene
+from optsim.scene.sky import PictureSky, SunSky
 from optsim.scene.static_shapes import StaticShapes
 from optsim.scene.textures import outside_map, reflectance_map
 
@@ -88,7 +89,7 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
     view : View
         Fine grid and field of view.
     movers : bool
-        Whether to include the movers; lamps and sensor are the same either way.
+        Whether to include the movers; lamps, sky and sensor are the same either way.
     static : optional
         From :func:`parse_static`.
     """
@@ -101,6 +102,8 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
     content: dict[str, Any] = {"type": "scene", "sensor": _sensor(mi, scene.camera, view, unit)}
     for name, lamp in sorted(scene.lamps.items()):
         content[f"lamp_{name}"] = _lamp(mi, lamp, unit)
+    if scene.sky is not None and scene.sky.lit:
+        content["sky"] = _sky(mi, scene.sky, scene.bands[0].wavelength_nm if scene.bands else MONO_NM)
     for name, (mesh, material) in meshes.items():
         content[name] = _mesh(mi, name, mesh, scene.materials[material], unit)
     if scene.static is not None:
@@ -232,6 +235,21 @@ def _lamp(mi: Any, lamp: Lamp, unit: float) -> dict[str, Any]:
             light = _bitmap(mi, outside_map(lamp.picture) * np.float32(radiance), "clamp")
         rectangle["emitter"] = {"type": "area", "radiance": light, "sampling_weight": lamp.sampling_weight}
     return rectangle
+
+
+def _sky(mi: Any, sky: PictureSky | SunSky, wavelength_nm: float) -> dict[str, Any]:
+    """Describe an emitter all around, which Mitsuba samples by its brightness."""
+    # Mitsuba's map has y up and z in its middle column; ours has z up and x there, turned by the azimuth.
+    upright = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    cos, sin = np.cos(sky.turn_rad), np.sin(sky.turn_rad)
+    turn = np.array([[cos, -sin, 0, 0], [sin, cos, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    picture: NDArray[np.float32] = np.ascontiguousarray(sky.radiance(wavelength_nm)[..., None])
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(picture),
+        "to_world": mi.ScalarTransform4f(turn @ upright),
+        "sampling_weight": sky.sampling_weight,
+    }
 
 
 def camera_to_world(mi: Any, pose: CameraPose, unit: float) -> Any:

@@ -22,7 +22,7 @@ from optsim.render.backend import activate
 from optsim.render.plan import seed_of
 from optsim.render.stage import Stage
 from optsim.scene.bands import mono
-from optsim.scene.scene import Scene
+from optsim.scene.scene import SKY, Scene
 
 # A pixel is flagged if the variance of one sample over the squared mean exceeds this; median pixels of the
 # shipped scenes have 0.1 to 4. No source: at 50, a pixel takes 5000 samples for an error of 10 %.
@@ -67,7 +67,7 @@ class Firefly:
     bounces : int
         Surfaces between lamp and camera for most of this path's light; 0: the lamp is seen directly.
     lamp : str
-        Lamp of most of its light.
+        Lamp of most of its light; ``sky`` for the sky.
     """
 
     row: int
@@ -295,7 +295,7 @@ def origins(
     by_bounces : ndarray of shape (bounces, n)
         Radiance by number of surfaces between lamp and camera; the sum is the path's.
     by_lamp : dict of arrays of shape (n,)
-        Radiance of each lit lamp.
+        Radiance of each lit lamp, and of the sky.
     """
 
     def again(changed: Scene) -> Doubles:
@@ -303,8 +303,8 @@ def origins(
 
     # A path of n segments has n - 1 surfaces between lamp and camera.
     up_to = [again(scene.model_copy(update={"max_depth": n})) for n in range(1, scene.max_depth + 1)]
-    lit = [name for name, lamp in scene.lamps.items() if lamp.lit]
-    return np.diff(up_to, axis=0, prepend=0.0), {name: again(_only_bright(scene, name)) for name in lit}
+    by_lamp = {name: again(_only_bright(scene, name)) for name in scene.lit()}
+    return np.diff(up_to, axis=0, prepend=0.0), by_lamp
 
 
 def _single(stage: Stage, pixels: Ints, numbers: Ints, seed: int) -> Doubles:
@@ -319,7 +319,8 @@ def _only_bright(scene: Scene, name: str) -> Scene:
         else lamp.model_copy(update={"radiance_w_m2_sr": mono(lamp.radiance_w_m2_sr) * _DIM})
         for key, lamp in scene.lamps.items()
     }
-    return scene.model_copy(update={"lamps": lamps})
+    sky = scene.sky if scene.sky is None or name == SKY else scene.sky.dimmed(_DIM)
+    return scene.model_copy(update={"lamps": lamps, "sky": sky})
 
 
 def _judged(scene: Scene, view: View, values: Floats, bound: float, seed: int, *, movers: bool) -> Pilot:

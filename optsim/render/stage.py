@@ -22,7 +22,7 @@ from optsim.render.footprint import vertices_at
 from optsim.render.lens import on_view
 from optsim.render.nearby import Boxes, glowing
 from optsim.render.rays import camera_rays, pieces, starts
-from optsim.scene.scene import Scene
+from optsim.scene.scene import SKY, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,18 +262,19 @@ class Stage:
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:
-    """Find samples that see a lamp with a picture (the bright outside) directly, without movers.
+    """Find samples that see the sky or a lamp with a picture (the bright outside) directly, without movers.
 
     Returns
     -------
     ndarray of shape (y, x), bool
         From one ray at a random position in each fine sample, through the centre of the lens.
     """
-    pictures = {name: lamp for name, lamp in scene.lamps.items() if lamp.picture is not None}
+    pictures = [name for name, lamp in scene.lamps.items() if lamp.picture is not None]
+    pictures += [SKY] if scene.sky is not None else []
     if not pictures:
         return np.zeros((view.rows, view.cols), np.bool_)
-    # Without other lamps and without bounces, only lamps with a picture are not black.
-    alone = scene.only_lamps(tuple(pictures)).model_copy(update={"max_depth": 1})
+    # Without other lamps and without bounces, only these are not black.
+    alone = scene.only_lamps(pictures).model_copy(update={"max_depth": 1})
     return Stage(alone, replace(view, aperture_m=0.0), movers=False).picture(1, 0) > 0
 
 

@@ -306,22 +306,20 @@ def _gains(plan: Plan, lamp: str, slot: int) -> Floats:
     """Relative brightness of a lamp in each instant of a slot."""
     n = plan.settings.instants_per_slot
     edges = [plan.time_s(slot + i / n) for i in range(n + 1)]
-    return np.array([plan.scene.lamps[lamp].gain(*ends) for ends in pairwise(edges)], np.float32)
+    return np.array([plan.scene.gain(lamp, *ends) for ends in pairwise(edges)], np.float32)
 
 
 def _load_preview(plan: Plan) -> _Load:
     """Render the scalar fallback: every slot by itself with few samples, one pose a slot."""
     groups = plan.scene.light_groups().values()
-    stages = [
-        (plan.scene.lamps[names[0]], Stage(plan.scene.only_lamps(names), plan.view)) for names in groups
-    ]
+    stages = [(names[0], Stage(plan.scene.only_lamps(names), plan.view)) for names in groups]
     keys = [plan.key("preview", slot) for slot in range(plan.timing.n_slots)]
     for slot, key in enumerate(keys):
 
         def make(slot: int = slot) -> dict[str, Floats]:
             seeds, slot_s = plan.seeds("preview", slot), plan.timing.slot_s
             light = sum(
-                lamp.gain(plan.time_s(slot), plan.time_s(slot + 1))
+                plan.scene.gain(lamp, plan.time_s(slot), plan.time_s(slot + 1))
                 * slot_image(stage, plan.time_s(slot), slot_s, _PREVIEW_SAMPLES, 1, seeds)
                 for lamp, stage in stages
             )

@@ -64,8 +64,8 @@ def taken(part: PartT, band: str) -> PartT:
 
 
 def tables(part: BaseModel) -> dict[str, dict[str, float]]:
-    """Tables by band of a material or a lamp, by key."""
-    found = {key: getattr(part, key, None) for key in ("reflectance", "radiance_w_m2_sr")}
+    """Tables by band of a material, a lamp or the sky, by key."""
+    found = {key: getattr(part, key, None) for key in ("reflectance", "radiance_w_m2_sr", "irradiance_w_m2")}
     return {key: cast("dict[str, float]", value) for key, value in found.items() if isinstance(value, dict)}
 
 

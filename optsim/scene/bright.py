@@ -1,4 +1,4 @@
-"""Bright lights in the picture, the source of PSF tails and glare, found from lamps and pose alone."""
+"""Bright lights in the picture, the source of PSF tails and glare, found from lamps, sky and pose alone."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.scene.bands import mono
+from optsim.core.quantities import Doubles
+from optsim.scene.bands import MONO_NM, mono
 from optsim.scene.scene import Scene
+from optsim.scene.sky import looked_up
+
+# Step of the grid on which the sky is looked at, as a tangent: a fourth of the sun's disc.
+_SKY_STEP = 0.0023
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class BrightLight:
 def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) -> list[BrightLight]:
     """Find the lamps in the picture at time 0, by the light they bring, largest first.
 
-    Occlusion is ignored.
+    Occlusion is ignored. Of the sky, what is brighter than white counts: one light for each power of ten.
 
     Parameters
     ----------
@@ -48,7 +53,7 @@ def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) ->
     Returns
     -------
     list of BrightLight
-        Empty where no lamp is in the picture.
+        Empty where no lamp and no bright sky is in the picture.
     """
     pose = scene.camera.at(0.0)
     origin = np.asarray(pose.position_m)
@@ -57,7 +62,7 @@ def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) ->
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right = right / np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, ahead), ahead])
-    found: list[BrightLight] = []
+    found = _bright_sky(scene, axes, tan_half_width, rows_over_cols)
     for lamp in scene.lamps.values():
         edge_u, edge_v = np.asarray(lamp.edge_u_m), np.asarray(lamp.edge_v_m)
         centre = np.asarray(lamp.center_m) - origin
@@ -76,3 +81,21 @@ def bright_lights(scene: Scene, tan_half_width: float, rows_over_cols: float) ->
         over_white = mono(lamp.radiance_w_m2_sr) / scene.white_w_m2_sr
         found.append(BrightLight(over_white, float(min(solid / field, 1.0))))
     return sorted(found, key=lambda light: light.light, reverse=True)
+
+
+def _bright_sky(
+    scene: Scene, axes: Doubles, tan_half_width: float, rows_over_cols: float
+) -> list[BrightLight]:
+    """Find what of the sky is over white, by a grid of directions finer than the sun's disc."""
+    if scene.sky is None or not scene.sky.lit:
+        return []
+    n_cols = int(np.ceil(2 * tan_half_width / _SKY_STEP))
+    across = ((np.arange(n_cols) + 0.5) / n_cols * 2 - 1) * tan_half_width
+    n_rows = int(np.ceil(n_cols * rows_over_cols))
+    down = ((np.arange(n_rows) + 0.5) / n_rows * 2 - 1) * tan_half_width * rows_over_cols
+    directions = across[:, None] * axes[0] + down[:, None, None] * axes[1] + axes[2]
+    wavelength_nm = scene.bands[0].wavelength_nm if scene.bands else MONO_NM
+    over = looked_up(scene.sky, directions, wavelength_nm) / scene.white_w_m2_sr
+    decade = np.floor(np.log10(np.maximum(over, 0.1)))
+    parts = [decade == number for number in np.unique(decade[decade >= 0])]
+    return [BrightLight(float(over[part].mean()), float(part.mean())) for part in parts]

@@ -34,8 +34,9 @@ def depth_range_m(
     Returns
     -------
     near_m, far_m : float
-        Depths along the axis, m. Far is infinite if a surface is glossy, clear or a mirror, which may show
-        arbitrary depths. Near is the camera's least depth if shapes are unknown or none is in the picture.
+        Depths along the axis, m. Far is infinite under a sky, or if a surface is glossy, clear or a mirror,
+        which may show arbitrary depths. Near is the camera's least depth if shapes are unknown or none is in
+        the picture.
     """
     half = np.array([tan_half_width, tan_half_width * rows_over_cols])
     still = [mesh.vertices_m[mesh.faces] for mesh in scene.still_meshes().values()]
@@ -55,7 +56,7 @@ def depth_range_m(
     if scene.static is not None or not np.isfinite(near_m):
         return scene.camera.near_m, np.inf
     matt = all(isinstance(material, Diffuse) for material in scene.materials.values())
-    return max(near_m, scene.camera.near_m), far_m if matt else np.inf
+    return max(near_m, scene.camera.near_m), far_m if matt and scene.sky is None else np.inf
 
 
 def _depths(triangles: Doubles, pose: CameraPose, half: Doubles) -> Doubles:

@@ -16,7 +16,7 @@ import numpy as np
 from optsim.core.config import Table
 from optsim.core.errors import ConfigError
 from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
-from optsim.scene.models import FORMATS, read_model, sha256_of
+from optsim.scene.models import FORMATS, inside, read_model, sha256_of
 
 # Size over distance to the camera's target beyond which a model is taken to be in another unit.
 _LARGEST, _SMALLEST = 200.0, 1e-4
@@ -162,17 +162,6 @@ def _hashed(folder: Path, where: str, mover: Mapping[str, Any]) -> Table:
         digest = sha256_of(path)
     steps_of(path, digest)
     return {"file": str(path), "sha256": digest}
-
-
-def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
-    """Find a file of the scene's folder; a scene must be complete in itself."""
-    root = folder.resolve()
-    path = (root / name).resolve()
-    if not name or not path.is_relative_to(root):
-        raise ConfigError(f"{where}: got {name!r}, expected a path inside {root}; cure: copy the file there")
-    if not (path.is_file() or (or_folder and path.is_dir())):
-        raise ConfigError(f"{where}: got {name!r}, but there is no such file in {root}")
-    return path
 
 
 def _kind(item: object) -> str | None:

@@ -119,6 +119,23 @@ def read_model(path: Path) -> Model:
     return _read(path, stat.st_mtime_ns, stat.st_size)
 
 
+def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
+    """Find a file of the scene's folder; a scene must be complete in itself.
+
+    Raises
+    ------
+    ConfigError
+        For a path that leads out of the folder, or to nothing.
+    """
+    root = folder.resolve()
+    path = (root / name).resolve()
+    if not name or not path.is_relative_to(root):
+        raise ConfigError(f"{where}: got {name!r}, expected a path inside {root}; cure: copy the file there")
+    if not (path.is_file() or (or_folder and path.is_dir())):
+        raise ConfigError(f"{where}: got {name!r}, but there is no such file in {root}")
+    return path
+
+
 def sha256_of(path: Path) -> str:
     """Hash of a file's content; it is read again only when it has changed."""
     stat = path.stat()

@@ -15,13 +15,14 @@ from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
-from optsim.scene.lamps import Lamp, flicker_key
+from optsim.scene.lamps import Flicker, Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, polarises
 from optsim.scene.mesh_objects import AnimatedModel, VertexSequence
 from optsim.scene.model_tables import model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
 from optsim.scene.parts import StillObject
 from optsim.scene.populate import with_population
+from optsim.scene.sky import PictureSky, Sky, SunSky, with_sky
 from optsim.scene.static_shapes import StaticShapes, read_static
 from optsim.scene.textures import PHOTOGRAPHS, photograph
 from optsim.scene.variation import extremes, named_variations, varied
@@ -48,6 +49,10 @@ Mover = Annotated[
 SingleMover = Single | Wheel | CarBody | KeyframedObjects | VertexSequence | AnimatedModel
 
 
+# Name of the sky among the lamps.
+SKY = "sky"
+
+
 class Scene(Part):
     """All input of a renderer, in SI; names are free and only used in messages and caches.
 
@@ -67,6 +72,8 @@ class Scene(Part):
         Spectral bands; one at a time is rendered, see :meth:`in_band`. None: a single one at 550 nm.
     materials, lamps, objects, movers : dict
         By name. Objects named by a keyframed mover move, all others are still.
+    sky : PictureSky, SunSky or None
+        Light from all around; lamps may be left out then.
     static : StaticShapes or None
         More still shapes; in ``scene.toml`` the name of a file in Mitsuba's XML beside it.
     reserved : bool
@@ -81,7 +88,8 @@ class Scene(Part):
     camera: CameraPose
     bands: tuple[Band, ...] = ()
     materials: dict[str, Material]
-    lamps: dict[str, Lamp] = Field(min_length=1)
+    lamps: dict[str, Lamp] = Field(default={})
+    sky: Sky | None = None
     objects: dict[str, StillObject] = Field(default={})
     movers: dict[str, Mover] = Field(default={})
     static: StaticShapes | None = None
@@ -98,14 +106,19 @@ class Scene(Part):
                 members[name] = mover
         return members
 
-    @field_validator("lamps")
-    @classmethod
-    def _one_is_lit(cls, lamps: dict[str, Lamp]) -> dict[str, Lamp]:
-        if not any(lamp.lit for lamp in lamps.values()):
+    @model_validator(mode="after")
+    def _one_is_lit(self) -> Scene:
+        if not self.lamps and self.sky is None:
+            raise ValueError("lamps: missing, and no [sky] either; cure: add a table [lamps.NAME], or [sky]")
+        if not any(light.lit for light in self._lights().values()):
             raise ValueError(
-                "no lamp is lit, so there is no light at all; cure: set lit = true for at least one"
+                "lamps: no lamp is lit, so there is no light at all; cure: set lit = true for at least one"
             )
-        return lamps
+        if self.sky is not None and SKY in self.lamps:
+            raise ValueError("lamps.sky: the name is taken by [sky]; cure: rename the lamp")
+        if not (self.lamps or self.objects or self.movers or self.static):
+            raise ValueError("objects: got none, so there is nothing under the sky; cure: add an object")
+        return self
 
     @model_validator(mode="after")
     def _keyframed_objects_exist(self) -> Scene:
@@ -132,19 +145,21 @@ class Scene(Part):
         names = [band.name for band in self.bands]
         if len(set(names)) < len(names):
             raise ValueError(f"bands: names must differ, got {', '.join(names)}")
-        for kind, parts in (("materials", self.materials), ("lamps", self.lamps)):
-            for name, part in parts.items():
-                for key, table in tables(part).items():
-                    where = f"{kind}.{name}.{key}"
-                    if strange := [band for band in table if band not in names]:
-                        raise ValueError(
-                            f"{where}: {unknown_name('band', strange[0], names or ['(none declared)'])}"
-                        )
-                    if missing := [band for band in names if band not in table]:
-                        raise ValueError(
-                            f"{where}: got no value for band {missing[0]!r}; cure: give one for each of "
-                            f"{', '.join(names)}, or one number for all"
-                        )
+        parts = {f"materials.{name}": material for name, material in self.materials.items()}
+        parts |= {f"lamps.{name}": lamp for name, lamp in self.lamps.items()}
+        parts |= {} if self.sky is None else {SKY: self.sky}
+        for place, part in parts.items():
+            for key, table in tables(part).items():
+                where = f"{place}.{key}"
+                if strange := [band for band in table if band not in names]:
+                    raise ValueError(
+                        f"{where}: {unknown_name('band', strange[0], names or ['(none declared)'])}"
+                    )
+                if missing := [band for band in names if band not in table]:
+                    raise ValueError(
+                        f"{where}: got no value for band {missing[0]!r}; cure: give one for each of "
+                        f"{', '.join(names)}, or one number for all"
+                    )
         return self
 
     @model_validator(mode="after")
@@ -195,14 +210,31 @@ class Scene(Part):
         -------
         dict
             Group -> sorted names of its lamps. ``steady`` comes first, if any, then one key a flicker, in the
-            order of the lamps' names.
+            order of the lamps' names. The sky is steady, and named ``sky``.
         """
         groups: dict[str, tuple[str, ...]] = {}
-        for name, lamp in sorted(self.lamps.items(), key=lambda item: (item[1].flicker is not None, item[0])):
-            if lamp.lit:
-                key = flicker_key(lamp)
+        for name in sorted(self._lights(), key=lambda name: (self.flicker(name) is not None, name)):
+            if self._lights()[name].lit:
+                lamp = self.lamps.get(name)
+                key = "steady" if lamp is None else flicker_key(lamp)
                 groups[key] = (*groups.get(key, ()), name)
         return groups
+
+    def lit(self) -> list[str]:
+        """Names of the lamps that emit, and ``sky`` if it does."""
+        return [name for name, light in self._lights().items() if light.lit]
+
+    def flicker(self, name: str) -> Flicker | None:
+        """Flicker of a lamp; the sky has none."""
+        return self.lamps[name].flicker if name in self.lamps else None
+
+    def gain(self, name: str, start_s: float, stop_s: float) -> float:
+        """Mean radiance of a lamp over an interval, relative to its own mean; 1 for the sky."""
+        return self.lamps[name].gain(start_s, stop_s) if name in self.lamps else 1.0
+
+    def _lights(self) -> dict[str, Lamp | PictureSky | SunSky]:
+        """Lamps, and the sky as one of them."""
+        return {**self.lamps, **({} if self.sky is None else {SKY: self.sky})}
 
     def in_band(self, name: str | None = None) -> Scene:
         """Return the scene in one of its bands: every table by band becomes that band's number.
@@ -235,6 +267,7 @@ class Scene(Part):
                 "bands": (band,),
                 "materials": {key: taken(part, band.name) for key, part in self.materials.items()},
                 "lamps": {key: taken(part, band.name) for key, part in self.lamps.items()},
+                "sky": None if self.sky is None else taken(self.sky, band.name),
             }
         )
 
@@ -244,7 +277,7 @@ class Scene(Part):
         Parameters
         ----------
         names : iterable of str
-            At least one lamp; an unlit one becomes lit.
+            At least one lamp, or ``sky``; an unlit one becomes lit.
 
         Raises
         ------
@@ -253,11 +286,13 @@ class Scene(Part):
         """
         wanted = set(names)
         if not wanted:
-            raise ConfigError(f"only_lamps: got no name, expected at least one of: {', '.join(self.lamps)}")
-        if strange := sorted(wanted - set(self.lamps)):
-            raise unknown_name("lamp", strange[0], self.lamps)
+            known = ", ".join(self._lights())
+            raise ConfigError(f"only_lamps: got no name, expected at least one of: {known}")
+        if strange := sorted(wanted - set(self._lights())):
+            raise unknown_name("lamp", strange[0], self._lights())
         lamps = {name: lamp.model_copy(update={"lit": name in wanted}) for name, lamp in self.lamps.items()}
-        return self.model_copy(update={"lamps": lamps})
+        sky = None if self.sky is None else self.sky.model_copy(update={"lit": SKY in wanted})
+        return self.model_copy(update={"lamps": lamps, "sky": sky})
 
     def still_objects(self) -> dict[str, StillObject]:
         """Return the objects of no mover, in the order of the file."""
@@ -330,8 +365,9 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
 
 
 def _expanded(table: Table, variation: str, folder: Path, where: str) -> Table:
-    """Draw the populations of a scene's table and expand its models."""
-    return with_models(with_population(table, variation, folder, where), folder, where)
+    """Draw the populations of a scene's table, expand its models and find the picture of its sky."""
+    whole = with_sky(with_population(table, variation, folder, where), folder, where)
+    return with_models(whole, folder, where)
 
 
 def model_scene(path: Path) -> Scene:
