@@ -33,8 +33,7 @@ PLAIN: Changes = {
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
-# Where an effect includes fringe fields, an error of 5 % of their part is enough; the finest model takes
-# three times as long.
+# Where an effect includes fringe fields, as a run has them.
 _RIMS: Changes = {"modulator": {"rim_model": "coarse"}}
 _OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
 _RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
