@@ -168,7 +168,7 @@ By these scores, and for what only saves time by CPU time (2026-11-28, two busy 
 | approximation | worth | costs | verdict |
 | --- | --- | --- | --- |
 | fringe-field correction | without it 1.8 dB too good or 0.6 too bad | a third of a capture | stays |
-| its `fine` nodes over `coarse` | at most 0.04 dB, 0.013 of a frame's noise | 17 to 21 % of a run | no default |
+| `fine` nodes over `coarse` | at most 0.04 dB, 0.013 of a frame's noise | a fifth of a run | no default |
 | joint merge | 0.18 dB steady, 0.35 merging | 155 lines, 0.8 of 10.8 s of decoding | stays |
 | hidden light | wins 0.8 dB merging, loses 0.6 steady | 137 lines, 0.4 of 10.8 s | stays |
 | Winograd's sums | none: plain taps take 0.8 of their time | 54 lines | gone |
