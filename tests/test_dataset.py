@@ -302,6 +302,7 @@ def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
     outcome = build_dataset(spec, root, layout="npy", recipe=True, workers=1)
     assert (len(outcome.made), outcome.failed) == (2, {})
     assert not (root / "test/wheel-1-main").exists()
+    assert build_dataset(spec, root, layout="npy", recipe=True, workers=1).made == ()
     outcome = build_dataset(spec, root, layout="npy", only=["test/wheel-1-main"], workers=1)
     assert outcome.made == ("test/wheel-1-main",)
     dataset = open_dataset(root)

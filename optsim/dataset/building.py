@@ -120,6 +120,9 @@ def build_dataset(
     folder.mkdir(parents=True, exist_ok=True)
     with claimed_file(folder / _SPEC):
         _own(folder, spec)
+    if recipe and not only and (folder / CARD).is_file() and read_record(folder / CARD)["recipe"]:
+        # Its sequences are gone on purpose.
+        return Outcome((), tuple(each.name for each in spec.sequences()), {})
     tasks = tasks_of(spec, layout)
     wanted = [task for task in tasks if not only or task.name in only]
     outcome = run_tasks(wanted, folder, workers=workers, scheduler=scheduler, shard=shard, progress=progress)
