@@ -30,7 +30,7 @@ def named_groups(scene: Scene) -> dict[str, tuple[str, ...]]:
 def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
     """Scene whose lamps have constant power, their mean over an interval; None if all are dark then.
 
-    Of one band, like every rendered scene.
+    It has one band, like every rendered scene.
     """
     lamps = {
         name: lamp.model_copy(update={"radiance_w_m2_sr": mono(lamp.radiance_w_m2_sr) * gain})

@@ -23,7 +23,7 @@ _LEAST = 1e-30  # of variances, W^2 m^-4: divisions
 # `validation/static_hdr` change by 0.1 dB with half the window, and by as much with a guess of 0.05 or 0.5.
 _WINDOW_PX = 2.0
 _GUESS = 0.2
-# Standard deviations beyond which a difference is an edge, whatever the window says.
+# Standard deviations beyond which a difference is an edge, whatever the window measures.
 _SURELY = 2.0
 _MOST = 100.0  # largest mean square of the differences, over that of the light
 
@@ -31,7 +31,7 @@ _MOST = 100.0  # largest mean square of the differences, over that of the light
 def pooled(
     mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, least: Floats, contrast: float
 ) -> tuple[Floats, Floats]:
-    """Mean of each pixel and its measured neighbours among eight, and its variance.
+    """Mean of each pixel and its measured neighbours (up to eight), and its variance.
 
     Normalised convolution (H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081): a pixel's
     certainty is one over its variance. A neighbour's certainty is lower by the local difference between

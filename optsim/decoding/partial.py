@@ -92,7 +92,7 @@ class PartialDecoder(Part, ABC):
         """Decode frame by frame, with blend weights for the union; a new decoder defines only this."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame; each uses itself and those before, which bound saturated pixels.
+        """Decode frame by frame; each uses itself and those before, which give saturated pixels.
 
         Raises
         ------

@@ -152,7 +152,7 @@ class Experiment(Part):
         in the paper, 3 for all nine where a panel pixel covers about 3 x 3.
     drift
         Changes of the camera between its calibration and the first frame, as in ``camera``: for
-        example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of them.
+        example ``{ relay = { shift_x_px = 0.4 } }``. The calibration leaves them out.
     save_reconstructions
         Names of the methods whose reconstructed videos are written; empty for none.
     """

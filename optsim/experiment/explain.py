@@ -33,7 +33,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     Returns
     -------
     dict
-        JSON-able; ``geometry.fits`` says whether it can be run. If not, ``misfit`` gives reason and cure,
+        JSON-able; ``geometry.fits`` states whether it can be run. If not, ``misfit`` gives reason and cure,
         and effects and skips are left out.
     """
     from optsim.camera.effect_sizes import effect_sizes

@@ -125,7 +125,7 @@ def execute(
     Parameters
     ----------
     experiment : Experiment
-        What to run.
+        The experiment.
     folder : Path
         New, empty, or of the same experiment; locked for this process.
     command : str

@@ -62,7 +62,7 @@ class SceneLight:
 
 
 def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
-    """Decide whether a scene is rendered with its polarisation, as ``camera.splitter.scene_light`` says.
+    """Decide whether a scene is rendered with its polarisation, by ``camera.splitter.scene_light``.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def luminous_efficacy_lm_w(wavelength_m: float = MONO_WAVELENGTH_M) -> float:
     Raises
     ------
     ConfigError
-        Where the eye has no response, so that luminance is undefined.
+        For light without response of the eye, whose luminance is undefined.
     """
     wavelength_nm = round(wavelength_m * 1e9, 6)
     if not _SEEN_NM[0] <= wavelength_nm <= _SEEN_NM[1]:

@@ -18,7 +18,7 @@ from optsim.decoding.sparse.matching_pursuit import pursue
 from optsim.priors.dictionary import Dictionary
 
 _STRIP = 16
-# Sensible, no source: 0.08 dB better on moving photographs than no threshold, 0.4 and 0.6 alike; it
+# Sensible, no source: 0.08 dB better on moving photographs than no threshold, 0.4 to 0.6 are equal; it
 # matters most for one shutter for all pixels, through which most atoms are invisible.
 _HARDLY = 0.6
 # Patches of a job: enough to share the cost of a matrix, few enough to keep all cores busy.
