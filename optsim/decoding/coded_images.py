@@ -140,11 +140,9 @@ def covered(
 
 
 def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
-    """Squared error of dark pixels, estimated from negative light around them.
-
-    No light is negative, so next to zero half of the squared errors can be seen. A patch decoder also can't
-    do better than the noise of all samples around a pixel.
-    """
+    """Squared error of dark pixels, estimated from negative light around them."""
+    # No light is negative, so next to zero half of the squared errors can be seen. A patch decoder also can't
+    # do better than the noise of all samples around a pixel.
     # Values of slots with the shutter closed are no errors.
     slots = np.flatnonzero(image.weights.any(axis=(0, 1)))
     squares = np.zeros(seen.shape, np.float32)

@@ -101,10 +101,8 @@ def pooled(
 
 
 def _texture(mean: Floats, light: Floats, own: Floats, measured: Bools) -> Doubles:
-    """Mean square of neighbours' differences without their noise, over the squares of both lights.
-
-    A least-squares fit in a window, each pair weighed by one over the variance of its squared difference.
-    """
+    """Mean square of neighbours' differences without their noise, over the squares of both lights."""
+    # Least squares in a window, each pair weighted by one over the variance of its squared difference.
     means, lights, variances = (np.pad(image, 1) for image in (mean, light, own))
     known = np.pad(measured, 1)
     excess, squares = np.zeros(mean.shape), np.zeros(mean.shape)

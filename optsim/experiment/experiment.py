@@ -370,13 +370,7 @@ def load_experiment(
 
 
 def _in_band(experiment: Experiment, by_hand: bool, where: str) -> Experiment:
-    """Set the camera's wavelength to the scene's band; a scene without bands takes the camera's.
-
-    Raises
-    ------
-    ConfigError
-        When the camera is set to another wavelength, or doesn't work at this one.
-    """
+    """Set the wavelength by the scene's band, or by the camera without one; ConfigError if they disagree."""
     scene, camera = experiment.scene, experiment.camera
     bands = load_scene(scene.name, scene.variation).in_band(scene.band).bands if scene else ()
     if not bands or camera.wavelength_m == bands[0].wavelength_m:

@@ -104,11 +104,9 @@ def _tile(slots: int) -> Callable[..., None]:
 
 
 def _tile_code(slots: int, context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    """Write ``x = integer products; c = c + f x; n = n + g x x`` and the peak of the bound on ``c c / n``.
-
-    Arguments: the panel's numbers, the slots' vectors, state (c and n of each atom), peaks and terms
-    (f, g, error of c, error of n), the number of pairs, and of peaks of a slot.
-    """
+    """Write ``x = integer products; c = c + f x; n = n + g x x`` and the peak of the bound on ``c c / n``."""
+    # Arguments: the panel's numbers, the slots' vectors, state (c and n of each atom), peaks and terms
+    # (f, g, error of c, error of n), the number of pairs, and of peaks of a slot.
     i16, i32, i64, f32 = ir.IntType(16), ir.IntType(32), ir.IntType(64), ir.FloatType()
     sums, halves = ir.VectorType(i32, _LANES), ir.VectorType(i16, 2 * _LANES)
     wide, floats = ir.VectorType(i32, 2 * _LANES), ir.VectorType(f32, _LANES)

@@ -108,11 +108,9 @@ def _project(
 
 @compiled()
 def _largest(values: Floats) -> int:
-    """Index of the largest magnitude.
-
-    Floats without their sign bit are in the order of their bit patterns, and compilers turn an integer
-    maximum into vector code, unlike a float one: ten times faster here.
-    """
+    """Index of the largest magnitude."""
+    # Floats without their sign bit are in the order of their bit patterns. Compilers turn an integer maximum
+    # into vector code, unlike a float one: ten times faster here.
     bits = values.view(np.int32)
     peak = np.int32(-1)
     start = 0

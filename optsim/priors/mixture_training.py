@@ -112,11 +112,9 @@ def train_mixture(
 
 
 def _basis(signals: Floats, rank: int, slots: int) -> Floats:
-    """Principal components of the static part, a quarter of the rank, and of the changing part: (rank, e).
-
-    The finest detail of the static part has so little energy that joint principal components would leave it
-    out. Yet a code measures it best: in every pixel.
-    """
+    """Principal components of the static part, a quarter of the rank, and of the changing part: (rank, e)."""
+    # The finest detail of the static part has so little energy that joint principal components would leave it
+    # out. Yet a code measures it best: in every pixel.
     blocks = signals.reshape(len(signals), -1, slots)
     still = blocks.mean(axis=2)
     n_still = min(rank // 4, still.shape[1])

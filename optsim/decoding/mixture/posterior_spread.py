@@ -146,11 +146,9 @@ def _blend(
     mean: Floats,
     total: Floats,
 ) -> None:
-    """Add a component to the patches that have it: its own variance and the distance of its mean.
-
-    Running mean and variance (West, Commun. ACM 22, 532 (1979), doi:10.1145/359146.359153) avoid differences
-    of large squares. Without ``here`` the patches have no other component.
-    """
+    """Add a component to the patches that have it: its own variance and the distance of its mean."""
+    # Running mean and variance (West, Commun. ACM 22, 532 (1979), doi:10.1145/359146.359153) avoid
+    # differences of large squares. Without ``here`` the patches have no other component.
     for i in range(len(some)):
         row, average = total[some[i]], mean[some[i]]
         a, b, c = share[i], step[i], share[i] * (1 - step[i])

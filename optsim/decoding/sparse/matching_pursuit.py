@@ -191,10 +191,7 @@ def _best(
     parts: Doubles,
     count: int,
 ) -> int:
-    """Atom that takes most of the residual energy, the first of equal ones; -1 if none takes any.
-
-    Its parts along the basis are left in the triangle.
-    """
+    """Atom with the most residual energy, the first of equal ones or -1; the triangle gets its parts."""
     c_error, n_error = terms[slot, 2], terms[slot, 3]
     n_peaks = peaks.shape[1]
     highest, top = np.float32(-1), 0
@@ -273,10 +270,7 @@ def _energy_taken(
     count: int,
     least: float,
 ) -> float:
-    """Energy that an atom takes from the residual, exactly; 0 if c**2 is below the least, -1 for a copy.
-
-    Finds the atom's parts along the basis.
-    """
+    """Exact energy that an atom takes; 0 if c**2 is below the least, -1 for a copy. Finds its parts."""
     columns, rows = atoms.columns, atoms.columns.shape[1]
     if not atoms.known[atom]:
         for m in range(rows):
@@ -309,10 +303,7 @@ def _extend(
     residual: Doubles,
     count: int,
 ) -> tuple[float, float]:
-    """Add an atom, whose parts are in the triangle, to the basis; take its share from the residual.
-
-    Returns the share and the energy left.
-    """
+    """Add an atom with its parts in the triangle to the basis; return its share and the energy left."""
     rows = columns.shape[1]
     for m in range(rows):
         basis[slot, count, m] = columns[atom, m]

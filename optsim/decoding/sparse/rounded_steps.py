@@ -126,14 +126,9 @@ def _drifted(slot: int, left: float, grid_error: float, steps: Steps) -> float:
 def _round_unit(
     vectors: Doubles, which: int, length: float, factor: float, slot: int, steps: Steps
 ) -> tuple[float, float]:
-    """Round one of several vectors, divided by its length, to 16 bits; a factor times its error drifts.
-
-    Returns
-    -------
-    step, error : float
-        The vector divided by its length is ``step`` times the slot's moves, but for a vector of at most the
-        length ``error``.
-    """
+    """Round one of several vectors, divided by its length, to 16 bits; return step and largest error."""
+    # The unit vector is ``step`` times the slot's moves, up to a vector of at most the length ``error``. A
+    # factor times that vector is added to the drift.
     rows = np.uint64(vectors.shape[1])
     top = 0.0
     for m in range(rows):

@@ -345,13 +345,7 @@ def _opened(levels: Bytes) -> int:
 def _words(
     images: NDArray[Any], black: float, full: float, noise: float
 ) -> tuple[list[Words], tuple[float, float]]:
-    """Images as 16-bit numbers, and their scale: first + step x count; whole numbers that fit stay.
-
-    Raises
-    ------
-    ValueCheckError
-        When a few bright pixels would leave the others too few numbers.
-    """
+    """Images in 16 bits, and their scale: first + step x count; ValueCheckError if that is too coarse."""
     finite = np.minimum(np.where(np.isfinite(images), images, black), full)
     least, most = float(finite.min(initial=black)), float(finite.max(initial=black))
     first, step = (0.0, 1.0)
