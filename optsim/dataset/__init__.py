@@ -1,4 +1,4 @@
-"""Data sets: the truth with everything that belongs to it, coded frames, and a reader."""
+"""Data sets: the truth with all its passes, coded frames, and a reader."""
 
 from optsim.dataset.building import Forecast, build_dataset, forecast
 from optsim.dataset.export import check_slots, export_passes, parse_slots

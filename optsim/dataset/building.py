@@ -36,16 +36,16 @@ SHEET = "contact_sheet.png"
 
 @dataclass(frozen=True)
 class Forecast:
-    """How long a build will take, from sequences that were built for it.
+    """Time, disk and memory that a build will take, extrapolated from sequences already built.
 
     Parameters
     ----------
     sequences, to_do : int
-        All, and those that aren't there yet.
+        All sequences, and those still missing.
     wall_s, disk_mb, peak_mb : float
         Time left, disk of the whole data set, memory of a worker.
     measured : int
-        Sequences that this follows from.
+        Sequences behind the forecast.
     """
 
     sequences: int
@@ -57,7 +57,7 @@ class Forecast:
 
 
 def tasks_of(spec: DatasetSpec, layout: Layout = "exr") -> list[Task]:
-    """List the tasks of a data set, one a sequence, each with a key of all that decides its files."""
+    """List the tasks of a data set, one a sequence, each with a key of all that determines its files."""
     table = spec.model_dump(mode="json")
     tasks: list[Task] = []
     for sequence in spec.sequences():
@@ -83,38 +83,38 @@ def build_dataset(
     only: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Outcome:
-    """Build a data set, or go on with one.
+    """Build a data set, or continue a build.
 
     Parameters
     ----------
     spec : DatasetSpec
-        What it is made of.
+        The spec of the data set.
     folder : Path
         New, empty, or with a build of the same spec.
     layout : {"exr", "npy"}
         ``npy`` writes a memory-mapped array a pass beside the EXR files.
     recipe : bool
-        Keep spec, card and the hash of each file, but not the files; with ``only`` any sequence is made
-        again, bit by bit on the same backend.
+        Keep spec, card and the hash of each file, but not the files. With ``only`` any sequence can be made
+        again, bit for bit on the same backend.
     workers, scheduler, shard
-        As of :func:`optsim.tasks.run_tasks`. Of several shards each ends without a card; a build without
+        As in :func:`optsim.tasks.run_tasks`. A build of several shards ends without a card; a build without
         shards then writes it.
     only : sequence of str
         Names of the sequences to make; all by default.
     progress : Progress
-        Told of each sequence, as "tasks".
+        Called after each sequence, as "tasks".
 
     Returns
     -------
     Outcome
-        Which sequences were made, found and put aside. The card is written when none is missing.
+        Sequences made, found and set aside. The card is written when none is missing.
 
     Raises
     ------
     ConfigError
-        For a spec that can't be built.
+        For an invalid spec.
     StorageError
-        When the folder holds anything else.
+        When the folder holds other files.
     """
     check_spec(spec)
     folder.mkdir(parents=True, exist_ok=True)
@@ -134,9 +134,9 @@ def build_dataset(
 def forecast(
     spec: DatasetSpec, folder: Path, *, workers: int, layout: Layout = "exr", progress: Progress = silent
 ) -> Forecast:
-    """Build two sequences of each scene, as a pilot, and say how long the rest takes.
+    """Build two sequences of each scene, as a pilot, and estimate the time of the rest.
 
-    The second tells what a worker that is warm needs. The pilot is part of the build: nothing is made twice.
+    The second measures a warm worker. The pilot is part of the build: nothing is made twice.
     """
     check_spec(spec)
     folder.mkdir(parents=True, exist_ok=True)
@@ -154,7 +154,7 @@ def forecast(
     for task in pilots:
         record = task_record(folder, task)
         if record is not None:
-            # The last one of a scene: compiled, loaded, calibrated.
+            # The last one of a scene ran with everything compiled, loaded and calibrated.
             seconds[scene_of[task.name]] = record["seconds"]
             sizes[scene_of[task.name]] = sum(p.stat().st_size for p in (folder / task.name).rglob("*")) / 1e6
             peak_mb = max(peak_mb, record["peak_mb"])
@@ -178,7 +178,7 @@ def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> 
     if recipe:
         for each in sequences:
             shutil.rmtree(folder / each.name)
-    # Last: with it the data set is there.
+    # Last: its presence marks a complete data set.
     write_json(folder / CARD, about)
 
 
@@ -205,7 +205,7 @@ def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], la
 
 
 def _own(folder: Path, spec: DatasetSpec) -> None:
-    """State whose folder it is, or refuse one of another spec."""
+    """Write the spec that the folder belongs to, or refuse a folder of another spec."""
     table = spec.model_dump(mode="json")
     if (folder / _SPEC).is_file():
         if read_record(folder / _SPEC) != table:

@@ -1,4 +1,4 @@
-"""What a data set says of itself: card, manifest, Croissant metadata, README."""
+"""Documents of a data set: card, manifest, Croissant metadata, README."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def card(
 
 
 def _camera(spec: DatasetSpec, sequences: Sequence[SequencePlan], name: str) -> Record:
-    """State rates, exposure, gain and noise of a camera, in its data sheet's terms."""
+    """Rates, exposure, gain and noise of a camera, in the terms of its data sheet."""
     sequence = next(each for each in sequences if each.camera == name)
     experiment = spec.experiment_of(sequence, spec.seeds[0])
     camera, view = experiment.camera, experiment.camera.view
@@ -209,7 +209,7 @@ def croissant(about: Record) -> Record:
 
 
 def readme(about: Record, checks: Mapping[str, Record]) -> str:
-    """README.md of a data set: what it is, how to read it, what was checked."""
+    """Write README.md of a data set: content, use, and results of the checks."""
     counts = Counter(each["split"] for each in about["sequences"])
     camera = next(iter(about["cameras"].values()))
     rows, cols = camera["truth_samples_yx"]

@@ -1,4 +1,4 @@
-"""What a slot's file holds: channels, their names, units and conventions; pure functions of arrays."""
+"""Content of a slot's file: channels, their names, units and conventions; pure functions of arrays."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from optsim.core.quantities import Floats, Ids, Passes, RadianceVideo
 
-# Stored as 16 bit on demand. Depth and flow stay float32: half of 7 m has steps of 4 mm, and a flow that
-# disagrees with the poses is no flow; so does the noise, which may lie below what half can hold. Half
+# Stored as 16 bit on demand. Depth and flow stay float32: half of 7 m has steps of 4 mm, and flow must agree
+# with the poses. Noise stays float32 too, because it may lie below the range of half. Half
 # radiance is exact to 2^-11 above 6.1e-5 W m^-2 sr^-1, to 3e-8 W m^-2 sr^-1 below.
 HALF_CHANNELS = ("Y", "N.X", "N.Y", "N.Z", "albedo")
 # Side of the square of samples that share an estimate of noise: 25 values, so 14 % uncertain.
@@ -34,7 +34,7 @@ CONVENTIONS = {
     "Y.sigma": f"standard deviation of the Monte-Carlo noise of Y, from the two halves of the render, over "
     f"{_NOISE_SIDE} x {_NOISE_SIDE} samples of the same object",
 }
-# Stands in place of the noise's convention where each slot has its own.
+# Replaces the noise's convention where each slot has its own noise.
 OWN_NOISE = "every slot was rendered by itself: no two share the noise of Y, not even where nothing moves"
 UNITS = {
     "Y": "W m^-2 sr^-1",
@@ -71,7 +71,7 @@ def noise_sigma(half_difference: Floats, ids: Ids) -> Floats:
         (half A - half B) / 2 of two independent renders: its square is an unbiased estimate of the variance
         of their mean, of one degree of freedom a sample.
     ids : ndarray of shape (y, x), uint32
-        Objects, so that the noise of one is not spread over its neighbour.
+        Object ids, so that the noise of one object is not spread over its neighbour.
 
     Returns
     -------

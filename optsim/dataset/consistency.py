@@ -1,4 +1,4 @@
-"""Whether the passes of a sequence agree with each other: measured for each, printed in the card."""
+"""Agreement between the passes of a sequence: measured for each, printed in the card."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ def consistency(truth: Path) -> dict[str, float]:
     Returns
     -------
     dict
-        ``flow_error_px``: largest distance between the forward flow and the place that depth, camera and
-        object poses give, fine samples, of all surfaces that are rigid;
-        ``id_agreement``: share of samples, seen in both slots, that flow takes to a sample of their object or
-        next to one;
+        ``flow_error_px``: largest distance between the forward flow and the place from depth, camera and
+        object poses, fine samples, over all rigid surfaces; ``id_agreement``: share of samples, visible in
+        both slots, that flow takes to a sample of their object or next to one;
         ``negative_share``: share of samples with negative radiance (unbiased noise);
         ``noise_share``: median of the standard deviation of the radiance's noise over the radiance.
     """
@@ -47,7 +46,7 @@ def consistency(truth: Path) -> dict[str, float]:
 
 
 def _flow_error(channels: Channels, said: dict[str, Any]) -> float:
-    """Compare flow with where depth and poses put each surface point in the next slot."""
+    """Compare flow with the displacement of each surface point that depth and poses give."""
     ids, depth = channels["id"], channels["Z"].astype(np.float64)
     rows, cols = np.mgrid[: len(ids), : ids.shape[1]] + 0.5
     matrix = np.array(said["intrinsics_px"])
@@ -78,7 +77,7 @@ def _flow_error(channels: Channels, said: dict[str, Any]) -> float:
 
 
 def _without_distortion(matrix: Doubles, cols: Doubles, rows: Doubles, k1: float) -> Doubles:
-    """Directions of the samples' rays, z = 1: the radial polynomial is undone by fixed-point steps."""
+    """Directions of the samples' rays, z = 1: fixed-point steps invert the radial polynomial."""
     there = np.stack([cols, rows, np.ones_like(cols)], axis=-1) @ np.linalg.inv(matrix).T
     plane = there[..., :2].copy()
     for _ in range(20):
@@ -87,13 +86,13 @@ def _without_distortion(matrix: Doubles, cols: Doubles, rows: Doubles, k1: float
 
 
 def _id_agreement(now: Channels, then: Channels) -> float:
-    """Follow the forward flow of what stays seen and compare object ids."""
+    """Follow the forward flow of samples that stay visible and compare object ids."""
     ids = now["id"]
     seen = (now["occluded.forward"] == 0) & (ids > 0)
     rows, cols = np.nonzero(seen)
     row = np.floor(rows + 0.5 + now["flow.forward.row"][seen]).astype(np.int64)
     col = np.floor(cols + 0.5 + now["flow.forward.col"][seen]).astype(np.int64)
-    # A surface point lies somewhere in its sample, whose centre may belong to the object beside.
+    # A surface point may lie anywhere in its sample, whose centre may belong to the adjacent object.
     padded = np.pad(then["id"], 1, mode="edge")
     inside = (row >= 0) & (col >= 0) & (row < len(ids)) & (col < ids.shape[1])
     row, col, own = row[inside] + 1, col[inside] + 1, ids[seen][inside]

@@ -1,4 +1,4 @@
-"""A row of pictures for each sequence: truth, its passes, a coded frame and what was decoded from it."""
+"""A row of images for each sequence: truth, its passes, a coded frame and its reconstruction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PAPER = 250
 
 
 def write_contact_sheet(path: Path, samples: Sequence[Sample]) -> None:
-    """Draw one row a sample; brightness is the logarithm of radiance over what the sample holds."""
+    """Draw one row a sample; grey is the logarithm of radiance over the sample's range."""
     from PIL import Image, ImageDraw
 
     rows = [_row(sample) for sample in samples]
@@ -84,7 +84,7 @@ def _log(values: Array, low: float, high: float) -> Bytes:
 
 
 def _of_ids(ids: Array) -> Bytes:
-    """Colours that neighbours in number don't share; nothing is white."""
+    """Colours that differ between consecutive ids; none is white."""
     hue = ids.astype(np.float64) * 0.61803398875 % 1
     colours = _hsv(hue, np.full(hue.shape, 0.55), np.full(hue.shape, 0.85))
     colours[ids == 0] = 255
@@ -92,7 +92,7 @@ def _of_ids(ids: Array) -> Bytes:
 
 
 def _of_flow(flow: Array) -> Bytes:
-    """Hue is the way, saturation the speed over the fastest."""
+    """Hue is the direction, saturation the speed over the fastest."""
     speed = np.hypot(flow[..., 0], flow[..., 1]).astype(np.float64)
     hue = (np.arctan2(flow[..., 0], flow[..., 1]) / (2 * np.pi)) % 1
     return _hsv(hue.astype(np.float64), speed / max(float(speed.max()), 1e-6), np.ones(speed.shape))

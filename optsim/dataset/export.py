@@ -1,6 +1,6 @@
-"""Export of the truth with everything that belongs to it: one OpenEXR a slot, a manifest, one picture.
+"""Export of the truth with all its passes: one OpenEXR a slot, a manifest, one overview image.
 
-Radiance is the mean over the slot; all other passes are of the instant in the middle of the slot, and flow
+Radiance is the mean over the slot. All other passes are of the instant in the middle of the slot, and flow
 goes to the middles of the next and of the last slot.
 """
 
@@ -39,7 +39,7 @@ _MANIFEST = "manifest.json"
 _PICTURE = "passes.png"
 # Bytes of a sample in a file, before compression: 18 channels of 32 bits.
 _SAMPLE_BYTES = 72
-# Defines the share of noise that is asked for and measured.
+# Defines the share of noise, both requested and measured.
 _SHARE = "rms over the picture of the standard deviation of Y over (Y + 1 % of the scene's white)"
 
 Record = dict[str, Any]
@@ -47,7 +47,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class _Export:
-    """Where an export goes, and what it is of."""
+    """Destination and source of an export."""
 
     folder: Path
     experiment: Experiment
@@ -62,7 +62,7 @@ class _Export:
         return self.folder / f"slot{slot:06d}.exr"
 
     def header(self) -> Record:
-        """Tell what manifest and files have in common."""
+        """Return the common part of manifest and files."""
         return {
             "kind": _KIND,
             "identity": self.identity,
@@ -95,9 +95,9 @@ def export_passes(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Write slots of an experiment's truth with all passes: ``slot000000.exr``, manifest and a picture.
+    """Write slots of an experiment's truth with all passes: ``slot000000.exr``, manifest and an image.
 
-    An interrupted export resumes, and a later one with other slots adds to it: whole files are kept.
+    An interrupted export resumes, and a later one with other slots adds to it: complete files are kept.
 
     Parameters
     ----------
@@ -106,20 +106,20 @@ def export_passes(
     folder : Path
         New, empty, or with an export of the same truth.
     slots : range, optional
-        Which slots, default all.
+        Slots to export, default all.
     half : bool
         Store radiance, normals and albedo as 16 bit; ids, depth, flow and noise never.
     extras : Extras, optional
         Further channels; none by default.
     independent_noise : bool
-        Render every slot by itself, what stands still too, so that no two share their noise.
+        Render every slot separately, static parts too, so that no two share their noise.
     noise_share : float, optional
         The same, until the noise of each slot is this share of (radiance + 1 % of white), rms over the
-        picture, instead of ``render.static_error``; 0.001 to 1.
+        image, instead of ``render.static_error``; 0.001 to 1.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of each slot, as "passes".
+        Called after each slot, as "passes".
 
     Raises
     ------
@@ -127,9 +127,9 @@ def export_passes(
         For footage, slots outside of the experiment, a share of noise out of range, or denoising that is not
         installed.
     StorageError
-        When the folder holds anything else, another process writes into it, or the disk is too full.
+        When the folder holds other files, another process writes into it, or the disk is too full.
     BackendError
-        When polarised light or independent noise is wanted and only the scalar fallback works.
+        When polarised light or independent noise is requested and only the scalar fallback works.
     """
     from optsim.render import PassRenderer
 
@@ -157,7 +157,7 @@ def export_passes(
         _check_disk(folder, len(missing) * view.rows * view.cols * (_SAMPLE_BYTES + 4 * len(more)))
         _write_manifest(export, files, complete=not missing)
         if missing:
-            # For others, without this camera's splitter: polarisation is a channel of its own.
+            # An export is for other cameras too, without this splitter: polarisation is a separate channel.
             plain = with_effects(experiment.camera, {"polarised_scene": "ideal"})
             light = experiment.model_copy(update={"camera": plain})
             radiance = render_truth(light, backend=backend, slot_error=share, progress=progress)
@@ -209,7 +209,7 @@ def parse_slots(text: str) -> range:
 
 
 def check_slots(experiment: Experiment, slots: range | None) -> range:
-    """Return the slots wanted, all by default; a ConfigError unless they are some of the experiment's."""
+    """Return the requested slots, all by default; a ConfigError unless they are some of the experiment's."""
     n_slots = experiment.timing.n_slots
     if slots is None:
         return range(n_slots)
@@ -224,7 +224,7 @@ def check_slots(experiment: Experiment, slots: range | None) -> range:
 def _chosen_share(
     experiment: Experiment, independent: bool, share: float | None, backend: str | None
 ) -> float | None:
-    """Share of noise that each slot is rendered to by itself; None where slots may have noise in common."""
+    """Noise share of independently rendered slots; None where slots may have noise in common."""
     if share is not None and not 0.001 <= share <= 1:
         raise ConfigError(
             f"--noise-share: got {share:g}, expected 0.001 to 1; cure: --noise-share 0.01, for 1 %"
@@ -243,9 +243,9 @@ def _chosen_share(
 
 
 def _found(export: _Export) -> dict[int, Record]:
-    """Find the slots that are already there and whole, by number; refuse a folder of anything else."""
+    """Find the existing complete slots, by number; refuse a folder with other files."""
     folder = export.folder
-    # What a killed export left half-written is hidden and ends so; it is no content.
+    # A killed export leaves a hidden file with this ending; it is no content.
     halves = list(folder.glob(".*.part.*"))
     if {*folder.iterdir()} <= {*halves, folder / CLAIM}:
         return {}
@@ -266,7 +266,7 @@ def _found(export: _Export) -> dict[int, Record]:
     for path in sorted(folder.glob("slot*.exr")):
         slot = int(path.stem.removeprefix("slot"))
         # A listed file that was damaged since has another hash; one finished after the list was written is
-        # asked itself.
+        # read itself.
         record = listed.get(slot) or _own_record(export, path, slot)
         if record is not None and record == _record(path, slot, record["noise_share"]):
             files[slot] = record
@@ -274,7 +274,7 @@ def _found(export: _Export) -> dict[int, Record]:
 
 
 def _own_record(export: _Export, path: Path, slot: int) -> Record | None:
-    """Record of a file that says it is this export's slot."""
+    """Record of a file if it states that it is this export's slot."""
     try:
         attributes = read_exr(path)[1]
     except StorageError:

@@ -1,4 +1,4 @@
-"""A data set in the forms that other loaders read: webdataset shards, HDF5, and NeRF's transforms.json."""
+"""A data set in the formats of other loaders: webdataset shards, HDF5, and NeRF's transforms.json."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _add(tar: tarfile.TarFile, key: str, sample: Sample) -> None:
     for name in sample:
         stream = io.BytesIO()
         np.save(stream, sample[name])
-        # Everything after the first point is the kind of a file there.
+        # The format takes everything after the first point as the kind of a file.
         _member(tar, f"{key}.{name.replace('/', '_')}.npy", stream.getvalue())
     _member(tar, f"{key}.json", json.dumps(_about(sample)).encode())
 
@@ -59,7 +59,7 @@ def export_hdf5(dataset: Dataset, path: Path, progress: Progress = silent) -> No
     Raises
     ------
     StorageError
-        When h5py is not installed, or the file is there.
+        When h5py is not installed, or the file exists.
     """
     try:
         import h5py  # pyright: ignore
@@ -81,7 +81,7 @@ def export_hdf5(dataset: Dataset, path: Path, progress: Progress = silent) -> No
 
 
 def export_nerf(dataset: Dataset, folder: Path, progress: Progress = silent) -> None:
-    """Write a folder a sequence: 8-bit pictures and ``transforms.json``; camera x right, y up, z back."""
+    """Write a folder a sequence: 8-bit images and ``transforms.json``; camera x right, y up, z back."""
     with claimed_empty(folder):
         for split in SPLITS:
             samples = {sample.about["name"]: sample for sample in dataset.samples(split)}

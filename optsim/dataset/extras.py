@@ -1,4 +1,4 @@
-"""Channels that an export holds on request: light by groups of lamps, Stokes vector, denoised radiance."""
+"""Optional channels of an export: light by groups of lamps, Stokes vector, denoised radiance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from optsim.experiment.experiment import Experiment
 from optsim.experiment.truth import chosen_scene, truth_view, whole_scene
 from optsim.scene import Scene
 
-# Samples of a fine sample and slot unless told otherwise: noise of about a fifth in window_room. No source.
+# Default samples of a fine sample and slot: noise of about a fifth in window_room. No source.
 LIGHT_SAMPLES = 64
 STOKES_SAMPLES = 64
 BAND_SAMPLES = 64
@@ -37,7 +37,7 @@ _MEANS_STOKES = (
     "bright as on the mean over the slot; rendered with polarised light and Monte-Carlo noise of its own, so "
     "S0 is no copy of Y"
 )
-# As of optsim.render.stokes, whose tests hold them.
+# As in optsim.render.stokes, whose tests check them.
 _SIGNS = {
     "S1": "> 0: the field swings along the picture's rows, horizontally; a level floor's gloss has S1 > 0",
     "S2": "> 0: along the diagonal from the lower left to the upper right",
@@ -51,18 +51,18 @@ _MEANS_DENOISED = (
 
 
 class Extras(Part):
-    """What an export holds besides the usual channels; samples are of a fine sample and slot.
+    """Channels of an export besides the usual ones; sample counts are for a fine sample and slot.
 
     Parameters
     ----------
     light_samples : int, optional
-        One channel ``Y.light.<group>`` for each group of lamps that flicker alike, with so many samples.
+        One channel ``Y.light.<group>`` for each group of lamps with the same flicker; samples of each.
     stokes_samples : int, optional
-        Channels ``S0`` .. ``S3``, with so many samples.
+        Channels ``S0`` .. ``S3``; samples of each.
     band_samples : int
         Samples of one channel ``Y.band.<band>`` for each band of a scene that has several.
     denoise : bool
-        A channel ``Y.denoised`` beside Y, to look at.
+        A channel ``Y.denoised`` beside Y, for viewing.
     """
 
     light_samples: int | None = Field(default=None, ge=1, le=1 << 20)
@@ -71,14 +71,14 @@ class Extras(Part):
     denoise: bool = False
 
     def check(self, backend: str | None = None) -> None:
-        """Find what would stop an export, before anything is rendered.
+        """Check for obstacles to an export, before anything is rendered.
 
         Raises
         ------
         ConfigError
-            When denoising is wanted and its extra is not installed.
+            When denoising is requested and its extra is not installed.
         BackendError
-            When polarised light is wanted and only the scalar fallback works.
+            When polarised light is requested and only the scalar fallback works.
         """
         from optsim import render
 
@@ -102,7 +102,7 @@ def choose_extras(
     stokes: bool = False,
     denoise: bool = False,
 ) -> Extras:
-    """Extras as the command line asks for them: one number of samples for all, or the defaults.
+    """Choose extras for the command line: one number of samples for all, or the defaults.
 
     Raises
     ------
@@ -142,7 +142,7 @@ class ExtraChannels:
     Parameters
     ----------
     extras : Extras
-        What is wanted.
+        The channels.
     experiment : Experiment
         Scene, view, slots, and render settings.
     backend : str, optional
@@ -165,9 +165,9 @@ class ExtraChannels:
         Parameters
         ----------
         slot : int
-            Which.
+            Index of the slot.
         passes : Passes
-            Of the middle of the slot.
+            Passes of the middle of the slot.
         radiance : ndarray of shape (y, x), float32
             Mean over the slot, W m^-2 sr^-1.
 
@@ -176,7 +176,7 @@ class ExtraChannels:
         channels : dict
             Name -> array of shape (y, x), float32.
         attributes : dict
-            What they mean, with units, samples and signs.
+            Their meaning, with units, samples and signs.
         """
         channels: dict[str, Floats] = {}
         said: Record = {}

@@ -28,11 +28,11 @@ class Pass:
     Parameters
     ----------
     channels : tuple of str
-        In a slot's file; more than one become the last axis.
+        Channels in a slot's file; several become the last axis.
     unit : str
-        SI, or what the numbers are.
+        SI unit, or the meaning of the numbers.
     axes : str
-        Of the array of a sequence.
+        Axes of the array of a sequence.
     """
 
     channels: tuple[str, ...]
@@ -55,7 +55,7 @@ PASSES = {
     "occluded_backward": Pass(("occluded.backward",), "mask"),
     "moving": Pass(("moving",), "mask"),
 }
-# Of each scheme: files of a coded frame, unit and axes.
+# For each scheme: files of a coded frame, unit and axes.
 _CODED = {
     "frames": ("png", "DN", "frame, y, x"),
     "masks": ("png", "mask", "frame, v, u"),
@@ -66,16 +66,16 @@ _CODED = {
 
 @dataclass(frozen=True, eq=False)
 class Sample(Mapping[str, Array]):
-    """One sequence with one seed: named arrays, read when they are asked for.
+    """One sequence with one seed: named arrays, read on demand.
 
     Parameters
     ----------
     folder : Path
-        Of the sequence.
+        Folder of the sequence.
     seed : int or None
-        Of the coded frames; None where there are none.
+        Seed of the coded frames; None without any.
     about : dict
-        What the data set's card says of the sequence: scene, variation, camera, split.
+        The card's entry of the sequence: scene, variation, camera, split.
     """
 
     folder: Path
@@ -83,7 +83,7 @@ class Sample(Mapping[str, Array]):
     about: dict[str, Any]
 
     def __repr__(self) -> str:
-        """Say which one it is."""
+        """Identify the sample."""
         seed = "" if self.seed is None else f", seed {self.seed}"
         return f"<Sample {self.about['name']}{seed}: {', '.join(self)}>"
 
@@ -141,7 +141,7 @@ class Sample(Mapping[str, Array]):
         return np.stack([_picture(path) if suffix == "png" else _slots_of(path) for path in paths])
 
     def mapped(self, name: str) -> Path:
-        """File of an array in the layout ``npy``, there or not."""
+        """File of an array in the layout ``npy``, whether it exists or not."""
         return self.folder / ARRAYS / (f"{name}.npy" if name in PASSES else f"seed{self.seed}/{name}.npy")
 
     def slot(self, name: str, index: int) -> Array:
@@ -214,7 +214,7 @@ class Samples(Sequence[Sample]):
             def __getitem__(self, index: int) -> Any:
                 sample = samples[index]
                 arrays = {name: np.array(sample[name]) for name in names or sample}
-                # PyTorch computes with few unsigned kinds.
+                # PyTorch supports few unsigned types.
                 signed = {
                     name: a.astype(np.int64) if a.dtype.kind == "u" else a for name, a in arrays.items()
                 }
@@ -231,7 +231,7 @@ class Dataset:
     Parameters
     ----------
     folder : Path
-        Where it is.
+        Its folder.
     card : dict
         Content of ``dataset.json``.
     """
@@ -251,21 +251,21 @@ class Dataset:
 
     @property
     def train(self) -> Samples:
-        """What to learn from."""
+        """Samples for training."""
         return self.samples("train")
 
     @property
     def val(self) -> Samples:
-        """What to choose by."""
+        """Samples for choosing between models."""
         return self.samples("val")
 
     @property
     def test(self) -> Samples:
-        """What to report."""
+        """Samples for reported results."""
         return self.samples("test")
 
     def __repr__(self) -> str:
-        """Say what it holds."""
+        """Summarise the content."""
         counts = ", ".join(f"{len(self.samples(split))} {split}" for split in SPLITS)
         return f"<Dataset {self.card['name']!r} in {self.folder}: {counts}>"
 
@@ -281,7 +281,7 @@ def open_dataset(path: str | Path) -> Dataset:
     Returns
     -------
     Dataset
-        With the splits ``train``, ``val`` and ``test``; nothing but the card is read yet.
+        With the splits ``train``, ``val`` and ``test``; only the card is read yet.
 
     Raises
     ------
@@ -309,7 +309,7 @@ def manifest(folder: Path) -> list[dict[str, Any]]:
     Raises
     ------
     StorageError
-        When it is lost or damaged.
+        When it is missing or damaged.
     """
     path = folder / MANIFEST
     try:

@@ -1,4 +1,4 @@
-"""One sequence of a data set: truth with all passes, then what each scheme's camera made of it.
+"""One sequence of a data set: truth with all passes, then coded frames and reconstructions of each scheme.
 
 ::
 
@@ -30,12 +30,12 @@ from optsim.experiment.truth import render_truth
 
 
 def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
-    """Fill a sequence's folder; what an attempt before has finished is kept.
+    """Fill a sequence's folder; results of an earlier attempt are kept.
 
     Parameters
     ----------
     folder : Path
-        To fill.
+        The sequence's folder.
     spec, sequence : dict
         The :class:`DatasetSpec` and the :class:`SequencePlan` as tables, since workers get them by pickle.
     """
@@ -50,7 +50,7 @@ def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
 
 
 def _take(experiment: Experiment, folder: Path, *, reconstruct: bool) -> None:
-    """Calibrate, take the coded frames of all schemes, and decode them if wanted."""
+    """Calibrate, take the coded frames of all schemes, and decode them if requested."""
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
     experiment.check_methods(known)
@@ -65,6 +65,6 @@ def _take(experiment: Experiment, folder: Path, *, reconstruct: bool) -> None:
                 write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
     write_checksums(folder)
     write_json(folder / "experiment.json", experiment.model_dump(mode="json"))
-    # Last: it says that the rest is whole.
+    # Last: its presence marks the rest as complete.
     facts = {"irradiance_per_radiance": camera.irradiance_per_radiance, "gain_e_dn": camera.sensor.step_e}
     write_json(folder / "light.json", {**asdict(light), **facts})

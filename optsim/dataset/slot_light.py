@@ -1,4 +1,4 @@
-"""Radiance of one slot rendered directly, group by group of lamps, every fine sample alike."""
+"""Radiance of one slot rendered directly, by groups of lamps, with equal samples everywhere."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def named_groups(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
-    """Scene whose lamps are steadily as bright as on the mean over an interval; None if all are dark then.
+    """Scene whose lamps have constant power, their mean over an interval; None if all are dark then.
 
-    Of one band, as all that is rendered.
+    It has one band, like every rendered scene.
     """
     lamps = {
         name: lamp.model_copy(update={"radiance_w_m2_sr": mono(lamp.radiance_w_m2_sr) * gain})
@@ -43,16 +43,16 @@ def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
 
 
 class SlotLight:
-    """Radiance of a slot group by group of lamps, by plain path tracing: every fine sample alike.
+    """Radiance of a slot by groups of lamps, by plain path tracing with equal samples everywhere.
 
     Parameters
     ----------
     scene : Scene
-        What to render; loaded once for each group.
+        The scene; loaded once for each group.
     experiment : Experiment
         View, slots, and render settings: seed, instants a slot and bound on the error of motion blur.
     samples : int
-        Of a fine sample and slot, at least; shared by the poses whose mean is the slot.
+        Least samples of a fine sample and slot; shared by the poses whose mean is the slot.
     """
 
     def __init__(self, scene: Scene, experiment: Experiment, samples: int) -> None:
@@ -66,7 +66,7 @@ class SlotLight:
         self._stages = {name: Stage(scene.only_lamps(lamps), view) for name, lamps in self.groups.items()}
 
     def shares(self, slot: int) -> tuple[int, int]:
-        """Poses of each truth instant in a slot, and samples of each pose."""
+        """Count the poses of each truth instant in a slot, and samples of each pose."""
         from optsim.render.full import poses_per_instant
 
         instants = self._plan.settings.instants_per_slot
@@ -74,12 +74,12 @@ class SlotLight:
         return poses, -(-self._samples // (poses * instants))
 
     def samples(self, slot: int) -> int:
-        """Count the samples of a fine sample in a slot, for each group: at least those asked for."""
+        """Count the samples of a fine sample in a slot, for each group: at least those requested."""
         poses, samples = self.shares(slot)
         return poses * samples * self._plan.settings.instants_per_slot
 
     def gains(self, group: str, slot: int) -> list[float]:
-        """Brightness of a group in each truth instant of a slot, relative to its mean."""
+        """Power of a group in each truth instant of a slot, relative to its mean."""
         n, lamp = self._plan.settings.instants_per_slot, self.groups[group][0]
         return [
             self._scene.gain(lamp, self._plan.time_s(slot + i / n), self._plan.time_s(slot + (i + 1) / n))
@@ -87,9 +87,9 @@ class SlotLight:
         ]
 
     def of(self, slot: int) -> dict[str, Doubles]:
-        """Mean radiance over a slot that each group gives: (y, x), W m^-2 sr^-1, float64.
+        """Mean radiance over a slot from each group: (y, x), W m^-2 sr^-1, float64.
 
-        All groups take the same random numbers.
+        All groups use the same random numbers.
         """
         from optsim.render.full import slot_image
         from optsim.render.plan import seed_of

@@ -1,4 +1,4 @@
-"""Spec of a data set: scenes x variations x cameras x seeds, the schemes that code them, and the split."""
+"""Spec of a data set: scenes x variations x cameras x seeds, their coding schemes, and the split."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _MOST = 1_000_000
 
 
 class Share(Part):
-    """Which scenes and variations are held out, the rest is for training.
+    """Scenes and variations held out from training.
 
     Parameters
     ----------
     val, test
-        Either patterns of ``scene/variation``, such as ``["wheel/*", "half_moving/3"]``, or the share of all
-        of these, chosen by a hash of their names, so that adding one moves no other.
+        Either patterns of ``scene/variation``, such as ``["wheel/*", "half_moving/3"]``, or a share of all.
+        A hash of their names chooses the share, so that a new one moves no other.
     """
 
     val: float | tuple[str, ...] = ()
@@ -46,7 +46,7 @@ class Share(Part):
         return self
 
     def of(self, scene: str, variation: str) -> Split:
-        """Say where a scene and variation belongs.
+        """Return the split of a scene and variation.
 
         Raises
         ------
@@ -73,27 +73,27 @@ class DatasetSpec(Part):
     Parameters
     ----------
     name, description : str
-        For people.
+        Name and description for people.
     licence : str
-        SPDX name of the licence that whoever builds it gives it.
+        SPDX name of the licence that the builder gives it.
     experiment : str
-        Preset or TOML file: its camera, timing, render settings, calibration, schemes and decoders are taken.
+        Preset or TOML file; it gives camera, timing, render settings, calibration, schemes and decoders.
     n_frames : int
         Coded frames a sequence; each has ``camera.slots_per_frame`` slots of truth.
     scenes : dict
-        Scene -> its variations: names, numbers, and ranges of numbers such as ``"0:100"``, without the last.
+        Scene -> its variations: names, numbers, and ranges of numbers such as ``"0:100"``, end excluded.
     cameras : dict
         Name -> changes of the experiment's camera, as in its TOML file.
     schemes : tuple of str
-        Names of the experiment's methods that take coded frames; none: truth alone.
+        Names of the experiment's methods that take coded frames; with none, truth alone.
     seeds : tuple of int
-        Of photons, codes and the laboratory: each takes all coded frames anew, of the same truth.
+        Seeds of photons, codes and the laboratory: each takes all coded frames anew from the same truth.
     reconstruct : bool
         Decode the coded frames too.
     half : bool
         Radiance, normals and albedo in 16 bit; depth, flow, ids and noise never.
     split : Share
-        What is held out.
+        The part held out.
     """
 
     name: str = Field(
@@ -124,7 +124,7 @@ class DatasetSpec(Part):
         Raises
         ------
         ConfigError
-            For a split that overlaps, or more sequences than anyone builds.
+            For an overlapping split, or more sequences than anyone builds.
         """
         n = len(self.cameras) * sum(len(variations) for variations in self.scenes.values())
         if n > _MOST:
@@ -162,14 +162,14 @@ class DatasetSpec(Part):
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """One sequence: a scene in a variation, seen by a camera.
+    """One sequence: a scene in a variation and a camera.
 
     Parameters
     ----------
     split : str
         ``train``, ``val`` or ``test``.
     scene, variation, camera : str
-        By the names of the spec.
+        Their names in the spec.
     """
 
     split: Split
@@ -179,18 +179,18 @@ class SequencePlan:
 
     @property
     def name(self) -> str:
-        """Folder below the data set's."""
+        """Folder relative to the data set's."""
         return f"{self.split}/{_plain(self.scene)}-{self.variation.replace(',', '_')}-{self.camera}"
 
 
 def dataset_names() -> list[str]:
-    """Names of the specs that are shipped."""
+    """Names of the shipped specs."""
     folder = files("optsim.presets") / "datasets"
     return sorted(Path(str(p)).stem for p in folder.iterdir() if p.name.endswith(".toml"))
 
 
 def load_spec(name_or_path: str) -> DatasetSpec:
-    """Read a spec: a shipped one by its name, or a TOML file; paths in it begin at its folder.
+    """Read a spec: a shipped one by its name, or a TOML file; paths in it start at its folder.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def load_spec(name_or_path: str) -> DatasetSpec:
 
 
 def _beside(name: str, folder: Path) -> str:
-    """Take a path from the spec's own folder; a bare name is shipped."""
+    """Resolve a path against the spec's own folder; a bare name is a shipped one."""
     is_path = "/" in name or name.endswith(".toml")
     return str((folder / Path(name).expanduser()).absolute()) if is_path else name
 
@@ -221,7 +221,7 @@ def _plain(scene: str) -> str:
 
 
 def _names(listed: float | tuple[str, ...], name: str) -> bool:
-    """Whether patterns, if that is what is listed, name it."""
+    """Whether patterns, if patterns are listed, match a name."""
     return isinstance(listed, tuple) and any(fnmatch.fnmatchcase(name, pattern) for pattern in listed)
 
 
@@ -246,7 +246,7 @@ def _variations(scene: object, listed: object) -> Any:
 
 
 def check_spec(spec: DatasetSpec) -> None:
-    """Refuse what would stop a build, before it begins.
+    """Check for obstacles to a build, before it starts.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Is a data set as it was written, and what is in it: files against the manifest, histograms."""
+"""Check of a data set's files against the manifest, and histograms of its content."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
     dataset : Dataset
         From :func:`optsim.dataset.open_dataset`.
     progress : Progress
-        Told of each file, as "verify".
+        Called after each file, as "verify".
 
     Returns
     -------
     list of str
-        One line a problem: a file that is missing, changed or not listed; empty when all is well.
+        One line a problem: a file that is missing, changed or not listed; empty without problems.
     """
     found: list[str] = []
     stated = dataset.card["manifest"]["sha256"]
@@ -56,7 +56,7 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
 
 
 def statistics(dataset: Dataset, progress: Progress = silent) -> dict[str, Any]:
-    """Count luminance in stops, speeds and the share that moves, of one slot of each sequence.
+    """Count luminance in stops, speeds and the moving share, in one slot of each sequence.
 
     Returns
     -------

@@ -17,7 +17,8 @@ from optsim.decoding.partial_decoders import (
 )
 from optsim.decoding.union import Union
 
-# Decoders that the union may take for what moves stand in one list, :mod:`optsim.decoding.partial_decoders`.
+# Decoders that the union may take for moving pixels stand in one list,
+# :mod:`optsim.decoding.partial_decoders`.
 ALL: tuple[type[Part], ...] = (*get_args(AnyPartialDecoder), Average, Union)
 Decoder = Annotated[AnyPartialDecoder | Average | Union, Field(discriminator="kind")]
 

@@ -14,7 +14,7 @@ from optsim.decoding.partial_decoders import GaussianMixture, SparseCoding
 
 
 class Average(PartialDecoder):
-    """Mean of sparse coding and Gaussian mixture: their errors are alike in size and partly independent.
+    """Mean of sparse coding and Gaussian mixture: their errors are of similar size and partly independent.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Average(PartialDecoder):
     mixture: GaussianMixture = GaussianMixture(stride_px=1)
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the blend weights of the seam."""
+        """Decode as :meth:`decode`, with the blend weights of the union."""
         one, other = tee(frames)
         pairs = zip(
             self.sparse.partials(one, calibration), self.mixture.partials(other, calibration), strict=True

@@ -1,9 +1,9 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
-"""A picture that moves evenly while one code for all pixels opens and closes, and how to undo its blur.
+"""Model and inversion of the blur of uniform motion under one code for all pixels.
 
-What is looked for is a slot's mean light, carried along by a constant velocity from slot to slot: the coded
-image is then exactly its convolution with the code's weights, laid out along the way. Light is relative to
-its mean and the code's weights sum to 1, so that even light keeps its value.
+The unknown is a slot's mean light, shifted by a constant velocity from slot to slot. The coded image is then
+exactly its convolution with the code's weights along the motion path. Light is relative to its mean and the
+code's weights sum to 1, so uniform light keeps its value.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from optsim.core.quantities import Bools, Doubles, Floats
 Spectrum = NDArray[np.complex64]
 Velocity = tuple[float, float]
 
-# Of the light's power; below it a spectrum is float32's own noise.
+# Share of the light's power; below it a spectrum is float32's own noise.
 _LEAST = 1e-7
 
 
@@ -33,13 +33,13 @@ class Way:
     Parameters
     ----------
     transfer : ndarray of shape (rows, cols // 2 + 1), complex64
-        Transfer function of the code along the way.
+        Transfer function of the code along the motion path.
     noise : ndarray of shape (rows, cols // 2 + 1), float32
-        Noise power over that of the picture.
+        Noise power over signal power.
     power : ndarray of shape (rows, cols // 2 + 1), float32
         Squared magnitude of the transfer function, plus ``noise``.
     rough : float
-        Standard deviation that noise alone gives the gradients of the equalised sharp picture.
+        Standard deviation that noise alone gives the gradients of the equalised sharp image.
     """
 
     transfer: Spectrum
@@ -50,24 +50,24 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class CodedBlur:
-    """A coded image on a canvas with a margin, which unknown light moves in from.
+    """A coded image on a canvas, with a margin from which unknown light moves in.
 
     Parameters
     ----------
     light : ndarray of shape (rows, cols), float32
-        Mean light while open; a guess where it isn't known.
+        Mean light while open; a guess where it isn't measured.
     certainty : ndarray of shape (rows, cols), float32
-        Inverse of its noise variance, relative to that of a typical pixel; 0 where it isn't known.
+        Inverse noise variance, relative to that of a typical pixel; 0 where the light isn't measured.
     variance, error : float
-        Noise variance of a typical pixel, and that of what the model misses where something moves.
+        Noise variance of a typical pixel, and the variance of the model error where something moves.
     code : ndarray of shape (slot,), float32
-        Weights of the coded slots, sum 1. The sharp picture is where it is drawn at their middle.
+        Weights of the coded slots, sum 1. The sharp image is placed where it is at their middle.
     margin : int
         Pixels above and to the left of the image.
     spectrum : ndarray of shape (rows, cols // 2 + 1), complex64
-        Of ``light``.
+        Spectrum of ``light``.
     slope : ndarray of shape (rows, cols // 2 + 1), float32
-        Squared magnitude of the gradient's own transfer function.
+        Squared magnitude of the gradient's transfer function.
     """
 
     light: Floats
@@ -81,21 +81,21 @@ class CodedBlur:
 
     @property
     def middle(self) -> float:
-        """Slot, counted from 0, of the sharp picture."""
+        """Slot, counted from 0, at which the sharp image is placed."""
         return (len(self.code) - 1) / 2
 
     def along(self, velocity: Velocity) -> Way:
-        """Blur of a velocity, in pixels a slot, and how much noise there is in it.
+        """Blur of a velocity, in pixels a slot, and its noise.
 
-        A picture's power is taken to fall as the inverse square of frequency (D. J. Field, J. Opt. Soc. Am. A
-        4, 2379 (1987)): its gradient's is the same at all. How much there is, the coded image's own says.
+        Image power is taken to fall as the inverse square of frequency (D. J. Field, J. Opt. Soc. Am. A
+        4, 2379 (1987)), so gradient power is the same at all frequencies. The coded image gives the amount.
         """
         shape = self.light.shape
         transfer = np.empty(self.spectrum.shape, np.complex64)
         back = (-self.middle * velocity[0], -self.middle * velocity[1])
         _horner(self.code, *_phases(shape, velocity), *_phases(shape, back), transfer)
         passed = np.abs(transfer) ** 2
-        # What stands still hides nothing and has no way to be wrong about.
+        # A static scene occludes nothing, so the model error applies to moving ones only.
         moved = min(1.0, math.hypot(*velocity) * len(self.code))
         variance = max(self.variance + self.error * moved**2, _LEAST)
         # Half of the frequencies stand for the other half; both sums lack the same ones, and the mean light.
@@ -106,17 +106,17 @@ class CodedBlur:
         gradient = max(there, _LEAST) / float(per_gradient.mean(dtype=np.float64))
         noise = self.slope * np.float32(variance / gradient)
         power = passed + noise
-        # The slope is that of both gradients.
+        # The slope is the sum over both gradients.
         rough = math.sqrt(self.variance * float((self.slope / power).mean(dtype=np.float64)) / 2)
         return Way(transfer, noise, power, rough)
 
     def wiener(self, way: Way) -> Floats:
-        """Sharp picture in closed form, all pixels taken as known alike: (rows, cols)."""
+        """Sharp image in closed form, (rows, cols); all pixels count as measured with equal noise."""
         found = np.conj(way.transfer) * self.spectrum / way.power
         return _picture(found.astype(np.complex64, copy=False), self.light.shape)
 
     def equalised(self, picture: Floats, way: Way) -> Floats:
-        """Sharp picture with the power that it is expected to have: what regularisation smoothed is no merit.
+        """Sharp image with its expected power: blurring by the regularisation must not lower a cost.
 
         Power spectrum equalisation, the geometric mean of inverse and Wiener filter (T. M. Cannon, IEEE
         Trans. Acoust. Speech Signal Process. 24, 58 (1976), doi:10.1109/TASSP.1976.1162770).
@@ -126,10 +126,10 @@ class CodedBlur:
         return _picture(equal, self.light.shape)
 
     def restored(self, way: Way, rounds: int) -> Floats:
-        """Sharp picture that explains the known pixels best, each by its own noise: (rows, cols).
+        """Sharp image that fits the measured pixels best, each weighted by its own noise: (rows, cols).
 
-        So many steps of conjugate gradients on the normal equations of the same regularised least squares,
-        from the closed form and with it as the preconditioner.
+        This takes ``rounds`` steps of conjugate gradients on the normal equations of the same regularised
+        least squares. They start from the closed form and use it as the preconditioner.
         """
         shape = self.light.shape
         adjoint, inverse = np.conj(way.transfer), 1 / way.power
@@ -143,7 +143,7 @@ class CodedBlur:
         ahead = (inverse * left).astype(np.complex64, copy=False)
         size = start = _inner(left, ahead, shape)
         for _ in range(rounds):
-            # Float32 gets no nearer.
+            # Float32 allows no smaller residual.
             if size <= _LEAST * start:
                 break
             moved = normal(ahead)
@@ -159,22 +159,22 @@ class CodedBlur:
 def coded_blur(
     light: Floats, variance: Floats, known: Bools, code: Doubles, margin: int, model_error: float
 ) -> CodedBlur:
-    """Lay a coded image on a canvas.
+    """Place a coded image on a canvas.
 
     Parameters
     ----------
     light : ndarray of shape (v, u), float32
-        Mean light while open, relative to its mean; a guess where it isn't known.
+        Mean light while open, relative to its mean; a guess where it isn't measured.
     variance : ndarray of shape (v, u), float32
-        Of its noise.
+        Variance of its noise.
     known : ndarray of shape (v, u), bool
-        Where it is known, somewhere at least.
+        Pixels with a measurement; at least one.
     code : ndarray of shape (slot,)
         Weights of the coded slots.
     margin : int
-        Pixels at least on each side, for what moves in.
+        Least margin on each side, pixels, for light that moves in.
     model_error : float
-        Standard deviation of what the model misses, relative to the light.
+        Standard deviation of the model error, relative to the light.
     """
     rows, cols = (cast("int", fft.next_fast_len(n + 2 * margin, real=True)) for n in light.shape)
     sides = [(margin, n - side - margin) for n, side in zip((rows, cols), light.shape, strict=True)]
@@ -197,13 +197,13 @@ def coded_blur(
 
 
 def carried(pictures: list[Spectrum], shape: tuple[int, ...], way: Velocity) -> list[Floats]:
-    """Pictures of these spectra, moved by pixels (dv, du), whole or not, round the canvas: (rows, cols)."""
+    """Images of these spectra, shifted by pixels (dv, du), whole or not, round the canvas: (rows, cols)."""
     along_v, along_u = _phases(shape, way)
     return [_picture(each * along_v[:, None] * along_u, shape) for each in pictures]
 
 
 def _phases(shape: tuple[int, ...], way: Velocity) -> tuple[Spectrum, Spectrum]:
-    """Transfer function of a way, as factors of rows and columns of frequencies."""
+    """Transfer function of a shift, as factors of rows and columns of frequencies."""
     return (
         np.exp(-2j * np.pi * np.fft.fftfreq(shape[0]) * way[0]).astype(np.complex64),
         np.exp(-2j * np.pi * np.fft.rfftfreq(shape[1]) * way[1]).astype(np.complex64),
@@ -211,7 +211,7 @@ def _phases(shape: tuple[int, ...], way: Velocity) -> tuple[Spectrum, Spectrum]:
 
 
 def spectrum_of(picture: Floats) -> Spectrum:
-    """Of a real picture: (rows, cols // 2 + 1)."""
+    """Spectrum of a real image: (rows, cols // 2 + 1)."""
     return cast("Spectrum", fft.rfft2(picture))
 
 
@@ -220,7 +220,7 @@ def _picture(spectrum: Spectrum, shape: tuple[int, ...]) -> Floats:
 
 
 def _inner(a: Spectrum, b: Spectrum, shape: tuple[int, ...]) -> float:
-    """Inner product but for a factor: all columns but those that are their own mirror count twice."""
+    """Inner product up to a factor: columns count twice, except those that are their own mirror."""
     single = [0] if shape[1] % 2 else [0, -1]
     return float((2 * np.vdot(a, b) - np.vdot(a[:, single], b[:, single])).real)
 

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false
-"""What decoders that work patch by patch start from, and how they hand over what they painted."""
+"""Input of the patch decoders, and the average of their overlapping patches."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from optsim.calibration.demixed import LEAST_EXPOSURE, Crosstalk, demixed_frames
 from optsim.core.quantities import Bools, CodedFrame, Floats
 from optsim.decoding.partial import Partial, positive_mean
 
-# Side of the neighbourhood in which errors are about alike: that of the shipped priors' patches.
+# Side of the neighbourhood in which errors are nearly equal: that of the shipped priors' patches.
 _AROUND = 8
-# Share of measured pixels below which patches can't tell what lies between them: sparse coding paints
-# 0.4 measured as well as all, 0.1 with dark gaps (no source for the value between).
+# Share of measured pixels below which patches can't fill the gaps: sparse coding decodes 0.4 measured as well
+# as all, 0.1 with dark gaps (no source for the value between).
 _TOO_FEW = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class CodedImage:
-    """A coded frame on the panel grid, each pixel by itself.
+    """A coded frame on the panel grid, one sample a pixel.
 
-    Unusable pixels are zero. In gaps with under a quarter usable pixels they have the nearest usable sample.
+    Unusable pixels are zero. Gaps with under a quarter usable pixels take the nearest usable sample.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ class CodedImage:
     variance : ndarray of shape (v, u), float32
         Noise variance of the signal.
     weights : ndarray of shape (v, u, slot), float32
-        Weights.
+        Effective weights.
     usable : ndarray of shape (v, u), bool
-        Where there is a signal.
+        Pixels with a signal.
     saturated : ndarray of shape (v, u), bool
-        Where it is only known to be so large at least.
+        Pixels of which only a lower bound is known.
     """
 
     signal: Floats
@@ -54,7 +54,7 @@ class CodedImage:
 def coded_images(
     frames: Iterable[CodedFrame], calibration: Calibration, crosstalk: Crosstalk
 ) -> Iterator[tuple[CodedFrame, CodedImage]]:
-    """Demixed frames, as of :func:`~optsim.calibration.demixed.demixed_frames`."""
+    """Read demixed frames as :func:`~optsim.calibration.demixed.demixed_frames` returns them."""
     for frame, sample in demixed_frames(frames, calibration, crosstalk):
         usable = sample.valid & (sample.exposure > LEAST_EXPOSURE)
         yield (
@@ -73,7 +73,7 @@ def coded_images(
 
 
 def _gaps_filled(image: CodedImage) -> CodedImage:
-    """Repeat the nearest sample in gaps too wide for a patch to bridge, in place; small ones stay zero."""
+    """Repeat the nearest sample, in place, in gaps too wide for a patch to bridge; small ones stay zero."""
     if image.usable.any() and not image.usable.all():
         gap = ~image.usable & (box_mean(image.usable, _AROUND) < _TOO_FEW)
         rows, cols = (each[gap] for each in nearest(image.usable))
@@ -92,26 +92,26 @@ def covered(
 ) -> Partial:
     """Average the patches over each pixel; the blend weight is the share of possible patches decoded.
 
-    Patches over a pixel have seen the same samples with the same prior, so their errors are nearly the same
-    error: the mean's variance is taken to be the mean of theirs, not divided by their number. No correlation
-    can make the mean's error larger than that.
+    Patches over a pixel share samples and prior, so their errors are nearly equal. The variance of the mean
+    is therefore taken as the mean of their variances, not divided by their number. No correlation can make
+    the mean's error larger.
 
-    What saturates is known to be so bright at least, or by other frames: it counts as interpolated, and as
-    uncertain as bright. So does a moving pixel without a sample, which isn't valid.
+    A saturated pixel is only bounded from below, or measured by other frames. It counts as interpolated, with
+    a standard deviation equal to its value. So does a moving pixel without a sample, which isn't valid.
 
-    What came out negative or nearly so is brought to its :func:`positive_mean`, with the error that negative
-    light nearby shows.
+    Negative and near-zero values are replaced by their :func:`positive_mean`, with the error that negative
+    light nearby implies.
 
     Parameters
     ----------
     frame, image
         From :func:`coded_images`.
     total : ndarray of shape (v, u, slot), float32
-        Sum of all patches over each pixel; used up.
+        Sum of all patches over each pixel; overwritten.
     count, full : ndarray of shape (v, u), float32
-        How many patches that were, and how many there are on the whole grid.
+        Number of patches over each pixel, and their number on the whole grid.
     variance : ndarray of shape (v, u, slot), float32, optional
-        Mean of the variances of the patches over each pixel; used up.
+        Mean of the variances of the patches over each pixel; overwritten.
     """
     total /= np.maximum(count, 1)[:, :, None]
     spread = None
@@ -140,12 +140,10 @@ def covered(
 
 
 def _error_variance(image: CodedImage, video: Floats, seen: Bools) -> Floats:
-    """Squared error of dark pixels, as negative light around them shows it.
-
-    No light is negative, so where there is next to none of it half of the squared errors are seen. Nor can a
-    patch decoder know better than the noise of all that was gathered around a pixel.
-    """
-    # What is said of slots with the shutter closed is nobody's error.
+    """Squared error of dark pixels, estimated from negative light around them."""
+    # No light is negative, so next to zero half of the squared errors can be seen. A patch decoder also can't
+    # do better than the noise of all samples around a pixel.
+    # Values of slots with the shutter closed are no errors.
     slots = np.flatnonzero(image.weights.any(axis=(0, 1)))
     squares = np.zeros(seen.shape, np.float32)
     for slot in slots:

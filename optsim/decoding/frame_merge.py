@@ -1,4 +1,4 @@
-"""Frames of light that stands still, merged pixel by pixel."""
+"""Frames of static light, merged pixel by pixel."""
 
 from __future__ import annotations
 
@@ -22,32 +22,33 @@ from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.decoding.hidden_light import told_by_glare
 from optsim.decoding.joint_merge import solved_together
 
-# Saturated neighbours and the samples between them are estimated from each other. Where that doesn't settle
-# (to these standard deviations) they are found together, with all to which they bring such a share of light.
+# Saturated neighbours and the samples between them are estimated from each other. Where that doesn't converge
+# (to these standard deviations) they are solved jointly, with all pixels to which they add such a share of
+# light.
 _PASSES = 3
 _SETTLED_SIGMAS = 0.1
 _COUPLED = 0.01
-# How often glare is asked how bright hidden regions are, and how often each by itself; when that has settled;
-# and how many frames it takes.
+# Rounds of estimating hidden regions from glare, and rounds with a factor for each region; tolerance of both,
+# and frames needed.
 _GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 6, 2, 0.02, 4
 
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """What several frames say about each pixel.
+    """Joint estimate of each pixel from several frames.
 
     Parameters
     ----------
     mean : ndarray of shape (v, u), float32
         Irradiance, W m^-2; noise may make it negative.
     variance : callable
-        Of irradiance as of ``mean``, nowhere negative: the variance that the mean would have by it, W^2 m^-4.
+        Variance that the mean would have for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
     found : ndarray of shape (v, u), bool
-        Where there is an unsaturated sample.
+        Pixels with an unsaturated sample.
     least : ndarray of shape (v, u), float32
-        What saturated samples say that there is at least, W m^-2.
+        Lower bound from saturated samples, W m^-2.
     tainted : ndarray of shape (v, u), float32
-        Share of the kernel that brings light that nobody knows.
+        Share of the kernel on pixels of unknown light.
     """
 
     mean: Floats
@@ -64,20 +65,20 @@ def merged(
     least: Floats,
     crosstalk: Crosstalk,
 ) -> Merged:
-    """Frames in which a pixel stood still, as one.
+    """Merge the frames in which a pixel was static.
 
     Parameters
     ----------
     calibration : Calibration
-        Of the camera.
+        Calibration of the camera.
     samples : sequence of Sample
         Newest first.
     alive : sequence of ndarray of shape (v, u), bool
-        Which pixels of each have not changed since.
+        Pixels of each frame that have not changed since.
     least : ndarray of shape (v, u), float32
-        What saturated samples say that there is at least, W m^-2.
+        Lower bound from saturated samples, W m^-2.
     crosstalk : {"undone", "row_summed"}
-        How the samples were made.
+        How the samples were demixed.
     """
     usable = [
         ok & s.valid & ~s.saturated & (s.exposure > LEAST_EXPOSURE)
@@ -93,10 +94,10 @@ def merged(
         samples, certainty, change = guess(samples, mean, least=least)
         mean += change
     if crosstalk == "undone":
-        # Before all frames of a mosaic's period have seen a light, its pixels' bounds follow their codes.
+        # Until a mosaic's whole period has measured a light, the bounds of its pixels follow their codes.
         hidden = ~found & (least > 0) & np.logical_and.reduce(alive)
         for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) >= _PERIOD else 0):
-            # Regions compete: told apart more often, they are so by the errors of the rounds before.
+            # Regions compete: further separate factors would fit the errors of earlier rounds.
             factor, by_glare = told_by_glare(
                 calibration, samples, alive, usable, mean, least, hidden, apart=done < _APART
             )
@@ -108,7 +109,7 @@ def merged(
         together = _unsettled(calibration, samples, alive, found, mean, np.abs(change) * np.sqrt(certainty))
         if together.any():
             mean = solved_together(calibration, samples, alive, usable, mean, least, together)
-            # What they are changes the stray light of all.
+            # The hidden regions change the stray light of all pixels.
             _, certainty, change = guess(samples, mean, least=least)
             mean += np.where(together, 0, change)
     tainted = np.zeros_like(mean)
@@ -134,10 +135,10 @@ def _pass(
     least: Floats,
     crosstalk: Crosstalk,
 ) -> tuple[Sequence[DemixedFrame], Doubles, Floats]:
-    """Separate the frames by the pooled estimate; its certainty, one over its variance, and its change."""
+    """Demix the frames by the pooled estimate; its certainty, one over its variance, and its change."""
     light = np.maximum(mean, 0)
     if crosstalk == "undone":
-        # Saturated pixels leak into their neighbours what the pooled estimate says that they got.
+        # Subtract the crosstalk of saturated pixels by the pooled estimate of their light.
         known = SaturationPrior(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
         samples = [separate(calibration, s, known) for s in samples]
     pairs = list(zip(samples, _variances(calibration, samples, light, crosstalk), strict=True))
@@ -149,7 +150,7 @@ def _pass(
 def _variances(
     calibration: Calibration, samples: Sequence[DemixedFrame], light: Floats, crosstalk: Crosstalk
 ) -> list[Floats]:
-    """Of the frames' signals if such were the light, which is nowhere negative."""
+    """Variances of the frames' signals for this light, which is nowhere negative."""
     if crosstalk == "undone":
         return [predicted_variance(calibration, s.exposure, light) for s in samples]
     return [noise_variance(calibration, light * s.exposure) for s in samples]
@@ -163,7 +164,7 @@ def _unsettled(
     mean: Floats,
     sigmas: Doubles,
 ) -> Bools:
-    """Where the estimate still changes by saturated neighbours or contradicts saturation, and around it."""
+    """Pixels whose estimate changes by saturated neighbours or contradicts saturation, and those around."""
     bright = np.zeros(calibration.shape, np.bool_)
     short = bright.copy()
     for sample, ok in zip(samples, alive, strict=True):
@@ -176,7 +177,7 @@ def _unsettled(
         return calibration.spread(pixels[None].astype(np.float32))[0] > _COUPLED
 
     result = found & around(short | (sigmas > _SETTLED_SIGMAS) & around(bright))
-    # What no frame measured is found from what lies around it.
+    # Pixels that no frame measured follow from their surroundings.
     return result | bright & ~found & around(result)
 
 

@@ -30,14 +30,15 @@ from optsim.priors.prior_file import fitted
 # Patches whose videos are held at once: 256 of 8 x 8 x 36 are 2.4 MB.
 _TOGETHER = 256
 _BAND = 16
-# Slots that are no exposure, and brightness beside the brightest patch that is none.
+# Open share below which a slot counts as closed, and mean light beside the brightest patch that counts as
+# none.
 _NOTHING = np.float32(1e-12)
-# Noise variance, relative to the brightness, beyond which a patch says nothing; it keeps float32 finite.
+# Noise variance over squared mean light beyond which a patch has no information; it keeps float32 finite.
 _NOISIEST = 1e12
 
 
 class GaussianMixture(PartialDecoder):
-    """Posterior mean over a learned mixture of Gaussians, overlapping patches averaged.
+    """Posterior mean over a learned Gaussian mixture, averaged over overlapping patches.
 
     Yang et al., IEEE Trans. Image Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. The same code, mask
     and handling of gain, crosstalk and saturation as :class:`SparseCoding`; no iteration.
@@ -47,23 +48,22 @@ class GaussianMixture(PartialDecoder):
     mixture : str or None
         A mixture file, or None for the one shipped.
     single : bool
-        Whether one Gaussian of the same mean and covariance stands for it: the best linear estimator.
+        Whether one Gaussian of the same mean and covariance replaces it: the best linear estimator.
     stride_px : int
         Distance of patches; 1 costs four times as much as 2.
     noise_gain : float
-        Standard deviation of the noise taken, relative to the one predicted; more smooths more.
+        Assumed standard deviation of the noise, relative to the predicted one; more smooths more.
     weight_tolerance : float
-        Relative rms deviation of a patch's weights from those of its place in the repeated tile beyond which
-        it is solved with its own.
+        Relative rms deviation of a patch's weights from those of its place in the repeated tile. Beyond it
+        the patch is solved with its own weights.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the image or added to the weights.
     uncertainty : bool
-        Whether to say how sure it is: the standard deviation of each patch's posterior, by the law of total
-        variance, with what the prior's rank leaves out and the noise of the patch's brightness. Variances of
-        overlapping patches are averaged, those of patches half a side apart: their mean is that of all, and
-        finer strides hardly cost more (two fifths of the time at a stride of 2, a tenth at 1). Not in it is
-        what no prior can tell: errors of the calibration, saturated samples, patches unlike any that it has
-        learned, pixels noisier than their patch.
+        Whether to predict the standard deviation of each patch's posterior by the law of total variance. It
+        includes the variance outside the prior's rank and the noise of the patch's mean light. Variances are
+        averaged over overlapping patches half a side apart. Their mean is that of all, and finer strides
+        hardly cost more (two fifths of the time at a stride of 2, a tenth at 1). It leaves out calibration
+        errors, saturated samples, patches unlike the training set, and pixels noisier than their patch.
     """
 
     kind: Literal["gaussian_mixture"] = "gaussian_mixture"
@@ -76,7 +76,7 @@ class GaussianMixture(PartialDecoder):
     uncertainty: bool = False
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the blend weights of the seam."""
+        """Decode as :meth:`decode`, with the blend weights of the union."""
         prior = self._prior(calibration)
         spread = Spread.of(prior) if self.uncertainty else None
         for frame, image in coded_images(frames, calibration, self.crosstalk):
@@ -100,7 +100,7 @@ class GaussianMixture(PartialDecoder):
         phase = common.phase
         cut = (_patches(each, corners, size) for each in (image.signal, image.exposure, image.variance))
         signals, exposure, variance = cut
-        # In the dark it may come out negative: what noise leaves of a patch then is that, without a bias.
+        # In the dark the mean may be negative: the positive mean removes that without a bias.
         scale = signals.sum(axis=1) / np.maximum(exposure.sum(axis=1), _NOTHING)
         dark = _NOTHING * np.abs(scale).max(initial=0) or _NOTHING
         told = (exposure.sum(axis=1) > _NOTHING) & (np.abs(scale) > dark)
@@ -141,7 +141,7 @@ class GaussianMixture(PartialDecoder):
         times = np.zeros(image.usable.shape, np.float32)
         with threadpool_limits(1), ThreadPoolExecutor(n_threads()) as pool:
             answers = chain(pool.map(shared, together), pool.map(alone, single))
-            # In the order of the jobs, not as they finish: the same sums for any number of workers.
+            # Add in the order of the jobs, not as they finish: the same sums for any number of workers.
             for members, own in zip(chain(together, single), answers, strict=True):
                 if own is not None and total is not None:
                     where = corners[members[asked[members]]]
@@ -152,10 +152,7 @@ class GaussianMixture(PartialDecoder):
         return painted, count, total
 
     def _brightness_variance(self, exposure: Floats, variance: Floats, scale: Floats) -> Floats:
-        """Noise variance of each patch's brightness: in the dark it is all there is.
-
-        A patch that was never open may be as bright as the brightest.
-        """
+        """Noise variance of each patch's mean light; a patch that was never open may equal the brightest."""
         gathered = exposure.sum(axis=1)
         noise = self.noise_gain**2 * variance.sum(axis=1) / np.maximum(gathered, _NOTHING) ** 2
         brightest = float(np.abs(scale).max(initial=0))
@@ -163,7 +160,7 @@ class GaussianMixture(PartialDecoder):
 
 
 def _half_apart(corners: Ints, shape: tuple[int, ...], size: int, stride: int) -> Bools:
-    """Patches half a side apart, or farther where all are, and those at the edge: array of shape (p,)."""
+    """Select patches half a side apart, or all if they lie farther apart, and those at the edge: (p,)."""
     step = max(1, size // 2 // stride) * stride
     return ((corners % step == 0) | (corners == np.array(shape) - size)).all(axis=1)
 

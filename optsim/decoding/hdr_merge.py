@@ -1,4 +1,4 @@
-"""One picture a frame, from the last few in which a pixel stood still (equation 7 of the paper)."""
+"""One image a frame, from the last few in which a pixel was static (equation 7 of the paper)."""
 
 from __future__ import annotations
 
@@ -31,48 +31,49 @@ from optsim.optics.neighbourhoods import remove_specks
 class HdrMerge(PartialDecoder):
     """Merge all unsaturated samples of a pixel since it last changed.
 
-    The estimate is the weighted least-squares one, ``sum(W I / var) / sum(W^2 / var)``, which is
-    ``sum(I) / sum(W)`` where shot noise rules, and then the mean of what it may be without negative light.
-    The variances are predicted from the pooled estimate, not from each sample: weights that follow a sample's
-    own noise would bias dark pixels. Beside a pixel that gets far more light they are those of the crosstalk
-    (``attribution_variance``): there long exposures are trusted, short ones not.
-    Any code counts, the paper's mosaic or another. The uncertainty holds ``sum(W^2 / var) ** -0.5``, that of
-    the responsivity, what is left of glare, and what a narrow pick may miss of light that changes within a
-    pixel (:func:`~optsim.decoding.readout_window.missed`); it holds no other errors of the calibration, nor
-    motion that nobody noticed.
+    The estimate is weighted least squares, ``sum(W I / var) / sum(W^2 / var)``, or ``sum(I) / sum(W)`` where
+    shot noise dominates. It is then replaced by its mean given non-negative light. The variances are
+    predicted from the pooled estimate: weights that follow a sample's own noise would bias dark pixels.
+    Beside a much brighter pixel they are the variances of the crosstalk (``attribution_variance``), which
+    trust long exposures and not short ones. Any code works, the paper's mosaic or another.
 
-    Then each pixel is averaged with its neighbours, as far as noise makes that worth while
-    (:func:`~optsim.decoding.neighbour_pooling.pooled`). Pixels of a mosaic that stands still need it most;
-    its inventors interpolate (S. K. Nayar and T. Mitsunaga, CVPR 2000, doi:10.1109/CVPR.2000.855857). Of
-    texture below its noise, white from pixel to pixel, the uncertainty is too small: by 1.4 at most in tests.
+    The uncertainty includes ``sum(W^2 / var) ** -0.5``, the errors of responsivity and residual glare, and
+    the error of a readout window narrower than its panel pixel
+    (:func:`~optsim.decoding.readout_window.missed`). It leaves out other calibration errors and undetected
+    motion.
 
-    A pixel that saturates in every frame gets its irradiance from the glare it causes, region by region
+    Each pixel is then averaged with its neighbours as far as noise justifies
+    (:func:`~optsim.decoding.neighbour_pooling.pooled`). Static pixels of a mosaic need this most;
+    its inventors interpolate (S. K. Nayar and T. Mitsunaga, CVPR 2000, doi:10.1109/CVPR.2000.855857). For
+    texture below the noise, white from pixel to pixel, the uncertainty is too small: by 1.4 at most in tests.
+
+    A pixel that saturates in every frame gets its irradiance from the glare that it causes, region by region
     (:func:`~optsim.decoding.hidden_light.told_by_glare`), or else the saturation level. The standard
-    deviation of a filled value equals the value. ``moving`` is what changed since the frame before; all that
-    nobody compared counts as changed.
+    deviation of a filled value equals the value. ``moving`` marks changes since the frame before; pixels
+    without a comparison count as changed.
 
     Parameters
     ----------
     n_frames : int
         Frames looked back, the present one included; 4 is the period of the mosaic.
     threshold_sigma : float
-        A frame that differs from newer ones by more is not merged, nor any before it.
+        A frame that differs from newer ones by more is not merged, nor are older ones.
     speck_px : int
-        Differing regions of fewer pixels are taken for noise. A false alarm may leave a dark pixel nothing
-        but its shortest exposure, so single pixels are not believed.
+        Differing regions of fewer pixels count as noise. A false alarm may leave a dark pixel only its
+        shortest exposure, so single pixels are rejected.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the frames or added to the weights.
     taint_tolerance : float
-        Pixels are not valid where the kernel brings more than this share of neighbours that never had an
-        unsaturated sample: these may hide any amount of light. 0.005 is a sensible default (no source).
+        Pixels are invalid where neighbours that never had an unsaturated sample make more than this share of
+        the kernel: these may hide any amount of light. 0.005 is a sensible default (no source).
     neighbours : bool
         Whether pixels are averaged with their neighbours.
     contrast : float
-        How much neighbours' light differs from a pixel's that was not measured, over the light; a sensible
-        default (no source). Between measured pixels the picture itself tells.
+        Relative difference expected between an unmeasured pixel and its neighbours; a sensible default (no
+        source). Between measured pixels the image itself gives the difference.
     paper_literal : bool
-        Equation (7) as printed, divided by 4: the mean of I / S over the frames, without a test for
-        saturation or for change, with row-summed weights, each pixel by itself; for comparison.
+        Equation (7) as printed, divided by 4: the mean of I / S over the frames, pixel by pixel with
+        row-summed weights. Saturation and change are not tested; for comparison.
     """
 
     kind: Literal["hdr_merge"] = "hdr_merge"
@@ -119,7 +120,7 @@ class HdrMerge(PartialDecoder):
             )
 
     def _light(self, frames: Merged) -> tuple[Floats, Floats]:
-        """Light everywhere, none negative, and the variance of what was found."""
+        """Non-negative irradiance of all pixels, and the variance of the measured ones."""
         found = frames.found
         variance = frames.variance(np.maximum(frames.mean, 0))
         light = frames.mean if self.paper_literal else positive_mean(frames.mean, variance)
@@ -130,7 +131,7 @@ class HdrMerge(PartialDecoder):
         def at(irradiance: Floats) -> Floats:
             return np.where(found, frames.variance(irradiance), light**2)
 
-        # Neighbours never contradict saturation, as far as the pixel itself doesn't.
+        # Pooling must not contradict saturation where the pixel itself doesn't.
         least = np.where(found, np.minimum(light, frames.least), frames.least)
         return pooled(np.where(found, frames.mean, light), at, found, least, self.contrast)
 
@@ -142,7 +143,7 @@ class _Kept:
 
 
 def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, speck_px: int) -> list[Bools]:
-    """Which pixels of each frame, newest first, agree with all that is known of them since."""
+    """Pixels of each frame, newest first, that agree with all newer samples."""
     newest = recent[0]
     alive = np.ones_like(newest.valid)
     result = [alive]
@@ -150,13 +151,13 @@ def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, spe
         moved, _ = changed(newest, older, threshold_sigma)
         alive = alive & ~remove_specks(moved, speck_px)
         result.append(alive)
-        # Where the newest is only a bound, the newest real sample is the better judge of older ones.
+        # Where the newest is only a bound, compare older ones with the newest unsaturated sample.
         newest = newest.replaced(alive & older.measured & ~newest.measured, older)
     return result
 
 
 def _literal(samples: Sequence[DemixedFrame], least: Floats) -> Merged:
-    """Mean of I / S over the frames, no less than none; its variance is that of the samples."""
+    """Mean of I / S over the frames, clipped at zero, with the variance of the samples."""
     quotients = [s.signal / np.maximum(s.exposure, 1e-6) for s in samples]
     variances = [s.variance / np.maximum(s.exposure, 1e-6) ** 2 for s in samples]
     variance = (np.mean(variances, axis=0) / len(samples)).astype(np.float32)
@@ -165,12 +166,12 @@ def _literal(samples: Sequence[DemixedFrame], least: Floats) -> Merged:
 
 
 def _least(samples: Sequence[DemixedFrame], alive: Sequence[Bools]) -> Floats:
-    """Greatest of what saturated samples say that there is at least."""
+    """Greatest lower bound from saturated samples."""
     return np.max([np.where(ok, s.least, 0) for s, ok in zip(samples, alive, strict=True)], axis=0)
 
 
 def _filled(mean: Floats, found: Bools, least: Floats) -> Floats:
-    """Nearest neighbour where nothing was found, but no less than there is at least."""
+    """Nearest neighbour where no sample is, but no less than the lower bound."""
     if found.all():
         return mean
     guess = mean[nearest(found)] if found.any() else mean

@@ -1,8 +1,8 @@
 # pyright: reportMissingTypeStubs=false
-"""How bright what saturates in every frame is: its glare, far away, tells.
+"""Irradiance of pixels that saturate in every frame, estimated from their glare far away.
 
-Worth 0.8 dB to the adaptive scheme in ``night_street`` while frames still merge, and 0.8 stops of a bright
-window; the steady mosaic loses 0.6 dB by it there (``reports/fidelity.md``).
+It gains the adaptive scheme 0.8 dB in ``night_street`` while frames still merge, and 0.8 stops of a bright
+window; the static mosaic loses 0.6 dB by it there (``reports/fidelity.md``).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import DemixedFrame, predicted_variance
 from optsim.core.quantities import Bools, Doubles, Floats
 
-# So many regions are told apart at most, of so many pixels at least: the glare of less is lost in errors of
-# the rest. By so much, one standard deviation, do their factors differ. Sensible defaults, no source.
+# Most regions with separate factors, and their least pixels: glare of smaller ones is lost in errors of the
+# rest. Standard deviation between their factors. Sensible defaults, no source.
 _REGIONS, _LEAST_PX, _UNLIKE = 4, 16, 0.5
-# What a glare must explain to be believed, standard deviations of noise.
+# Least explained signal for glare to be accepted, standard deviations of noise.
 _SIGMAS = 4.0
-# What is left of a glare's error: calibrations leave up to 8 % (tests/test_laboratory.py).
+# Residual relative error of the glare: calibrations leave up to 8 % (tests/test_laboratory.py).
 _ERROR = 0.1
-# Share of its neighbours' light that a pixel may get unknown to the calibration, one standard deviation: so
-# what is dark tells of glare. A sensible default, no source.
+# Share of its neighbours' light that a pixel may get unknown to the calibration, one standard deviation. So
+# dark pixels show glare best. A sensible default, no source.
 _MISPLACED = 0.2
-# Share of the kernel beyond which a neighbour is told by the kernel, not by glare.
+# Share of the kernel beyond which the kernel, not glare, gives a neighbour's light.
 _NEAR = 1e-4
 
 
@@ -41,43 +41,43 @@ def told_by_glare(
     *,
     apart: bool,
 ) -> tuple[Floats, Doubles]:
-    """Find by what factor hidden regions are brighter than assumed, and how well their glare is known.
+    """Estimate by what factor hidden regions exceed the assumed light, and the error by their glare.
 
-    Light of a saturated region arrives everywhere, for as long as the region's own code lets it through,
-    whatever the code of the place where it arrives. So over a few frames with different codes it does not
-    look like light of that place, and its amount is a linear unknown beside the irradiance of every pixel:
-    weighted least squares over all pixels and frames. (Glare has told the brightness of highlights before,
-    that of a star filter: M. Rouf and others, "Glare encoding of high dynamic range images", CVPR 2011.)
+    Glare of a saturated region arrives everywhere while the region's own code is open, whatever the code at
+    the receiving pixel. Over a few frames with different codes it differs from local light. Its amount is a
+    linear unknown beside the irradiance of every pixel: weighted least squares over all pixels and frames.
+    (M. Rouf and others, "Glare encoding of high dynamic range images", CVPR 2011, recover highlights from the
+    glare of a star filter.)
 
     Parameters
     ----------
     calibration : Calibration
-        Holds the glare.
+        Calibration with the glare.
     samples, alive, usable
-        As of :func:`~optsim.decoding.joint_merge.solved_together`; separated with the assumed light.
+        As in :func:`~optsim.decoding.joint_merge.solved_together`; demixed with the assumed light.
     mean : ndarray of shape (v, u), float32
         Merged irradiance, W m^-2.
     light : ndarray of shape (v, u), float32
-        Assumed of what is hidden, W m^-2.
+        Assumed light of the hidden pixels, W m^-2.
     hidden : ndarray of shape (v, u), bool
         Pixels that saturate in every frame.
     apart : bool
-        Whether regions may differ, or there is one factor for all.
+        Whether each region has its own factor; otherwise all share one.
 
     Returns
     -------
     factor : ndarray of shape (v, u), float32
-        By which to multiply that light; 1 where nothing is known better.
+        Factor on that light; 1 where the glare gives nothing better.
     error : ndarray of shape (v, u), float64
-        Standard deviation of the merged irradiance by the glare of the assumed light, W m^-2: a tenth of what
-        it would add.
+        Standard deviation of the merged irradiance by the glare of the assumed light, W m^-2: a tenth of the
+        glare's contribution.
     """
-    # What lies beside saturation isn't settled yet, and tells of that more than of glare.
+    # Estimates beside saturation haven't converged yet and would dominate the fit.
     bright = np.logical_or.reduce([ok & s.valid & s.saturated for s, ok in zip(samples, alive, strict=True)])
     far = calibration.spread(bright[None].astype(np.float32))[0] <= _NEAR
     light_here = np.maximum(mean, 0)
     typical = float(np.mean([s.exposure.mean() for s in samples]))
-    # What a calibration that no longer holds brings from neighbours open for long looks like glare, too.
+    # Crosstalk that the calibration misses, from neighbours open for long, resembles glare.
     misplaced = (_MISPLACED * typical * light_here) ** 2
     known = [
         np.where(ok, 1 / (predicted_variance(calibration, s.exposure, light_here) + misplaced), 0)
@@ -87,7 +87,7 @@ def told_by_glare(
     certainty = sum((c * s.exposure**2 for s, c in zip(samples, known, strict=True)), np.zeros(mean.shape))
 
     def merged(images: Sequence[Floats | Doubles]) -> Doubles:
-        """Irradiance that a merge would make of additional light in each frame."""
+        """Merge additional light of each frame to irradiance."""
         top = np.zeros(mean.shape)
         for sample, c, image in zip(samples, known, images, strict=True):
             top += c * sample.exposure * image
@@ -100,12 +100,12 @@ def told_by_glare(
         ]
 
     def errors(images: Sequence[Floats | Doubles]) -> Doubles:
-        """Find what no irradiance explains of light in each frame, in standard deviations, in one row."""
+        """Residual of light in each frame that no irradiance explains, in standard deviations, as one row."""
         alike = merged(images)
         parts = zip(frames, images, strict=True)
         return np.concatenate([(np.sqrt(c) * (g - alike * s.exposure)).ravel() for (s, _, c), g in parts])
 
-    # One factor for all that is hidden, and how far each region's differs from it.
+    # One factor for all hidden pixels, and each region's deviation from it.
     all_hidden = glare(hidden)
     parts = [hidden, *(_regions(np.where(hidden, light, 0)) if apart else [])]
     terms = np.stack([errors(all_hidden), *(errors(glare(part)) for part in parts[1:])], axis=1)
@@ -122,7 +122,7 @@ def told_by_glare(
 
 
 def _regions(light: Floats) -> list[Bools]:
-    """List connected regions of light, those with most of it first."""
+    """List connected regions of light, in falling order of their light."""
     from scipy import ndimage
 
     label = cast("Callable[..., tuple[Doubles, int]]", ndimage.label)
@@ -134,7 +134,7 @@ def _regions(light: Floats) -> list[Bools]:
 
 
 def _darkest(samples: Sequence[DemixedFrame], alive: Sequence[Bools], light: Floats) -> Floats:
-    """Least factors: those of pixels among others as bright, which just saturate; (v, u)."""
+    """Least factors, (v, u): those of pixels that just saturate among others of equal light."""
     even = np.zeros(light.shape, np.float32)
     for sample, ok in zip(samples, alive, strict=True):
         even = np.where(ok & sample.saturated, np.maximum(even, sample.even), even)

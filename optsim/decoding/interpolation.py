@@ -15,7 +15,7 @@ from optsim.core.quantities import CodedFrame, Floats
 from optsim.decoding.coded_images import coded_images, covered
 from optsim.decoding.partial import Partial, PartialDecoder
 
-# Gaussians are cut here, in standard deviations; what has no sample so near is not valid.
+# Gaussians are cut here, in standard deviations; pixels without a sample within it are invalid.
 _CUT = 4.0
 
 
@@ -23,12 +23,12 @@ class Interpolation(PartialDecoder):
     """Normalised convolution of the samples in space and time.
 
     H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081. A pixel's mean irradiance while it
-    was open is a sample in each slot, the more certain the more of its exposure fell into that slot.
+    was open is a sample in each slot. Its certainty grows with the share of the exposure in that slot.
 
     Parameters
     ----------
     sigma_px, sigma_slots : float
-        Standard deviations of the Gaussian that samples are weighted with; the defaults are this project's
+        Standard deviations of the Gaussian weights of the samples; the defaults are this project's
         choice for bumps of three slots (no source).
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the image or added to the weights.
@@ -40,16 +40,16 @@ class Interpolation(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as partial reconstructions."""
+        """Decode as :meth:`decode`, as partial reconstructions."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
-            # Squared: what a dark panel leaks in every slot says little about any of them.
+            # Squared: the leak of a dark panel, equal in every slot, has little information on any of them.
             certainty = image.weights**2
             certainty /= np.maximum(certainty.sum(axis=2, keepdims=True), np.float32(1e-12))
             mean = image.signal / np.maximum(image.exposure, np.float32(1e-6))
             known = self._smoothed(certainty)
             video = self._smoothed(certainty * mean[:, :, None])
             video /= np.maximum(known, np.float32(1e-12))
-            # Slots with the shutter closed are nobody's: what is far from all samples there is no flaw.
+            # Slots with the shutter closed don't count: a missing sample there is no fault.
             found = (known[:, :, : calibration.coded_slots] > 0).all(axis=2)
             moving = (frame.code.moving & found).astype(np.float32)
             yield covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))

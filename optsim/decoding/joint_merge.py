@@ -1,6 +1,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Pixels that saturate each other's frames, from all their frames at once: a sparse least-squares problem.
+"""Joint sparse least squares over all frames for pixels that saturate each other's frames.
 
 Without it the mosaic loses 0.18 dB where ``window_room`` is static, 0.35 dB while frames still merge
 (``reports/fidelity.md``).
@@ -18,9 +18,9 @@ from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import DemixedFrame, noise_variance, predicted_variance
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 
-# How far from even light a pixel is, one standard deviation (a sensible default, no source).
+# Standard deviation of a pixel from uniform light (a sensible default, no source).
 _UNEVEN = 0.3
-# The variances depend on the light, and shares that are smaller on average wait for the next round.
+# The variances depend on the light; smaller mean shares wait for the next round.
 _ROUNDS = 3
 _SMALL = 1e-3
 _MOST_STEPS = 100
@@ -36,36 +36,36 @@ def solved_together(
     least: Floats,
     unknown: Bools,
 ) -> Floats:
-    """Irradiance of still pixels whose samples hold more light of saturated neighbours than of their own.
+    """Estimate static pixels whose samples hold more light of saturated neighbours than of their own.
 
-    Where a pixel open for a slot lies among others open for long, each is needed to find the others. What the
-    frames measured is linear in all of them, ``mix(irradiance x exposure)``. This is the irradiance that
-    explains it best, weighted by the variances of noise and attribution, and near to even light where the
-    frames do not say: the maximum of the posterior for a Gaussian prior. Even light is what the measured
-    samples say on average, but no less than saturated ones do.
+    A pixel open for one slot among pixels open for long needs a joint solution with them. The measurements
+    are linear in all of them, ``mix(irradiance x exposure)``. The estimate fits them best, weighted by the
+    variances of noise and attribution, and stays near uniform light where the frames have no information. It
+    is the maximum of the posterior for a Gaussian prior. Uniform light is the mean of the measured samples,
+    but no less than the bound of the saturated ones.
 
     Parameters
     ----------
     calibration : Calibration
-        Holds the kernel.
+        Calibration with the kernel.
     samples : sequence of Sample
         The frames.
     alive : sequence of ndarray of shape (v, u), bool
-        Where each frame shows the same light as the newest.
+        Pixels of each frame with the same light as in the newest.
     usable : sequence of ndarray of shape (v, u), bool
-        Where it measured that light.
+        Pixels of each frame that measured that light.
     irradiance : ndarray of shape (v, u), float32
-        W m^-2; right where it is not unknown.
+        W m^-2; correct where not unknown.
     least : ndarray of shape (v, u), float32
-        From saturated frames (:attr:`~optsim.calibration.demixed.DemixedFrame.least`), W m^-2: taken for the
-        light of pixels that no frame measured, unless their neighbours know better.
+        From saturated frames (:attr:`~optsim.calibration.demixed.DemixedFrame.least`), W m^-2: the light of
+        pixels that no frame measured, unless their neighbours give a better estimate.
     unknown : ndarray of shape (v, u), bool
-        The pixels to find: measured in a frame, or saturated.
+        Pixels to solve for: measured in a frame, or saturated.
 
     Returns
     -------
     ndarray of shape (v, u), float32
-        With the unknown pixels found, W m^-2, none of them negative.
+        Irradiance with the unknown pixels solved, W m^-2, none of them negative.
     """
     even, sigma = _expected(calibration, samples, alive, usable, least)
     number = np.where(unknown, np.cumsum(unknown).reshape(unknown.shape) - 1, -1)
@@ -79,7 +79,7 @@ def solved_together(
             ),
             strict=True,
         )
-        # In standard deviations from even light.
+        # Unknowns are deviations from uniform light, in standard deviations.
         matrix = sparse.vstack(matrices).tocsr() @ sparse.diags_array(sigma[unknown])
         wanted = np.concatenate(lacks) + matrix @ ((found - even)[unknown] / sigma[unknown])
         found[unknown] = np.maximum(even[unknown] + sigma[unknown] * _least_squares(matrix, wanted), 0)
@@ -93,7 +93,7 @@ def _expected(
     usable: Sequence[Bools],
     least: Floats,
 ) -> tuple[Doubles, Doubles]:
-    """Irradiance if all around were as bright, and its standard deviation: by noise and by unevenness."""
+    """Irradiance for uniform surroundings, and its standard deviation: noise and non-uniformity."""
     top, bottom = np.zeros((2, *calibration.shape))
     for sample, use in zip(samples, usable, strict=True):
         certainty = np.where(use, sample.gathered / noise_variance(calibration, sample.measured), 0)
@@ -109,11 +109,8 @@ def _expected(
 
 
 def _least_squares(matrix: sparse.csr_array, wanted: Doubles) -> Doubles:
-    """Minimise ``|matrix @ x - wanted|^2 + |x|^2``.
-
-    Columns are brought to one length first: those of dark pixels, open for long, would else be found last.
-    """
-    # It takes a while to import, and few frames need it.
+    """Minimise ``|matrix @ x - wanted|^2 + |x|^2`` with scaled columns, so that dark pixels converge too."""
+    # Its import is slow, and few frames need it.
     from scipy.sparse.linalg import lsmr
 
     length = np.sqrt(matrix.power(2).sum(axis=0) + 1)
@@ -131,7 +128,7 @@ def _equations(
     irradiance: Floats,
     number: Ints,
 ) -> tuple[sparse.csr_array, Doubles]:
-    """Gather each unknown pixel in each sample, and what the sample lacks: both in the sample's noise."""
+    """Rows of each unknown pixel in each sample, and the sample's residual, both in units of its noise."""
     mixed = calibration.mix(np.where(alive, irradiance * sample.exposure, sample.signal))
     rows = usable & (number >= 0)
     variance = predicted_variance(calibration, sample.exposure, np.maximum(irradiance, 0))

@@ -1,4 +1,4 @@
-"""Video from one coded image of a shutter that flutters: the blur of what moves evenly is undone."""
+"""Video from one coded image of a fluttered shutter: the blur of uniform motion is inverted."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from optsim.decoding.coded_images import CodedImage, coded_images, covered
 from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.velocity_choice import explained
 
-# Pixels whose weights differ from the common ones by less than this share have the same code: what the panel
-# showed in the frame before changes the first slots a little.
+# Pixels whose weights differ from the common ones by less than this share have the same code: the panel's
+# state after the frame before changes the first slots a little.
 _ALIKE = 0.1
 _LEAST = 1e-6
 
@@ -29,30 +29,31 @@ class MotionDeblurring(PartialDecoder):
 
     R. Raskar, A. Agrawal and J. Tumblin, "Coded exposure photography: motion deblurring using fluttered
     shutter", ACM Trans. Graph. 25(3), 795 (SIGGRAPH 2006, doi:10.1145/1141911.1141957). Theirs is the linear
-    system: the blur is the code laid out along the way, and a code without a zero in its spectrum keeps it
-    invertible. They let a user outline the object and say how it moves, as ``velocity_px`` does for the whole
-    picture. Ours is the rest: regularised least squares with the noise that the calibration predicts and
-    unknown light beyond the border, where they solve a system of single rows; and without ``velocity_px``
-    the choice of a velocity for each neighbourhood, by which sharp picture looks most like a natural one
-    (:mod:`~optsim.decoding.velocity_choice`). Each slot shows the sharp pictures carried along their ways,
-    the faster before the slower.
+    system: the blur is the code laid out along the motion path. A code without a zero in its spectrum keeps
+    it invertible. In theirs a user outlines the object and states its motion, as ``velocity_px`` does for the
+    whole image.
 
-    It takes any code that all moving pixels share; with one long exposure what its zeros lost stays lost.
-    A neighbourhood has one velocity through the whole frame: no turn, no growth, no change of speed. What
-    hides and uncovers what is a flaw of the model: near the border of a moving object, over half the length
-    of its blur, both sides are wrong, and an object smaller than its own blur is seldom found.
+    Ours is the rest. They solve a system of single rows; here it is regularised least squares with the
+    predicted noise and unknown light beyond the border. Without ``velocity_px`` each neighbourhood gets the
+    velocity whose sharp image looks most like a natural one (:mod:`~optsim.decoding.velocity_choice`). Each
+    slot shows the sharp images shifted along their paths, the faster before the slower.
+
+    It works with any code that all moving pixels share; with one long exposure the frequencies at its zeros
+    stay lost. A neighbourhood has one velocity through the whole frame: no rotation, scaling or acceleration.
+    Occlusion is not modelled: near the border of a moving object, over half the length of its blur, both
+    sides are wrong. An object smaller than its own blur is seldom found.
 
     Parameters
     ----------
     velocity_px : tuple of two floats, optional
-        Pixels a slot, down and to the right, of the whole picture; by default it is searched for.
+        Pixels a slot, down and to the right, of the whole image; by default it is estimated.
     max_speed_px, step_px : float
-        Fastest velocity of the search and step of its grid, pixels a slot; those that explain something are
+        Fastest velocity of the search and step of its grid, pixels a slot; accepted velocities are
         then refined to an eighth of the step.
     neighbourhood_px : int
         Side of the square over which the cost of a velocity is averaged.
     model_error : float
-        What the model misses, as a standard deviation relative to the light: counts as noise.
+        Standard deviation of the model error relative to the light; it counts as noise.
     rounds : int
         Steps of the conjugate gradients for each velocity chosen.
     crosstalk : {"undone", "row_summed"}
@@ -60,7 +61,8 @@ class MotionDeblurring(PartialDecoder):
 
     Notes
     -----
-    The defaults from ``step_px`` on were chosen on made films of single velocities and of moving discs, at
+    The defaults from ``step_px`` on were chosen on synthetic films of single velocities and of moving discs,
+    at
     36 slots (no source).
     """
 
@@ -74,7 +76,7 @@ class MotionDeblurring(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as partial reconstructions.
+        """Decode as :meth:`decode`, as partial reconstructions.
 
         Raises
         ------
@@ -93,7 +95,7 @@ class MotionDeblurring(PartialDecoder):
             yield covered(frame, image, light, count, np.ones_like(count))
 
     def _video(self, image: CodedImage, known: Bools, code: Doubles, alike: Bools) -> Floats:
-        """Light of all slots, (slot, v, u), wherever pixels move or not."""
+        """Light of all slots, (slot, v, u), for static pixels too."""
         slots = image.weights.shape[2]
         opened = np.maximum(image.exposure, np.float32(_LEAST))
         light = image.signal / opened
@@ -103,7 +105,7 @@ class MotionDeblurring(PartialDecoder):
         if not known.all():
             light = light[nearest(known)]
         light = (light / np.float32(mean)).astype(np.float32)
-        # What saturates is only known to be so bright at least: it may be off by its own size.
+        # A saturated pixel is only bounded from below: its standard deviation is its own value.
         variance = image.variance / (opened * np.float32(mean)) ** 2 + np.where(image.saturated, light**2, 0)
         margin = self._margin(len(code), slots)
         blur = coded_blur(light, variance.astype(np.float32), alike, code, margin, self.model_error)
@@ -111,7 +113,7 @@ class MotionDeblurring(PartialDecoder):
         return video * np.float32(mean)
 
     def _explained(self, blur: CodedBlur, shape: tuple[int, ...]) -> tuple[list[Velocity], Floats, Floats]:
-        """Velocities in the order in which they hide each other, their masks and sharp pictures."""
+        """Velocities in the order of occlusion, their masks and sharp images."""
         if self.velocity_px is None:
             grid = (self.max_speed_px, self.step_px)
             return explained(blur, shape, grid, self.neighbourhood_px, self.rounds)
@@ -119,7 +121,7 @@ class MotionDeblurring(PartialDecoder):
         return [self.velocity_px], np.ones((1, *blur.light.shape), np.float32), picture[None]
 
     def _margin(self, coded_slots: int, slots: int) -> int:
-        """Pixels that light comes from beyond the border, or goes to."""
+        """Margin of pixels from which light may enter the image, or to which it may leave."""
         fastest = self.max_speed_px + self.step_px
         if self.velocity_px is not None:
             fastest = math.hypot(*self.velocity_px)
@@ -156,7 +158,7 @@ def painted(
     slots: int,
     shape: tuple[int, ...],
 ) -> Floats:
-    """Carry sharp pictures along their ways, each painted over those before it: (slot, v, u), float32.
+    """Shift sharp images along their motion paths, each over those before it: (slot, v, u), float32.
 
     Parameters
     ----------
@@ -165,11 +167,11 @@ def painted(
     velocities : list of tuple
         Pixels a slot.
     masks, pictures : ndarray of shape (velocity, rows, cols), float32
-        Where each is, at the middle of the code; the first is also where none of the others are.
+        Region of each at the middle of the code; the first also fills the pixels without any.
     slots : int
         Slots of a frame.
     shape : tuple of int
-        Of the image.
+        Shape of the image.
     """
     inside = tuple(slice(blur.margin, blur.margin + n) for n in shape)
     light = np.zeros((slots, *shape), np.float32)

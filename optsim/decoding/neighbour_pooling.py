@@ -1,4 +1,4 @@
-"""What a pixel can't measure well by itself, its neighbours tell."""
+"""Pooling of noisy and unmeasured pixels with their neighbours."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from scipy import ndimage  # type: ignore[import-untyped]
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.decoding.partial import positive_mean
 
-# Linear interpolation between the samples of one exposure of a 2 x 2 mosaic; the pixel itself is apart.
+# Linear interpolation between the samples of one exposure of a 2 x 2 mosaic, without the pixel itself.
 _AROUND = {(0, 1): 0.5, (0, -1): 0.5, (1, 0): 0.5, (-1, 0): 0.5} | dict.fromkeys(
     [(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25
 )
 # Six passes more change the PSNR of `night_street` by 0.05 dB.
 _PASSES = 4
 _LEAST = 1e-30  # of variances, W^2 m^-4: divisions
-# Standard deviation of the window in which neighbours' differences are measured, pixels, and how much they
-# are guessed to be, over the light, to weigh one pair against another. Photographs of
+# Standard deviation of the window for neighbours' differences, pixels, and a first guess of these, over the
+# light, for the weights of the pairs. Photographs of
 # `validation/static_hdr` change by 0.1 dB with half the window, and by as much with a guess of 0.05 or 0.5.
 _WINDOW_PX = 2.0
 _GUESS = 0.2
-# Standard deviations beyond which a difference is an edge, whatever the window says.
+# Standard deviations beyond which a difference is an edge, whatever the window measures.
 _SURELY = 2.0
 _MOST = 100.0  # largest mean square of the differences, over that of the light
 
@@ -31,45 +31,45 @@ _MOST = 100.0  # largest mean square of the differences, over that of the light
 def pooled(
     mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, least: Floats, contrast: float
 ) -> tuple[Floats, Floats]:
-    """Mean of each pixel and those of its eight neighbours that were measured, and its variance.
+    """Mean of each pixel and its measured neighbours (up to eight), and its variance.
 
     Normalised convolution (H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081): a pixel's
-    certainty is one over its variance, a neighbour's is less by as much as neighbours differ. How much they
-    do is measured around each pixel: the mean square of the differences, less what noise makes of it, as in
-    local statistics (J.-S. Lee, IEEE PAMI 2, 1980, doi:10.1109/TPAMI.1980.4766994). Noise is averaged where
-    it rules, and texture above it stays. Means are not made positive before, and variances are those of the
-    pooled light, not of each pixel's own: both would bias the dark.
+    certainty is one over its variance. A neighbour's certainty is lower by the local difference between
+    neighbours: the mean square of the differences minus their noise, as in local statistics (J.-S. Lee, IEEE
+    PAMI 2, 1980, doi:10.1109/TPAMI.1980.4766994). So noise is averaged where it dominates, and texture above
+    it stays. Means are not made positive before, and variances are those of the pooled light, not of each
+    pixel's own: both would bias the dark.
 
-    A pixel that wasn't measured is told by its neighbours alone. Their differences to it are taken to be
+    An unmeasured pixel is estimated from its neighbours alone. Their differences from it are taken to be
     Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
     doi:10.1016/0167-2789(92)90242-F), so that edges stay.
 
     Parameters
     ----------
     mean : ndarray of shape (v, u), float32
-        Irradiance, W m^-2; below zero by noise. A guess, and positive, where nothing was measured.
+        Irradiance, W m^-2; below zero by noise. A positive guess where nothing was measured.
     variance : callable
-        Of irradiance as of ``mean``, nowhere negative: the variance that the mean would have by it, W^2 m^-4.
+        Variance that the mean would have for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
     measured : ndarray of shape (v, u), bool
-        What isn't tells its neighbours nothing.
+        Measured pixels; the others don't enter the mean of their neighbours.
     least : ndarray of shape (v, u), float32
-        Irradiance below which saturated samples let no pixel fall; none where it is zero.
+        Lower bound of irradiance from saturated samples; none where it is zero.
     contrast : float
-        Scale of the differences to a pixel that wasn't measured, over its light.
+        Scale of the differences to an unmeasured pixel, over its light.
 
     Returns
     -------
     light, variance : ndarray of shape (v, u), float32
-        Irradiance that isn't negative, and its variance: that of the mean, more where neighbours contradict
-        it by more than was allowed for (R. T. Birge, Phys. Rev. 40, 1932, doi:10.1103/PhysRev.40.207), but no
-        more than the pixel's own. What is at ``least`` is as uncertain as bright.
+        Non-negative irradiance and its variance. The variance is that of the mean, raised where neighbours
+        disagree more than expected (R. T. Birge, Phys. Rev. 40, 1932, doi:10.1103/PhysRev.40.207), but no
+        more than the pixel's own. At ``least`` the standard deviation equals the value.
     """
     means, known = np.pad(mean, 1), np.pad(measured, 1)
     heard = [share * known[around] for share, around in _neighbours(mean.shape)]
     floor = np.where(least > 0, least, np.float32(-np.inf))
 
     def again(estimate: Floats) -> tuple[Floats, Doubles, Doubles, Floats]:
-        """Estimate, its variance if all agree, how far they do, and the pixel's own variance."""
+        """Estimate, its variance under agreement, their agreement, and the pixel's own variance."""
         light = np.maximum(estimate, 0)
         own = np.maximum(variance(light), _LEAST)
         texture = _texture(mean, light, own, measured)
@@ -101,10 +101,8 @@ def pooled(
 
 
 def _texture(mean: Floats, light: Floats, own: Floats, measured: Bools) -> Doubles:
-    """Mean square of neighbours' differences without their noise, over the squares of both lights.
-
-    A least-squares fit in a window, each pair weighed by one over the variance of its squared difference.
-    """
+    """Mean square of neighbours' differences without their noise, over the squares of both lights."""
+    # Least squares in a window, each pair weighted by one over the variance of its squared difference.
     means, lights, variances = (np.pad(image, 1) for image in (mean, light, own))
     known = np.pad(measured, 1)
     excess, squares = np.zeros(mean.shape), np.zeros(mean.shape)
@@ -126,7 +124,7 @@ def _squares(one: Floats, other: Floats) -> Doubles:
 
 
 def _neighbours(shape: tuple[int, ...]) -> Iterator[tuple[float, tuple[slice, slice]]]:
-    """Weight of each neighbour, and where it is in an image padded by one."""
+    """Weight of each neighbour, and its place in an image padded by one."""
     rows, cols = shape
     for (row, col), share in _AROUND.items():
         yield share, (slice(1 + row, 1 + row + rows), slice(1 + col, 1 + col + cols))

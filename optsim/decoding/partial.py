@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false
-"""Partial reconstructions, which a union joins, and the decoders that make them."""
+"""Partial reconstructions, which a union joins, and the decoders that return them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from optsim.calibration.calibration import Calibration
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
 
-# Farther from zero, in standard deviations, than where the cut-off still moves the mean (by 1e-8 of one).
+# Beyond so many standard deviations from zero the cut-off moves the mean by less than 1e-8 of one.
 _FAR = 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class Partial:
-    """Picture of one coded frame by one decoder, before it is joined with another's.
+    """Reconstruction of one coded frame by one decoder, before a union joins it with another.
 
     Parameters
     ----------
@@ -29,13 +29,13 @@ class Partial:
     irradiance_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32
         Mean irradiance in each slot, or the same for all slots; never negative.
     blend_weight : ndarray of shape (v, u), float32
-        Share of the joined picture that it makes, 0..1.
+        Its share of the joined image, 0..1.
     valid, interpolated, moving : ndarray of shape (v, u), bool
         As in :class:`~optsim.core.quantities.Reconstruction`.
     slots : int
         Slots of the frame's period.
     uncertainty_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32, or None
-        Standard deviation of the irradiance as the decoder predicts it; None where it doesn't know.
+        Standard deviation of the irradiance as the decoder predicts it; None if unknown.
     """
 
     index: int
@@ -48,7 +48,7 @@ class Partial:
     uncertainty_w_m2: Floats | None = None
 
     def finished(self) -> Reconstruction:
-        """As a reconstruction by itself: all slots."""
+        """Convert it to a reconstruction of all slots."""
         video = self.irradiance_w_m2
         shape = (self.slots, *video.shape[1:])
         spread = self.uncertainty_w_m2
@@ -63,9 +63,9 @@ class Partial:
 
 
 def positive_mean(mean: Floats, variance: Floats) -> Floats:
-    """Mean of what may be, given that it isn't negative: a Gaussian cut off at zero.
+    """Mean of a Gaussian cut off at zero: the expected light given that it isn't negative.
 
-    Dark pixels are as likely below zero as above, by noise; to clip those below would make them black.
+    Noise puts dark pixels below zero as often as above; clipping would bias them.
 
     Parameters
     ----------
@@ -79,25 +79,25 @@ def positive_mean(mean: Floats, variance: Floats) -> Floats:
     result = mean.copy()
     near = mean < _FAR * sigma
     x, s = mean[near].astype(np.float64), sigma[near].astype(np.float64)
-    # Far below zero these two cancel but for rounding.
+    # Far below zero these two cancel up to rounding.
     result[near] = np.maximum(x + s * np.sqrt(2 / np.pi) / erfcx(-x / s / np.sqrt(2)), 0)
     return result
 
 
 class PartialDecoder(Part, ABC):
-    """A decoder that works by itself and that others join with theirs."""
+    """A decoder whose partial reconstructions a union can join."""
 
     @abstractmethod
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """Decode frame by frame, with blend weights for the union: all that a new decoder writes."""
+        """Decode frame by frame, with blend weights for the union; a new decoder defines only this."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame; each from itself and those before: they say how bright saturated pixels are.
+        """Decode frame by frame; each uses itself and those before, which give saturated pixels.
 
         Raises
         ------
         ConfigError
-            When what is learned does not fit the frames.
+            When a learned prior does not fit the frames.
         """
         for partial in self.partials(frames, calibration):
             yield partial.finished()

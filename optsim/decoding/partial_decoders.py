@@ -1,4 +1,4 @@
-"""The decoders that others are made of; this is their only list, and a new one goes into it."""
+"""The list of the decoders that a union may join; add a new decoder to it."""
 
 from optsim.decoding.gaussian_mixture import GaussianMixture
 from optsim.decoding.hdr_merge import HdrMerge

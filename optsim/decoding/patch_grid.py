@@ -1,4 +1,4 @@
-"""Where the overlapping patches of a picture lie."""
+"""Positions of the overlapping patches of an image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
 
 
 def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
-    """How many patches of the whole grid cover each pixel: array of shape (v, u), float32."""
+    """Count the patches of the whole grid over each pixel: array of shape (v, u), float32."""
     counts: list[Floats] = []
     for length in shape:
         count = np.zeros(length, np.float32)
@@ -30,6 +30,6 @@ def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
 
 
 def _starts(length: int, patch: int, stride: int) -> Ints:
-    """Where patches start along an axis; the last one sits at the edge, so that every pixel is covered."""
+    """First indices of patches along an axis; the last patch ends at the edge, so every pixel is covered."""
     starts = np.arange(0, length - patch + 1, stride)
     return starts if starts[-1] == length - patch else np.append(starts, length - patch)

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false
-"""What a picked CCD pixel misses of light that changes within its panel pixel."""
+"""Error of a readout window narrower than its panel pixel."""
 
 from __future__ import annotations
 
@@ -11,36 +11,38 @@ import numpy as np
 
 from optsim.core.quantities import Doubles, Floats
 
-# Cycles a panel pixel to which spectra are summed, and frequencies along an axis: twice as fine or as far
-# changes no fourth digit for 0.3 to 10 CCD pixels a panel pixel.
+# Upper frequency of the spectra, cycles a panel pixel, and frequencies along an axis: with twice the range or
+# density no fourth digit changes for 0.3 to 10 CCD pixels a panel pixel.
 _CYCLES, _FREQUENCIES = 16, 256
 _SIGMA_OVER_MEDIAN = 1.4826  # of a Gaussian's absolute value
 
 
 def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
-    """How far the pick of each pixel may be off the pixel's mean, rms.
+    """Estimate the rms difference between each pixel's readout window and the pixel's mean.
 
-    A pick is a ratio narrower than its panel pixel. Two things are looked for, and the larger one counts.
-    Where light curves by E'' over a pixel the mean over a width w is E''/2 w^2/12 more than in the middle,
-    along each axis; the curvature is that between pixels. Where it is rough it is so within pixels too: in
-    pictures of the world power falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4,
-    2379, 1987, doi:10.1364/JOSAA.4.002379), so that roughness between pixels (the Laplacian, median over
-    3 x 3, which edges and lamps don't move; what noise makes of it taken off) tells that within. What a lens
-    smooths of it isn't known and counts.
+    The readout window is narrower than its panel pixel by ``ratio``. The larger of two estimates counts.
+
+    Curvature: where light curves by E'' over a pixel, the mean over a width w exceeds the central value by
+    E''/2 w^2/12 along each axis; the curvature is measured between pixels.
+
+    Roughness: in natural images power falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
+    4, 2379, 1987, doi:10.1364/JOSAA.4.002379), so roughness between pixels gives the roughness within. It is
+    the Laplacian's median over 3 x 3, which edges and lamps don't move, minus its noise. Smoothing by a lens
+    is ignored, so this is an upper estimate.
 
     Parameters
     ----------
     irradiance : ndarray of shape (v, u), float32
         W m^-2.
     variance : ndarray of shape (v, u), float32
-        Of its noise, W^2 m^-4.
+        Variance of its noise, W^2 m^-4.
     ratio : float
-        Of a panel pixel's width to that of what is read.
+        Width of a panel pixel over that of its readout window.
 
     Returns
     -------
     ndarray of shape (v, u), float32
-        W m^-2.
+        Rms difference, W m^-2.
     """
     from scipy import ndimage
 
@@ -56,7 +58,7 @@ def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
 
 @lru_cache
 def missed_of_roughness(ratio: float) -> float:
-    """Rms of a pick less its pixel's mean over that of the Laplacian between picks, for power as f^-2."""
+    """Rms of window minus pixel mean over that of the Laplacian between windows, for power as f^-2."""
     frequency = np.fft.fftfreq(_FREQUENCIES, 1 / (2 * _CYCLES))
     x, y = frequency, frequency[:, None]
     square = x**2 + y**2

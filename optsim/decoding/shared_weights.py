@@ -1,10 +1,10 @@
-"""Weights that patches have in common because a code repeats; the period is found from the weights.
+"""Weights that patches share under a periodic code; the period is found from the weights.
 
-Preparing a prior for a matrix of weights costs more than decoding a patch with it, so patches that begin at
-the same place of a repeated tile share one. Weights are calibrated: they carry noise, there are holes, some
-pixels just come out of another code, and rows that are written one after the other drift away from each
-other. So the period is that of most pixels, and who isn't as the tile says keeps weights of its own: a
-wrong period costs time, never accuracy.
+Preparing a prior for a matrix of weights costs more than decoding a patch with it. So patches that start at
+the same place of a periodic tile share one. Calibrated weights have noise and holes, some pixels are just
+leaving another code, and rows written one after the other drift apart. The period is therefore that of most
+pixels, and pixels that deviate from the tile keep their own weights. A wrong period costs time, never
+accuracy.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ import numpy as np
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 
-# Longest period that is looked for, panel pixels: the longest tile of a scheme.
+# Longest period that is tried, panel pixels: the longest tile of a scheme.
 _LONGEST = 64
-# Pixels that are compared with their partners; pairs that a lag needs to be judged by.
+# Pixels that are compared with their partners; least pairs to judge a lag.
 _COMPARED, _LEAST_PAIRS = 1024, 16
-# Two pixels differ when their distance, relative to the rms over pixels, is more than this many tolerances:
-# three standard deviations for noise that a patch may just have. Codes differ by far more.
+# Two pixels differ when their distance, relative to the rms over pixels, exceeds this many tolerances:
+# three standard deviations of the most noise that a patch may have. Codes differ by far more.
 _APART = 4
 # A lag at which more pairs than this differ is no period.
 _MOST_DIFFERING = 0.5
-# Pixels that the weights of a place in the tile are taken from.
+# Pixels from which the weights of a place in the tile are taken.
 _AVERAGED = 101
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True, eq=False)
 class SharedWeights:
-    """Which patches see through the same weights, and these weights.
+    """Assignment of patches to shared weights, and these weights.
 
     Parameters
     ----------
     tile : ndarray of shape (v, u, slot), float32
-        Weights of the repeated tile; as many rows or columns as the picture where there is no period.
+        Weights of the periodic tile; as many rows or columns as the image where there is no period.
     phase : ndarray of shape (p,), int64
-        Where in the tile each patch begins, row by row; -1 for patches with weights of their own.
+        Place in the tile at which each patch starts, row by row; -1 for patches with their own weights.
     patch : int
         Side of a patch, panel pixels.
     """
@@ -49,7 +49,7 @@ class SharedWeights:
     patch: int
 
     def weights(self, phase: int) -> Floats:
-        """Weights (pixel, slot) of the patches that begin at a place of the tile."""
+        """Weights (pixel, slot) of the patches that start at a place of the tile."""
         rows, cols, slots = self.tile.shape
         first_v, first_u = divmod(phase, cols)
         v = np.mod(first_v + np.arange(self.patch), rows)
@@ -58,30 +58,30 @@ class SharedWeights:
 
     @property
     def matrices(self) -> int:
-        """Different weights of all patches."""
+        """Number of different weight matrices over all patches."""
         return len(np.unique(self.phase[self.phase >= 0])) + int((self.phase < 0).sum())
 
 
 def shared_weights(
     weights: Floats, mask: Bools, corners: Ints, patch: int, tolerance: float
 ) -> SharedWeights:
-    """Find what patches share.
+    """Find the patches that share weights.
 
-    Where the found tile leaves many patches out, because weights drift over the rows or columns, only
+    Where the tile excludes many patches, because weights drift over the rows or columns, only
     patches of the same rows, or columns, share.
 
     Parameters
     ----------
     weights : ndarray of shape (v, u, slot), float32
-        Of each pixel.
+        Weights of each pixel.
     mask : ndarray of shape (v, u), bool
-        Pixels that count: those with the code and with a measurement.
+        Pixels with the code and a measurement.
     corners : ndarray of shape (p, 2), int64
         First row and column of each patch.
     patch : int
         Side of a patch, panel pixels.
     tolerance : float
-        Relative rms deviation from the tile beyond which a patch keeps weights of its own.
+        Relative rms deviation from the tile beyond which a patch keeps its own weights.
     """
     rows, cols = mask.shape
     v, u = code_period(weights, mask, tolerance)
@@ -90,7 +90,7 @@ def shared_weights(
     best = _shared(weights, mask, corners, patch, tolerance, (v, u))
     left_out = best.phase < 0
     if left_out.any():
-        # No tile takes in those with a hole.
+        # No tile includes patches with a hole.
         left_out &= _gathered(mask, corners, patch) == patch**2
     for tile in ((rows, u), (v, cols)):
         if 2 * len(np.unique(_places(corners[left_out], tile))) < left_out.sum():
@@ -102,16 +102,16 @@ def shared_weights(
 def code_period(weights: Floats, mask: Bools, tolerance: float) -> tuple[int, int]:
     """Rows and columns after which a code repeats; all of them where it doesn't.
 
-    At each lag a thousand pixels are compared with those that far along the axis. Some pairs differ at any
-    lag, because of pixels that come out of another code. The period is the shortest lag at which no more of
-    them do than at the best one, within three standard errors.
+    At each lag a thousand pixels are compared with those at that distance along the axis. Some pairs differ
+    at any lag, because some pixels are just leaving another code. The period is the shortest lag at which no
+    more pairs differ than at the best one, within three standard errors.
 
     Parameters
     ----------
     weights : ndarray of shape (v, u, slot), float32
-        Of each pixel.
+        Weights of each pixel.
     mask : ndarray of shape (v, u), bool
-        Pixels that count.
+        Pixels to compare.
     tolerance : float
         Rms deviation of a pixel's weights from the tile's, relative to the rms over pixels.
     """
@@ -146,7 +146,7 @@ def _gathered(image: Doubles | Bools, corners: Ints, patch: int) -> Doubles:
 
 
 def _places(corners: Ints, tile: tuple[int, int]) -> Ints:
-    """Where in a tile patches begin, row by row."""
+    """Place in the tile at which each patch starts, row by row."""
     return corners[:, 0] % tile[0] * tile[1] + corners[:, 1] % tile[1]
 
 
@@ -192,10 +192,7 @@ def _pairs(
 
 @compiled()
 def _fill_medians(weights: Floats, mask: Bools, tile: Floats) -> None:
-    """Median weights of each place in the tile, over pixels of a mask; 0 where there are none.
-
-    The median is that of the pixels in steady state, even while a few come out of another code.
-    """
+    """Fill in the median weights of each place in the tile: the steady state; 0 without pixels."""
     rows, cols, slots = weights.shape
     high, wide = tile.shape[:2]
     numbers = np.empty((slots, _AVERAGED), np.float32)

@@ -23,9 +23,9 @@ class SparseCoding(PartialDecoder):
     """Orthogonal matching pursuit patch by patch, overlapping patches averaged.
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
-    pixel gains are divided out first, crosstalk is undone (or added to the weights), and patches share their
-    weights where the code repeats, with whatever period: see ``weight_tolerance``. A saturated pixel counts
-    with its bound, the least light that it may have had: without it a patch in the sun would be black.
+    pixel gains are divided out first and crosstalk is undone (or added to the weights). Patches share their
+    weights where the code repeats, with any period: see ``weight_tolerance``. A saturated pixel enters
+    with its lower bound: without it a patch in the sun would be black.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ class SparseCoding(PartialDecoder):
     max_atoms : int
         Cap of a patch's atoms; more than 10 buy nothing from 64 measurements.
     noise_gain : float
-        Patches are done at this many times the predicted rms noise (equation 4's epsilon).
+        Pursuit stops at this many times the predicted rms noise (equation 4's epsilon).
     weight_tolerance : float
-        Relative rms deviation of a patch's weights from those of its place in the repeated tile beyond which
-        it gets a matrix of its own; 0 gives it to all that deviate at all.
+        Relative rms deviation of a patch's weights from those of its place in the periodic tile. Beyond it
+        the patch gets its own matrix; at 0 every deviating patch does.
     crosstalk : {"undone", "row_summed"}
         Whether the neighbours' light is removed from the image or added to the weights.
     """
@@ -53,8 +53,8 @@ class SparseCoding(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, with the blend weights of the seam."""
-        # Brings numba along, which reading an experiment must not.
+        """Decode as :meth:`decode`, with the blend weights of the union."""
+        # Imports numba, which reading an experiment must not.
         from optsim.decoding.sparse.patch_codes import PatchCoder
 
         coder = PatchCoder.of(self._dictionary(calibration))

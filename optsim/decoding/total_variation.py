@@ -24,21 +24,21 @@ class TotalVariation(PartialDecoder):
     """Generalised alternating projection with total variation (GAP-TV).
 
     X. Yuan, "Generalized alternating projection based total variation minimization for compressive sensing",
-    ICIP 2016, doi:10.1109/ICIP.2016.7532817, in its accelerated form: in turn the video is brought to what
-    was measured, with measurements from which the error so far has been taken off, and its total variation is
-    lowered (:func:`~optsim.decoding.tv_smoothing.smoothed`).
-    What noise a pixel has loosens its measurement as it would for light of unit variance.
+    ICIP 2016, doi:10.1109/ICIP.2016.7532817, in its accelerated form. Two steps alternate: the video is
+    projected onto the measurements minus the error so far, and its total variation is lowered
+    (:func:`~optsim.decoding.tv_smoothing.smoothed`). A pixel's noise loosens its measurement as for light of
+    unit variance.
 
     Parameters
     ----------
     weight : float
-        Of the total variation, for light whose brighter parts are about 1.
+        Weight of the total variation, for light whose brighter parts are about 1.
     time_weight : float or None
-        What a difference from slot to slot counts in it against one from pixel to pixel; at 0 each slot is
-        smoothed by itself, as in the paper. None: a 24th of the number of slots, at most 1, since shorter
-        slots differ less. These are choices (no source): on made films seen through half-open codes of 8
-        slots, 0.35 was 0.1 dB better than 0 where things move by pixels a slot and 1.3 dB where they move by
-        parts of one (1: -1.7 and +2.5 dB); with 36 slots 1 was best for such codes and for bumps of three.
+        Weight of a difference from slot to slot against one from pixel to pixel. At 0 each slot is smoothed
+        by itself, as in the paper. None: a 24th of the number of slots, at most 1, since shorter slots differ
+        less. These are choices (no source). On synthetic films through half-open codes of 8 slots, 0.35 beat
+        0 by 0.1 dB for motion by pixels a slot and by 1.3 dB for motion by parts of one (1: -1.7 and +2.5
+        dB). With 36 slots 1 was best for such codes and for bumps of three.
     rounds, inner_rounds : int
         Projections, and steps of the smoothing in each.
     crosstalk : {"undone", "row_summed"}
@@ -53,7 +53,7 @@ class TotalVariation(PartialDecoder):
     crosstalk: Crosstalk = "undone"
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """As :meth:`decode`, as partial reconstructions."""
+        """Decode as :meth:`decode`, as partial reconstructions."""
         for frame, image in coded_images(frames, calibration, self.crosstalk):
             # Pixels that no slot opens are smoothed with the others.
             moving = (frame.code.moving & image.usable.any()).astype(np.float32)
@@ -71,7 +71,7 @@ class TotalVariation(PartialDecoder):
         measured = (image.signal / white).astype(np.float32)
         energy = np.einsum("vut,vut->vu", weights, weights) + image.variance / white**2
         gain = np.where(energy > 0, 1 / np.maximum(energy, np.float32(1e-12)), 0).astype(np.float32)
-        # Each pixel's mean in all slots is a start that agrees with what was measured.
+        # Each pixel's mean in all slots is a start that agrees with the measurement.
         start = (means / white).astype(np.float32)
         if not image.usable.all():
             start = start[nearest(image.usable)]
@@ -87,7 +87,7 @@ class TotalVariation(PartialDecoder):
 
 @compiled(fastmath={"reassoc", "contract", "nsz"})
 def _bring(video: Floats, weights: Floats, measured: Floats, gain: Floats, target: Floats) -> None:
-    """Bring a video to what was measured, from which the error so far has been taken off."""
+    """Project a video onto the measurements minus the error so far."""
     rows, cols, slots = video.shape
     for v in range(rows):
         for u in range(cols):

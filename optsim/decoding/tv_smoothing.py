@@ -22,11 +22,11 @@ def smoothed(video: Floats, weight: float, steps: int, *, time_weight: float) ->
     video : ndarray of shape (v, u, slot), float32
         Any unit.
     weight : float
-        Of the total variation, in the video's unit.
+        Weight of the total variation, in the video's unit.
     steps : int
         Steps of the dual field; the minimum is reached after hundreds.
     time_weight : float
-        What a difference from slot to slot counts against one from pixel to pixel; 0 smooths each slot by
+        Weight of a difference from slot to slot against one from pixel to pixel; 0 smooths each slot by
         itself.
     """
     rows, cols, slots = video.shape
@@ -115,7 +115,7 @@ def _step(
     step: np.float32,
     damping: np.float32,
 ) -> None:
-    """Push the fields of a row along its gradients, and pull them back inside the unit disc."""
+    """Move the fields of a row along its gradients, and project them onto the unit disc."""
     n = len(here)
     beside = here[slots:]
     for k in range(n - slots):

@@ -21,34 +21,34 @@ from optsim.decoding.partial import Partial
 from optsim.decoding.partial_decoders import AnyPartialDecoder, HdrMerge, SparseCoding
 
 _Moving = Annotated[AnyPartialDecoder | Average, Field(discriminator="kind")]
-# Where its share of the picture would be less, no video is decoded.
+# Least share of the image for which a video is decoded.
 _LEAST_SHARE = 0.05
 _SMOOTH_PX = 3
 
 
 class Union(Part):
-    """Join two partial reconstructions: the video where the code was chosen for it and the light did change.
+    """Join two partial reconstructions: the video where its code was chosen and the light changed.
 
-    The code's mask is as late as the frames that it was made from, and dilated. When a frame is decoded its
-    own sample is there: where it agrees with those before, the merge of all knows more than the video does,
-    and equation (1) is not followed. But motion that the samples don't show is likely beside motion that they
-    do, so the video's share falls with the distance from the nearest change. Equation (1) cuts hard along the
-    mask; patches reach past it, so there the video fades out with the number of patches that cover a pixel.
-    ``moving`` is where all of the video is decoded: within the code's mask, near a change.
+    The code's mask is dilated and as old as the frames behind it. At decoding, the frame's own sample is
+    known. Where it agrees with those before, the merge of all has less error than the video, so equation (1)
+    is not followed. Undetected motion is likely near detected motion, so the video's share falls with the
+    distance from the nearest change. Equation (1) cuts hard along the mask. Patches reach past it, so there
+    the video fades out with the number of patches over a pixel. ``moving`` marks where the video has its full
+    share: within the code's mask, near a change.
 
-    Where the two are mixed so are their standard deviations, as if both made the same error: an upper bound.
+    Standard deviations are blended like the light, as if both made the same error: an upper bound.
     Where the video's decoder states no uncertainty, pixels with any video have 0, which means unknown.
 
     Parameters
     ----------
     static, moving : decoder
-        The two decoders: of what stands still, and of what moves.
+        The decoders of static and of moving pixels.
     video : {"changed", "coded"}
-        Where the video is taken: near what changed, or wherever the code was chosen for it, as in equation
-        (1). A merge of one frame, or as the paper has it, knows of no change; then both are the same.
+        Where the video is used: near a change, or wherever its code was chosen, as in equation
+        (1). A merge of one frame, or the paper's own, detects no change; then both are the same.
     fade_px : float
-        Distance from a change over which the video's share falls to 1/e, panel pixels. The share that errs
-        least falls so in 2 on ``window_room``, in 6 on ``half_moving``; 4 lies between (no source).
+        Distance from a change over which the video's share falls to 1/e, panel pixels. The share of least
+        error falls so in 2 on ``window_room``, in 6 on ``half_moving``; 4 lies between (no source).
     """
 
     kind: Literal["union"] = "union"
@@ -80,7 +80,7 @@ class Union(Part):
 
         for video in self.moving.partials(changing(), calibration):
             still, near = merged.popleft()
-            # Inside the mask all patches are there, so the blend weight is 1.
+            # Inside the mask all patches exist, so the blend weight is 1.
             share = np.where(still.valid, near * video.blend_weight, np.sign(video.blend_weight))
             joined = still.irradiance_w_m2 + share * (video.irradiance_w_m2 - still.irradiance_w_m2)
             spread = _mixed(still.uncertainty_w_m2, video.uncertainty_w_m2, share)
@@ -95,7 +95,7 @@ class Union(Part):
 
 
 def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats | None:
-    """Mix standard deviations by the video's share of the picture; 0 where a part isn't known."""
+    """Blend standard deviations by the video's share of the image; 0 where one isn't known."""
     if still is None:
         return None
     other = np.zeros_like(still) if video is None else video
@@ -104,12 +104,12 @@ def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats 
 
 
 def _nearness(changed: Bools, fade_px: float) -> Floats:
-    """1 amid what changed, and falling exponentially with the distance from there, (v, u)."""
+    """1 at changes, and falling exponentially with the distance from them, (v, u)."""
     from scipy import ndimage
 
     if not changed.any():
         return np.zeros(changed.shape, np.float32)
     distances = cast("Callable[[Bools], Floats]", ndimage.distance_transform_edt)
-    # Smoothed: of the pixels of a moving edge only some pass the threshold, and it would look beaded.
+    # Smoothed: only some pixels of a moving edge pass the threshold, and the blend would look beaded.
     near = box_mean(np.exp(-distances(~changed) / fade_px).astype(np.float32), _SMOOTH_PX)
     return near.clip(0, 1)  # its running sums leave rounding behind

@@ -1,4 +1,4 @@
-"""Which velocity explains which neighbourhood of a coded image: the one whose sharp picture looks natural."""
+"""Choice of a velocity for each neighbourhood of a coded image: the one with the most natural sharp image."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from optsim.decoding.coded_images import box_mean
 _LEAST = 1e-6
 # Mean of the roots of two gradients, of Gaussian noise of standard deviation 1.
 _OF_NOISE = 2 * 2**0.25 * math.gamma(0.75) / math.sqrt(math.pi)
-# Costs of the search are kept at so many pixels of a neighbourhood's side.
+# The costs of the search are sampled at this many pixels a neighbourhood side.
 _KEPT = 4
-# What one more velocity must lower the mean cost by, nats a pixel, and how many are chosen at most.
+# Least decrease of the mean cost by one more velocity, nats a pixel, and the most velocities.
 _WORTH, _MOST = 0.004, 16
 # Halvings of the step around each velocity chosen.
 _HALVINGS = 3
-# How many pixels a neighbourhood's mean cost counts for as evidence, and rounds in which shares settle.
+# Pixels of evidence in a neighbourhood's mean cost, and rounds until shares converge.
 _EVIDENCE, _SETTLED = 10.0, 10
-# Side of the square over which the borders between velocities are soft, pixels.
+# Side of the square that smooths the borders between velocities, pixels.
 _SOFT = 7
 
 
 def velocity_grid(fastest: float, step: float) -> list[Velocity]:
-    """Velocities up to the fastest, the slowest first: zero. In pixels a slot."""
+    """Velocities up to the fastest, in pixels a slot; the slowest, zero, first."""
     n = int(fastest / step + 1e-9)
     ways = [(i * step, k * step) for i in range(-n, n + 1) for k in range(-n, n + 1)]
     slow = [way for way in ways if np.hypot(*way) <= fastest + 1e-9]
@@ -37,14 +37,14 @@ def velocity_grid(fastest: float, step: float) -> list[Velocity]:
 def explained(
     blur: CodedBlur, shape: tuple[int, ...], grid: tuple[float, float], around: int, rounds: int
 ) -> tuple[list[Velocity], Floats, Floats]:
-    """Velocities that explain a coded image, where each does, and the sharp pictures.
+    """Find velocities that explain a coded image, their masks and the sharp images.
 
     Parameters
     ----------
     blur : CodedBlur
         The coded image.
     shape : tuple of int
-        Of the image without the margin, (v, u).
+        Shape of the image without the margin, (v, u).
     grid : tuple of float
         Fastest velocity and step, pixels a slot.
     around : int
@@ -55,7 +55,7 @@ def explained(
     Returns
     -------
     velocities : list of tuple
-        The one of most pixels first, then from slow to fast.
+        The most frequent first, then from slow to fast.
     masks, pictures : ndarray of shape (velocity, rows, cols), float32
         On the canvas of ``blur``.
     """
@@ -82,16 +82,17 @@ def explained(
 def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: int) -> Floats:
     """Cost of a velocity in each neighbourhood, nats a pixel: (v, u).
 
-    Minus the log-likelihood of the coded image, were the gradients of its sharp picture drawn from one
-    generalised Gaussian of whatever scale, with the exponent 1/2 (A. Levin, R. Fergus, F. Durand and W. T.
-    Freeman, ACM Trans. Graph. 26(3), 70 (2007), doi:10.1145/1276377.1276464, take 0.8): the logarithm of
-    their generalised mean, and that of the determinant of what undoes the blur, without which the picture as
-    it is, blurred, would be the likeliest. Light is not negative; what is counts as a gradient of that size.
+    Minus the log-likelihood of the coded image if the gradients of its sharp image follow one generalised
+    Gaussian of any scale, with the exponent 1/2 (A. Levin, R. Fergus, F. Durand and W. T. Freeman, ACM Trans.
+    Graph. 26(3), 70 (2007), doi:10.1145/1276377.1276464, take 0.8). It has two terms: the logarithm of their
+    generalised mean, and that of the determinant of the deblurring filter. Without the second the blurred
+    image itself would be the likeliest. Light is not negative; negative light counts as a gradient of that
+    size.
 
     Parameters
     ----------
     picture : ndarray of shape (rows, cols)
-        Sharp picture of this velocity.
+        Sharp image of this velocity.
     way : Way
         Its blur.
     inside : tuple of slice
@@ -105,7 +106,7 @@ def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: in
     rough = np.sqrt(np.abs(here - near[:-1, 1:])) + np.sqrt(np.abs(here - near[1:, :-1]))
     rough += np.sqrt(np.maximum(-here, 0))
     undone = 0.5 * float(np.log(way.power).mean(dtype=np.float64))
-    # Where there is nothing but noise no velocity is better than it lets be seen.
+    # In pure noise no velocity can score better than the noise allows.
     least = np.float32(max(_OF_NOISE * math.sqrt(way.rough), _LEAST))
     return 2 * np.log(np.maximum(box_mean(rough, around), least)) + np.float32(undone)
 
@@ -113,11 +114,11 @@ def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: in
 def likely_velocities(
     blur: CodedBlur, inside: tuple[slice, slice], fastest: float, step: float, around: int
 ) -> list[Velocity]:
-    """Few velocities of which one explains each neighbourhood, zero first, with their opposites.
+    """Select a few velocities, zero first, with their opposites; one of them explains each neighbourhood.
 
-    From closed forms of a grid: greedily the one that lowers the mean over the neighbourhoods of their least
-    cost most, while it is worth it. Each is then brought nearer by halving the step, where it is chosen. The
-    opposite way has nearly the same blur, so better pictures shall tell.
+    A greedy search over the closed forms of a grid adds the velocity that lowers most the mean of the
+    neighbourhoods' least costs, while it pays. Each is then refined by halving the step, where it is chosen.
+    The opposite velocity has nearly the same blur, so the better sharp images must decide.
     """
     every = max(1, around // _KEPT)
 
@@ -139,7 +140,7 @@ def likely_velocities(
         chosen.append(best)
         least = np.minimum(least, costs[best])
     labels = costs[chosen].argmin(axis=0)
-    # Beyond the border light is guessed as in a mirror, which moves the wrong way.
+    # Beyond the border light is mirrored, and the mirror image moves the wrong way.
     inner = np.minimum(*np.ix_(*(_to_border(n) for n in labels.shape))) * every >= blur.margin / 2
     found = [grid[0]]
     for label, index in enumerate(chosen):
@@ -161,10 +162,10 @@ _AROUND = sorted(((i, k) for i in (-1, 0, 1) for k in (-1, 0, 1)), key=lambda wa
 
 
 def shared_out(costs: Floats) -> Ints:
-    """Which velocity each pixel has: the index of its least cost, (v, u).
+    """Choose a velocity for each pixel: the index of its least cost, (v, u).
 
-    The share of all pixels that a velocity has is its prior probability, as in a mixture whose shares are
-    fitted: that decides where there is little to go on.
+    The share of all pixels that a velocity has is its prior probability, as in a fitted mixture. It decides
+    where the costs give little evidence.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Experiments: what is run, in which order, where it is kept, and what is said about it."""
+"""Experiments: their definition, runs, run folders, evidence and records."""

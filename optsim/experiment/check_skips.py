@@ -1,4 +1,4 @@
-"""One frame of an experiment with what it leaves out, and without."""
+"""One frame of an experiment under its plan, and under the full model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optsim.experiment.truth import render_truth
 
 
 class SkipCheck(TypedDict):
-    """How far a method's first frame is off the full model's, relative to its noise, and in dB of PSNR."""
+    """Deviation of a method's first frame from the full model's, relative to its noise, and in dB of PSNR."""
 
     method: str
     left_out: list[str]
@@ -26,12 +26,12 @@ class SkipCheck(TypedDict):
 def check_skips(
     experiment: Experiment, *, backend: str | None = None, progress: Progress = silent
 ) -> list[SkipCheck]:
-    """Expose each method's first frame by the camera as it is run, and by the full model.
+    """Expose each method's first frame by the planned camera, and by the full model.
 
     Parameters
     ----------
     experiment : Experiment
-        Its truth is rendered, or found in the cache.
+        Its truth is rendered, or read from the cache.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
@@ -41,7 +41,7 @@ def check_skips(
     -------
     list of dict
         One a method: rms difference of the expected electrons over the frame's noise, where neither clips,
-        and how much as large an independent error takes from a PSNR that noise limits.
+        and the loss by an equally large independent error in a PSNR that noise limits.
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     modelled, skipping = planned(experiment.model_copy(update={"n_frames": 1}))

@@ -1,4 +1,4 @@
-"""What the exposures of a mosaic amount to, when the panel's leak and its response have had their share."""
+"""Exposures of a mosaic after the panel's leak and response."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from optsim.optics.panel import slot_weights
 
 
 class Density(TypedDict):
-    """One exposure: slots that the code opens, and what they make of it, in slots of a panel held open."""
+    """One exposure: slots that the code opens, and their effect in slots of a fully open panel."""
 
     commanded_slots: int
     effective_slots: float
 
 
 def mosaics(experiment: Experiment) -> dict[str, HdrMosaic]:
-    """Mosaics that the methods of an experiment show, by the names of those methods."""
+    """Mosaics of an experiment's methods, by the names of those methods."""
     found: dict[str, HdrMosaic] = {}
     for method in experiment.methods:
         scheme = method.scheme.static if isinstance(method.scheme, MotionAdaptive) else method.scheme
@@ -33,8 +33,9 @@ def mosaics(experiment: Experiment) -> dict[str, HdrMosaic]:
 def densities(camera: CodedCamera, mosaic: HdrMosaic) -> list[Density]:
     """Exposures of a mosaic by a camera's panel on its axis, the shortest first.
 
-    Each is the mean over the pixels of a tile and over a round of frames, after one round has passed: what a
-    pixel showed before has a part in it. Fringing between pixels is left out, as where the rim is averaged.
+    Each is the mean over the pixels of a tile and over a round of frames. One round has passed before,
+    because a pixel's earlier code matters. Fringing between pixels is left out, as in the averaged
+    fringe-field correction.
     """
     tiles = mosaic.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(0))
     panel: PanelState | None = None

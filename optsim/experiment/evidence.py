@@ -1,9 +1,9 @@
-"""Evidence: what has been validated against an oracle that isn't our code, and what hasn't.
+"""Evidence: effects validated against an oracle that isn't our code, and effects without validation.
 
 ``validation/<effect>/check.py`` states CLAIM, ORACLE, SOURCE, TOLERANCE with its REASON, and FILES, measures
-a deviation, and measures it again on a stage broken on purpose. ``optsim validate --write`` keeps the records
-in ``evidence.json`` beside this file, each with a hash of the files it vouches for; an effect without a
-passing record, or whose files have changed since, is *unvalidated*, and every report says so.
+a deviation, and measures it again on a stage broken on purpose. ``optsim validate --write`` stores the
+records in ``evidence.json`` beside this file, each with a hash of the files that it covers. An effect is
+*unvalidated* without a passing record or after a change of its files, and every report says so.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from optsim.report.schema import EvidenceRow
 
 _RECORDS = Path(__file__).with_name("evidence.json")
 
-# Every effect that a run models. One without a folder in validation/ is unvalidated, and printed as such.
+# Every effect that a run models. Those without a folder in validation/ are printed as unvalidated.
 EFFECTS: dict[str, str] = {
     "render_form_factor": "direct light from an area lamp",
     "render_furnace": "energy of multiple bounces",
@@ -67,7 +67,7 @@ EFFECTS: dict[str, str] = {
     "smear": "smear of an interline CCD",
 }
 
-# What no part of the camera does; every report prints it.
+# Effects that no part of the camera models; every report prints them.
 NOT_MODELLED: tuple[str, ...] = (
     "aberrations beyond the third order; distortion of the objective beyond it, and its lateral colour",
     "the shape that a clipped pupil gives to PSFs and to what is out of focus",
@@ -102,21 +102,21 @@ class Evidence:
     Parameters
     ----------
     effect, claim, oracle, source : str
-        What is claimed, against what it was measured, and where the oracle comes from.
+        The claim, its reference, and the source of that.
     measured : float
         Deviation from the oracle; passes when its magnitude is at most the tolerance.
     perturbed : float
         The same measure with a stage broken on purpose; must exceed the tolerance.
     tolerance : float
-        Bound on the deviation.
+        Bound of the deviation.
     reason : str
-        Why that bound, and in what unit.
+        Reason for the bound, and its unit.
     passed : bool
         Both conditions hold.
     files_hash : str
-        Hash of the code vouched for (:func:`hash_code`).
+        Hash of the covered code (:func:`hash_code`).
     files : list of str
-        Globs of the files vouched for.
+        Globs of the covered files.
     """
 
     effect: str
@@ -177,12 +177,12 @@ def check_names() -> list[str]:
 
 
 def measure(effect: str) -> Evidence:
-    """Run one effect's check, and run it again on the stage it breaks on purpose.
+    """Run one effect's check, and again on a stage broken on purpose.
 
     Raises
     ------
     ConfigError
-        For an effect that has no check.
+        For an effect without a check.
     """
     if effect not in check_names():
         raise unknown_name("validation", effect, check_names())
@@ -190,7 +190,7 @@ def measure(effect: str) -> Evidence:
     measured, perturbed = float(check.measure()), float(check.perturbed())
     tolerance = float(check.TOLERANCE)
     globs = [*check.FILES, f"validation/{effect}/*.py"]
-    # The wheel does not carry validation/: what it vouches for must be checkable where it is installed.
+    # The wheel has no validation/: the covered files must be checkable where it is installed.
     vouched = [g for g in globs if g.startswith("optsim/")]
     return Evidence(
         effect=effect,
@@ -208,7 +208,7 @@ def measure(effect: str) -> Evidence:
 
 
 def measure_all(names: Sequence[str], *, write: bool, progress: Progress = silent) -> list[Evidence]:
-    """Run checks (all of them when no name is given), and keep the records if asked to."""
+    """Run checks (all of them when no name is given), and store the records if asked to."""
     chosen = list(names) or check_names()
     for name in chosen:
         if name not in check_names():
@@ -221,7 +221,7 @@ def measure_all(names: Sequence[str], *, write: bool, progress: Progress = silen
             found.append(measure(name))
             kept[name] = found[-1]
             if write:
-                # One by one: what has been measured stays when a later check is interrupted.
+                # One by one: finished records stay when a later check is interrupted.
                 write_json(_RECORDS, [asdict(kept[each]) for each in sorted(kept)])
     progress("validate", len(chosen), len(chosen))
     return found

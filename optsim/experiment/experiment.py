@@ -1,4 +1,4 @@
-"""An experiment: scene, camera, and the methods that compete on it; read from TOML."""
+"""An experiment: scene, camera, and the methods to compare; read from TOML."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from optsim.scene import load_scene
 
 
 class SceneChoice(Part):
-    """Which scene, which of its variations, and in which of its bands.
+    """The scene, its variation and its band.
 
     Parameters
     ----------
     name : str
         A shipped scene (``optsim list scenes``), or the path of a scene's folder.
     variation : str
-        A variation that the scene names, or a number, which seeds a random one.
+        A variation named in the scene, or a number, which seeds a random one.
     band : str, optional
         Name of the scene's band that the camera sees; by default the one nearest to 550 nm.
     """
@@ -46,19 +46,19 @@ class SceneChoice(Part):
 
 
 class Source(Part):
-    """Where the truth comes from when it isn't rendered.
+    """The truth when it isn't rendered.
 
     Parameters
     ----------
     footage : FootageSource
-        A recording, with what its numbers mean.
+        A recording, with the meaning of its numbers.
     """
 
     footage: FootageSource
 
 
 class LightRule(Part):
-    """How much light the camera gets, fixed before anything is measured and the same for all methods.
+    """The light level of the camera, fixed before any measurement and the same for all methods.
 
     The neutral density is set so that a percentile of the interior, under the all-on code, reaches a
     share of the measured saturation (a rule of this project for fair comparison; no outside source).
@@ -66,7 +66,7 @@ class LightRule(Part):
     Parameters
     ----------
     percentile : float
-        Of the irradiance on the interior's panel pixels, percent: this much of it is darker.
+        Percentile of the irradiance on the interior's panel pixels, percent.
     saturation_share : float
         Share of the measured saturation that this percentile reaches.
     """
@@ -76,18 +76,18 @@ class LightRule(Part):
 
 
 class Method(Part):
-    """One contestant: a coding scheme and the decoder of its frames.
+    """A coding scheme and the decoder of its frames.
 
     Parameters
     ----------
     name : str
-        By which results, frames and pictures are told apart.
+        Name in results, file names and figures.
     scheme, decoder
         The coding scheme, and the decoder of its frames; ``optsim list schemes`` and ``decoders`` name them.
     calibration
-        What this scheme and decoder know of the camera, if not what the experiment says.
+        Calibration of this scheme and decoder; the experiment's by default.
     reading_px
-        CCD pixels to a side that they read, if not as many as the experiment says.
+        Side of their readout window, CCD pixels; the experiment's by default.
     """
 
     name: str = Field(
@@ -99,62 +99,62 @@ class Method(Part):
     reading_px: ReadingPx | None = None
 
     def check(self, calibration: Calibration) -> None:
-        """Refuse what this method cannot do with a camera, before there is a frame.
+        """Refuse a calibration that this method cannot work with, before there is a frame.
 
         Raises
         ------
         ConfigError, StorageError
-            With the cure; for example of a prior for another number of slots.
+            With the cure; for example for a prior with another number of slots.
         """
         try:
             self.scheme.init(calibration, np.random.default_rng(0))
-            # Decoders get ready before they ask for the first frame.
+            # Decoders prepare before they ask for the first frame.
             list(self.decoder.decode((), calibration))
         except (ConfigError, StorageError) as error:
             raise type(error)(f"methods, {self.name!r}: {error}") from None
 
 
 class Experiment(Part):
-    """Everything that decides a result; the same experiment gives the same numbers.
+    """Everything that determines a result; the same experiment gives the same numbers.
 
     Parameters
     ----------
     name : str
-        Of the experiment: run folders begin with it.
+        Name of the experiment: run folders begin with it.
     description : str
         A sentence for people; nothing depends on it.
     seed : int
-        Of all random numbers: the same experiment and seed give the same results.
+        Seed of all random numbers: the same experiment and seed give the same results.
     n_frames : int
         Coded frames to take; the steady phase begins with frame latency_frames + 4, counted from 0.
     render
-        How accurately the truth is rendered.
+        Accuracy of the rendered truth.
     camera
-        The camera's parts; ``hardware = "prototype"`` or ``"demo"`` fills in what isn't written, and
+        The camera's parts; ``hardware = "prototype"`` or ``"demo"`` gives the defaults, and
         ``effects`` switches imperfections (``optsim list effects``).
     methods
-        The contestants, each a scheme with its decoder.
+        The methods to compare, each a scheme with its decoder.
     light
-        How much light the camera gets.
+        The rule for the camera's light level.
     scene, source
-        Where the truth comes from: a scene to render, or ``source.footage``, a recording. Exactly one.
+        The truth: a scene to render, or ``source.footage``, a recording. Exactly one.
     tolerance
-        Error that leaving out what the scene doesn't need may make in a frame, rms, relative to the frame's
+        Allowed error of a frame by skipped effects, rms, relative to the frame's
         noise; 0 models everything (see :mod:`optsim.camera.skip`).
     calibration
-        What is known of the camera: ``bench`` (estimated from the virtual laboratory's images), ``true``
-        (the simulator's own parameters), ``ideal`` (the paper's equations), or the path of a
+        Choice of the calibration: ``bench`` (estimated from the virtual laboratory's images), ``true``
+        (the simulator's own parameters), ``ideal`` (the paper's equations), or a path: of a
         ``calibration.npz``, of a run folder that holds one, or of a bench folder (of this very camera). The
-        light rule goes by it, and so do all methods but those with a ``calibration`` of their own. Paths in a
-        TOML file begin at its folder.
+        light rule uses it, and so do all methods without a ``calibration`` of their own. Relative paths in a
+        TOML file start at its folder.
     reading_px
-        CCD pixels to a side of the square that is read for a panel pixel: 1 for the pixel at its centre, as
+        Side of the readout window of a panel pixel, CCD pixels: 1 for the pixel at its centre, as
         in the paper, 3 for all nine where a panel pixel covers about 3 x 3.
     drift
-        What of the camera changes between its calibration and the first frame, as in ``camera``: for
-        example ``{ relay = { shift_x_px = 0.4 } }``. Decoders don't know of it.
+        Changes of the camera between its calibration and the first frame, as in ``camera``: for
+        example ``{ relay = { shift_x_px = 0.4 } }``. The calibration leaves them out.
     save_reconstructions
-        Names of the methods whose reconstructed video is written; empty for none.
+        Names of the methods whose reconstructed videos are written; empty for none.
     """
 
     name: str = Field(
@@ -222,35 +222,35 @@ class Experiment(Part):
 
     @property
     def calibration_choice(self) -> CalibrationChoice:
-        """What is known of the camera where no method says otherwise."""
+        """Calibration choice of methods without their own."""
         return CalibrationChoice(self.calibration, self.reading_px)
 
     def choice_of(self, method: Method) -> CalibrationChoice:
-        """Say what a method knows of the camera: its own choice, or else the experiment's."""
+        """Return a method's calibration choice: its own, or else the experiment's."""
         return CalibrationChoice(method.calibration or self.calibration, method.reading_px or self.reading_px)
 
     @property
     def schemes(self) -> dict[str, Scheme]:
-        """Schemes of the methods, by the names of those."""
+        """Schemes of the methods, by method name."""
         return {method.name: method.scheme for method in self.methods}
 
     @property
     def calibration_choices(self) -> tuple[CalibrationChoice, ...]:
-        """What is asked for, each once; the experiment's own, by which light is set, first."""
+        """All calibration choices, each once; the experiment's own, which sets the light, first."""
         return tuple(dict.fromkeys((self.calibration_choice, *map(self.choice_of, self.methods))))
 
     def check_methods(self, known: Mapping[CalibrationChoice, Calibration]) -> None:
-        """Refuse what any method cannot do with the calibration that it knows (:meth:`Method.check`)."""
+        """Refuse calibrations that any method cannot work with (:meth:`Method.check`)."""
         for method in self.methods:
             method.check(known[self.choice_of(method)])
 
     def at_work(self) -> CodedCamera:
-        """Camera that takes the frames: the one that was calibrated, as it has changed since.
+        """Camera that takes the frames: the calibrated one after its drift.
 
         Raises
         ------
         ConfigError
-            When ``drift`` changes what there isn't, or what truth and calibration depend on.
+            When ``drift`` changes an unknown key, or one that truth and calibration depend on.
         """
         if not self.drift:
             return self.camera
@@ -277,7 +277,7 @@ class Experiment(Part):
         return self.camera.timing(self.n_frames)
 
     def fingerprint(self) -> str:
-        """Hash of the resolved experiment: which run folder belongs to which experiment."""
+        """Hash of the resolved experiment, which identifies its run folder."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -325,17 +325,17 @@ def load_experiment(
     seed : int, optional
         Replaces the experiment's seed.
     check_geometry : bool
-        False to look at an experiment that cannot be run.
+        False to inspect an experiment that cannot be run.
 
     Returns
     -------
     Experiment
-        Fully resolved: every default is in it.
+        Fully resolved, with every default.
 
     Raises
     ------
     ConfigError
-        For an unknown or ill-valued key, an unknown scene, or a band in which the camera doesn't work.
+        For an unknown key or wrong value, an unknown scene, or a band outside the camera's range.
     GeometryError
         When the panel's image does not fit the CCD.
     """
@@ -355,7 +355,7 @@ def load_experiment(
     _find_footage(table, path.parent)
     experiment = _in_band(build(Experiment, table, where=where), by_hand, where)
     switches: Table = cast("Table", camera).get("effects", {}) if isinstance(camera, dict) else {}
-    # Set by hand wins, here as well.
+    # A key set by hand has priority here as well.
     drift = merged(drifted(experiment.camera, switches), experiment.drift)
     experiment = experiment.model_copy(update={"drift": drift})
     if check_geometry:
@@ -370,13 +370,7 @@ def load_experiment(
 
 
 def _in_band(experiment: Experiment, by_hand: bool, where: str) -> Experiment:
-    """Give the camera the light of the scene's band; a scene without bands has that which the camera says.
-
-    Raises
-    ------
-    ConfigError
-        When the camera was told of other light, or doesn't work in this.
-    """
+    """Set the wavelength by the scene's band, or by the camera without one; ConfigError if they disagree."""
     scene, camera = experiment.scene, experiment.camera
     bands = load_scene(scene.name, scene.variation).in_band(scene.band).bands if scene else ()
     if not bands or camera.wavelength_m == bands[0].wavelength_m:
@@ -392,7 +386,7 @@ def _in_band(experiment: Experiment, by_hand: bool, where: str) -> Experiment:
 
 
 def _find_footage(table: Table, folder: Path) -> None:
-    """Take a relative ``source.footage.path`` from the experiment's own folder, wherever it is run from."""
+    """Resolve a relative ``source.footage.path`` against the experiment's own folder."""
     source: object = table.get("source")
     footage: object = cast("Table", source).get("footage") if isinstance(source, dict) else None
     if isinstance(footage, dict) and isinstance(path := cast("Table", footage).get("path"), str):

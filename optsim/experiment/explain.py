@@ -1,4 +1,4 @@
-"""What an experiment would be, before anything is rendered: geometry, photons, latency, imperfections."""
+"""Preview of an experiment before rendering: geometry, photons, latency, imperfections."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Row = tuple[str, object, str]
 _QUANTITY = ("quantity", "value", "unit")
 # Reflectance of a mid-grey card (the usual 18 % of photography), relative to the scene's declared white.
 MID_GREY = 0.18
-# Instants of a slot that are as good as any number, and what one makes of a grey and of a white bar, in a
-# frame's noise, under random exposures (tests/test_effects.py): n instants make it n times smaller, or more.
+# Instants of a slot after which more hardly help, and the error by one instant for a grey and a white bar, in
+# a frame's noise, under random exposures (tests/test_effects.py): n instants divide it by n, or more.
 FINE_INSTANTS, BAR_SIZES = 12, (0.06, 0.3)
 
 
@@ -33,7 +33,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
     Returns
     -------
     dict
-        JSON-able; ``geometry.fits`` says whether it can be run. If not, ``misfit`` says why and what helps,
+        JSON-able; ``geometry.fits`` states whether it can be run. If not, ``misfit`` gives reason and cure,
         and effects and skips are left out.
     """
     from optsim.camera.effect_sizes import effect_sizes
@@ -99,7 +99,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
 
 
 def too_short(n_frames: int, latency_frames: int) -> str:
-    """Say that an experiment ends before the steady phase; nothing where it doesn't."""
+    """Warn that an experiment ends before the steady phase; empty otherwise."""
     from optsim.metrics import first_steady
 
     steady = first_steady(latency_frames)
@@ -109,14 +109,14 @@ def too_short(n_frames: int, latency_frames: int) -> str:
 
 
 def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
-    """Say how large the effects are that act where light is rendered, as far as that is known before.
+    """Estimate the effects that act during rendering, as far as they are known before.
 
     Parameters
     ----------
     probe : Probe
-        Of the camera.
+        Probe of the camera.
     focus : Focus or None
-        What the lens does to the scene; None of footage, which has been through a lens already.
+        Effect of the lens on the scene; None for footage, which already includes a lens.
     polarised : bool
         Whether the scene is rendered with its polarisation.
     """
@@ -138,7 +138,7 @@ def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list
 
 
 def not_planned(instants_per_slot: int) -> str:
-    """Say what moves within an instant of the truth: how fast anything moves only a render tells."""
+    """Explain that motion within an instant of the truth is unknown before a render."""
     if instants_per_slot >= FINE_INSTANTS:
         return ""
     grey, white = (size / instants_per_slot for size in BAR_SIZES)
@@ -154,7 +154,7 @@ def _unknown_last(each: EffectSize) -> tuple[bool, float]:
 
 
 def band_record(camera: CodedCamera) -> dict[str, float]:
-    """Say what the light's wavelength decides, parts by themselves, on axis."""
+    """Collect the numbers of the parts that depend on the wavelength, on axis."""
     wavelength_m = camera.wavelength_m
     return {
         "wavelength_nm": camera.wavelength_nm,
@@ -167,7 +167,7 @@ def band_record(camera: CodedCamera) -> dict[str, float]:
 
 
 def contrast_budget(camera: CodedCamera) -> list[dict[str, Any]]:
-    """Say what lets light through a dark panel: on axis, and at the ends of its rows."""
+    """List the leaks of a dark panel: on axis, and at the ends of its rows."""
     import numpy as np
 
     from optsim.camera.parts import leak_budget
@@ -182,7 +182,7 @@ def contrast_budget(camera: CodedCamera) -> list[dict[str, Any]]:
 
 
 def plan_record(skipping: Skipping) -> dict[str, Any]:
-    """Turn what is left out into what ``--json`` and a run's results hold."""
+    """Turn the plan into the record of ``--json`` and of a run's results."""
     return {
         "tolerance": skipping.tolerance,
         "bound": skipping.bound,
@@ -191,7 +191,7 @@ def plan_record(skipping: Skipping) -> dict[str, Any]:
 
 
 def show(record: dict[str, Any]) -> list[object]:
-    """Turn an explanation into tables for a terminal."""
+    """Turn a preview into tables for a terminal."""
     latency = cast("dict[str, Any]", record["latency"])
     items: list[object] = [
         cast("str", record["truth"]).replace("; ", "\n  "),
@@ -309,7 +309,7 @@ def _latency_rows(latency: dict[str, Any]) -> list[Row]:
 
 
 def _unknown(effect: str) -> str:
-    """Say why an effect's size isn't known."""
+    """Say why an effect's size is unknown."""
     from optsim.camera.effects import ALL
 
     if effect not in ALL:

@@ -1,4 +1,4 @@
-"""What a run keeps for its pictures: all methods in one coded frame, and one method in motion."""
+"""Figures of a run: all methods in one coded frame, and one method in motion."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from optsim.report.sheet import Moment, Shot, choose_crops, render_pictures
 
 MOVING_FRAMES = 2
 """Coded frames of the film: the last ones."""
-# Share of the panel's height and width: large enough to know the place, small enough to see pixels.
+# Share of the panel's height and width: large enough to show the place, small enough to show pixels.
 _CROP_SHARE = 0.3
 
 
 @dataclass(eq=False)
 class Figures:
-    """Collects while frames are decoded, and writes all pictures at the end.
+    """Collector of frames during decoding, which writes all figures at the end.
 
-    The last coded frame is shown: it is of the steady phase if any is.
+    It shows the last coded frame, which is in the steady phase if any is.
     """
 
     experiment: Experiment
@@ -37,7 +37,7 @@ class Figures:
     _moving: list[tuple[Floats, Floats]] = field(default_factory=list[tuple[Floats, Floats]], init=False)
 
     def add(self, name: str, video: Reconstruction, frame: CodedFrame) -> None:
-        """Keep what the pictures need of one reconstruction."""
+        """Store the parts of one reconstruction that the figures need."""
         scale = self.scorer.scale
         last = self.experiment.n_frames - 1
         if name == self.experiment.methods[0].name and video.index > last - MOVING_FRAMES:
@@ -59,7 +59,7 @@ class Figures:
             )
 
     def write(self, folder: Path) -> list[Picture]:
-        """Write all pictures below the run folder and describe them for results.json."""
+        """Write all figures below the run folder and describe them for results.json."""
         index = self.experiment.n_frames - 1
         slot = self.experiment.camera.coded_slots // 2
         reference = self.scorer.scale.luminance_cd_m2(np.maximum(self.scorer.reference(index), 0))

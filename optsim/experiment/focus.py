@@ -1,4 +1,4 @@
-"""What the objective's focus and distortion do to a scene, in closed form: before anything is rendered."""
+"""Effect of the objective's focus and distortion on a scene, in closed form and without rendering."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from optsim.render.lens import focus_depth_m
 from optsim.scene import Scene
 from optsim.scene.depths import depth_range_m
 
-# Of a fine sample: a disc of this diameter takes 0.3 % of the contrast of the finest stripes that samples
-# hold, 1 - 2 J1(x) / x at x = pi/2 times this (J. W. Goodman, Introduction to Fourier Optics, section 6.4).
+# Diameter in fine samples: such a disc takes 0.3 % of the contrast of the finest stripes that samples
+# resolve, 1 - 2 J1(x) / x at x = pi/2 times this (J. W. Goodman, Introduction to Fourier Optics, section
+# 6.4).
 NEGLIGIBLE_SAMPLES = 0.1
 
 
 @dataclass(frozen=True)
 class Focus:
-    """How a camera's lens sees a scene.
+    """Focus and distortion of a camera's lens for a scene.
 
     Parameters
     ----------
     choice : str
-        ``modelled`` by a thin lens, ``skipped`` as too small to see, or ``everywhere``, as was asked for.
+        ``modelled`` by a thin lens, ``skipped`` as too small to see, or ``everywhere`` if requested.
     aperture_m, focus_m : float
         Diameter of the lens and depth in focus, m.
     near_m, far_m : float
-        Depths in the picture, m; far is infinite where something reflects or is clear.
+        Depth range of the image, m; far is infinite where a surface reflects or is clear.
     near_px, far_px : float
         Diameter of the circle of confusion there, panel pixels.
     corner_px : float
-        Displacement by distortion of what belongs into the panel's corner, panel pixels; negative inwards.
+        Displacement by distortion at the panel's corner, panel pixels; negative inwards.
     """
 
     choice: str
@@ -47,7 +48,7 @@ class Focus:
     corner_px: float
 
     def text(self) -> str:
-        """Say it in a sentence."""
+        """Describe it in a sentence."""
         far = "infinity" if np.isinf(self.far_m) else f"{self.far_m:.3g} m"
         blur = (
             f"focused at {self.focus_m:.3g} m through {self.aperture_m * 1e3:.3g} mm, which spreads a point "
@@ -61,28 +62,28 @@ class Focus:
         return f"{said[self.choice]}; distortion moves the corners by {self.corner_px:.2g} panel pixels"
 
     def record(self) -> dict[str, Any]:
-        """Turn it into what JSON can hold: infinity is null."""
+        """Convert it to JSON values: infinity is null."""
         return asdict(self) | {"far_m": self.far_m if np.isfinite(self.far_m) else None}
 
 
 def focus_on(scene: Scene, camera: CodedCamera, duration_s: float, tolerance: float) -> Focus:
-    """Find what a lens does to a scene, and whether its depth of field is worth rendering.
+    """Compute the effect of a lens on a scene, and whether its depth of field is worth rendering.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     camera : CodedCamera
-        Whose objective looks at it.
+        Camera with the objective.
     duration_s : float
-        Of the experiment, s.
+        Duration of the experiment, s.
     tolerance : float
-        Of the plan; with 0 even what cannot be seen is modelled.
+        Tolerance of the plan; with 0 even an invisible blur is modelled.
     """
     view, lens = camera.view, camera.objective
     focus_m = focus_depth_m(scene.camera, view)
     ratio = view.rows / view.cols
-    # What a barrel sees on top, and what is brought in by defocus, is nearly all within a tenth.
+    # The extra view of barrel distortion and of defocus lies almost entirely within a tenth.
     near_m, far_m = depth_range_m(scene, 1.1 * view.tan_half_width, ratio, duration_s)
     pixel_tan = camera.modulator.pitch_m * lens.tan_per_metre()
     near_px, far_px = blur_tan(view.aperture_m, focus_m, np.array([near_m, far_m])) / pixel_tan
@@ -97,5 +98,5 @@ def focus_on(scene: Scene, camera: CodedCamera, duration_s: float, tolerance: fl
 
 
 def seen_through(view: View, focus: Focus) -> View:
-    """Return the view that the truth is rendered through: a pinhole where the lens isn't modelled."""
+    """Return the view for rendering the truth: a pinhole where the lens isn't modelled."""
     return view if focus.choice == "modelled" else replace(view, aperture_m=0.0)

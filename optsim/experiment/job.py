@@ -1,6 +1,6 @@
 """A whole experiment on disk: check, calibrate, render, capture, decode, score, report; one new folder a run.
 
-Streams frame by frame, so that memory does not grow with the length of the experiment.
+Frames are streamed one by one, so that memory does not grow with the length of the experiment.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from optsim.report.schema import (
 
 
 def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
-    """Find what would stop a run before any long work starts: backend, scene, disk space.
+    """Check before any long work for obstacles to a run: backend, scene, disk space.
 
     Returns
     -------
@@ -84,8 +84,8 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     if experiment.source is not None:
         images = timing.n_slots
     else:
-        # Two halves of keys, and about as much again for the movers' own pixels; the flow will choose the
-        # distance of keys, 9 slots is a guess.
+        # Two halves of key poses, and about as much again for the movers' own pixels; the flow will set the
+        # distance of key poses, 9 slots is a guess.
         images = 4 * (timing.n_slots // (experiment.render.slots_per_segment or 9) + 2)
     truth_mb = images * view.rows * view.cols * 4 / 1e6
     panel = experiment.camera.panel_rows * experiment.camera.panel_cols
@@ -125,9 +125,9 @@ def execute(
     Parameters
     ----------
     experiment : Experiment
-        What to run.
+        The experiment.
     folder : Path
-        New, empty, or of the same experiment; held for this process alone.
+        New, empty, or of the same experiment; locked for this process.
     command : str
         The command line, for the report.
     backend : str, optional
@@ -135,7 +135,7 @@ def execute(
     export_truth : bool
         Copy the truth (slot means a panel pixel) into the folder.
     progress : Progress
-        Told of each finished unit.
+        Called after each finished unit.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def execute(
     Raises
     ------
     StorageError
-        When another process writes into the folder, or it holds anything else.
+        When another process writes into the folder, or it holds other files.
     """
     with claimed(folder):
         run_folder(experiment, folder)
@@ -163,9 +163,9 @@ def _execute(
     watch = Stopwatch()
     resolved = experiment.model_dump(mode="json")
     chosen, why = renderer(experiment, backend)
-    # Of the code as it is now: what is edited while a run goes on is not in it.
+    # Hash the code now: edits during a run are not part of it.
     key = results_key(experiment, chosen)
-    # What a bench or a decoder refuses is said before the long work.
+    # Let a bench or a decoder refuse before the long work.
     with watch.stage("plan"):
         modelled, plan = planned(experiment)
     with watch.stage("calibrate"):
@@ -193,7 +193,7 @@ def _execute(
     saturation_dn = float(np.median(known[experiment.calibration_choice].saturation_dn))
     figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
-    # Pictures are of the last frames.
+    # Figures show the last frames.
     scored = kept_scores(kept, names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
     for scores in scored:
         scorer.recall(scores)

@@ -1,7 +1,7 @@
-"""The closed loop: codes are chosen from frames that have arrived, frames are taken, then decoded.
+"""The closed loop: codes are chosen from earlier frames, frames are taken, then decoded.
 
-All methods see the same truth, light and camera and draw the same random code; each has its own stream of
-photons, and may know the camera by a calibration of its own.
+All methods see the same truth, light and camera and draw the same random code. Each has its own stream of
+photons, and may have its own calibration.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Calibrations = Mapping[CalibrationChoice, Calibration]
 
 
 def stream(seed: int, *purpose: str | int) -> Generator:
-    """Independent random stream for a purpose: the same whatever else is drawn, and by whom.
+    """Return an independent random stream for a purpose, whatever else is drawn.
 
     Parameters
     ----------
@@ -59,14 +59,15 @@ def stream(seed: int, *purpose: str | int) -> Generator:
 
 @dataclass(frozen=True, eq=False)
 class LightLevel:
-    """What the light rule decided.
+    """Result of the light rule.
 
     Parameters
     ----------
     nd_transmission : float
         Transmission of the neutral density, at most 1.
     wanted_transmission : float
-        What the rule asked for; above 1 the scene is too dark for the rule and the camera runs open.
+        Transmission that the rule requires; above 1 the scene is too dark for the rule and the camera runs
+        open.
     percentile_dn : float
         The interior's percentile under the all-on code with this density, DN above black.
     saturation_dn : float
@@ -80,7 +81,7 @@ class LightLevel:
 
 
 def planned(experiment: Experiment) -> tuple[Experiment, Skipping]:
-    """Return the experiment with a camera that models what its tolerance asks for, and what is left out."""
+    """Return the experiment with the camera planned for its tolerance, and the plan."""
     skipping = leave_out(given(experiment), experiment.tolerance)
     return experiment.model_copy(update={"camera": skipping.camera}), skipping
 
@@ -95,7 +96,7 @@ def set_light(
     camera : CodedCamera
         The experiment's camera at work, behind the chosen density.
     light : LightLevel
-        What was decided and from which numbers.
+        The chosen level and the numbers behind it.
     """
     open_camera = experiment.at_work().with_nd(1.0)
     truth = open_camera.form_image(radiance)
@@ -116,7 +117,7 @@ def set_light(
 
 
 def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) -> Calibration:
-    """Make what will be known of the camera: from the bench, the true or ideal operator, or a file.
+    """Make a calibration: from the bench, the true or ideal operator, or a file.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) ->
 
 
 def calibrate_all(experiment: Experiment) -> Calibrations:
-    """Make each calibration that the light rule or a method asks for, once: the bench takes long."""
+    """Make each calibration that the light rule or a method needs, once: the bench takes long."""
     return dict(
         zip(
             experiment.calibration_choices,
@@ -160,14 +161,14 @@ def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One coded frame as it was taken.
+    """One coded frame as taken.
 
     Parameters
     ----------
     frame : CodedFrame
-        What the CCD said, with its code.
+        The raw frame with its code.
     before : PanelState or None
-        The panel when the frame began; None when the experiment did.
+        The panel when the frame begins; None at the start of the experiment.
     """
 
     frame: CodedFrame
@@ -182,8 +183,9 @@ def shots(
     calibration: Calibration,
     kept: Cache | None = None,
 ) -> Iterator[Shot]:
-    """Take the coded frames of one method, each when it is asked for; arguments as of :func:`capture`."""
-    # One stream for all: tiles differ by more than the registered margin, and claims compare schemes.
+    """Take the coded frames of one method, each on demand; arguments as in :func:`capture`."""
+    # One stream for all: different tiles shift scores by more than the registered margin, and claims compare
+    # schemes.
     state: Any = method.scheme.init(calibration, stream(experiment.seed, "code"))
     frames: list[CodedFrame] = []
     panel: PanelState | None = None
@@ -217,11 +219,11 @@ def capture(
     truth : IrradianceVideo
         Light on the modulator.
     calibrations : dict
-        All that the schemes know, from :func:`calibrate_all`.
+        Calibrations of the schemes, from :func:`calibrate_all`.
     progress : Progress
-        Told of each coded frame.
+        Called after each coded frame.
     kept : Cache, optional
-        What an earlier run of the same was stopped at; each frame is kept there.
+        Cache of an earlier stopped run of the same experiment; each frame is stored there.
 
     Returns
     -------
@@ -262,9 +264,9 @@ class Decoded:
 def decode(
     experiment: Experiment, frames: Frames, calibrations: Calibrations, first: int = 0
 ) -> Iterator[Decoded]:
-    """Decode frame by frame, in their order; causal, and never sees the truth.
+    """Decode frame by frame, in their order; causal, without access to the truth.
 
-    Frames before ``first`` are followed only as far as later ones depend on them, and not handed over.
+    Frames before ``first`` are decoded only as far as later ones depend on them, and not returned.
     """
     running: dict[str, Iterator[Reconstruction]] = {}
     for m in experiment.methods:
@@ -282,7 +284,7 @@ def decode(
 
 
 def _without_video(frames: Sequence[CodedFrame], first: int) -> Iterator[CodedFrame]:
-    """Frames of which those before ``first`` ask for no video: it takes long, and no later one needs it."""
+    """Remove the video request of frames before ``first``: video takes long, and no later frame needs it."""
     for frame in frames:
         still = replace(frame.code, moving=np.zeros_like(frame.code.moving))
         yield replace(frame, code=still) if frame.index < first else frame
@@ -295,15 +297,15 @@ class Result:
     Parameters
     ----------
     experiment : Experiment
-        As run: its camera is the planned one.
+        The experiment as run: its camera is the planned one.
     plan : Skipping
-        What is modelled how finely, and what is skipped.
+        Models and skipped effects.
     camera : CodedCamera
-        With the neutral density that the light rule chose.
+        The camera with the neutral density of the light rule.
     light : LightLevel
-        What the light rule decided.
+        Result of the light rule.
     calibrations : dict
-        What was known of the camera: :class:`~optsim.calibration.choice.CalibrationChoice` -> calibration.
+        :class:`~optsim.calibration.choice.CalibrationChoice` -> calibration.
     truth : IrradianceVideo
         Light on the modulator; lazy.
     radiance : RadianceVideo
@@ -326,15 +328,15 @@ class Result:
 
     @property
     def calibration(self) -> Calibration:
-        """What the light rule went by, and every method without a calibration of its own."""
+        """Calibration of the light rule, and of every method without its own."""
         return self.calibrations[self.experiment.calibration_choice]
 
     def reference(self, index: int) -> Floats:
-        """Mean irradiance a slot and pitch cell, array (slot, v, u): what a perfect decoder would return."""
+        """Ideal reconstruction: mean irradiance a slot and pitch cell, array (slot, v, u)."""
         return self.camera.reference(self.truth, index)
 
     def __repr__(self) -> str:
-        """Say what it is in a line: its arrays would fill pages."""
+        """Describe it in a line: its arrays would fill pages."""
         names = ", ".join(self.frames)
         return f"<Result of {self.experiment.name!r}: {self.experiment.n_frames} coded frames by {names}>"
 
@@ -345,21 +347,21 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
     Parameters
     ----------
     experiment : Experiment
-        What to run.
+        The experiment.
     radiance : RadianceVideo
         The truth, from :func:`optsim.render_truth` or :func:`optsim.footage.made.footage`.
     progress : Progress
-        Told of each finished frame.
+        Called after each finished frame.
 
     Returns
     -------
     Result
-        Frames, reconstructions and what they were made with.
+        Frames, reconstructions and the objects behind them.
 
     Raises
     ------
     ConfigError
-        When the truth is none, or a method cannot do with the camera.
+        When the truth is missing, or a method cannot work with the camera.
     """
     given = cast("object", radiance)
     if not isinstance(given, RadianceVideo):

@@ -1,4 +1,4 @@
-"""Where movers are seen: masks to set beside the oracle's, which counts shadows and bounce light, too."""
+"""Masks of visible movers, for comparison with the oracle's, which include shadows and bounce light."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from optsim.experiment.truth import chosen_scene
 from optsim.scene import Scene
 
 _KIND = "object masks, one chief ray a panel pixel, middles of slots"
-# An old cache must not answer for new code.
+# Entries of old code must not be used.
 _CODE = ("optsim/experiment/object_masks.py", "optsim/render/*.py", "optsim/scene/*.py")
 
 
@@ -26,26 +26,26 @@ def object_masks(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Bools | None:
-    """Find the panel pixels in which a mover is seen during a coded frame or the one before.
+    """Find the panel pixels that show a mover during a coded frame or the one before.
 
-    A pixel counts if the chief ray through its centre meets a mover first, even one that rests, in the middle
-    of any slot; as ``moving`` in an export of passes. Nothing is said of its shadow.
+    A pixel counts if the chief ray through its centre meets a mover first, even one at rest, in the middle
+    of any slot; as ``moving`` in an export of passes. Shadows are left out.
 
     Parameters
     ----------
     experiment : Experiment
-        Its scene, picture and timing decide.
+        Its scene, view and timing determine the masks.
     cache : Cache, optional
-        Where masks are kept; by default the one of the truth.
+        Cache of the masks; by default that of the truth.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of each slot, as "object masks".
+        Called after each slot, as "object masks".
 
     Returns
     -------
     ndarray of shape (frame, v, u), bool, or None
-        None of footage, which tells of no objects, and of scenes without movers.
+        None for footage, which has no objects, and for scenes without movers.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def object_masks(
     if not scene.singles():
         return None
     pitch = view.samples_per_pitch
-    # Chief rays: what a lens has out of focus is where it is.
+    # Chief rays: defocus does not move an object.
     pixels = replace(
         view,
         rows=view.rows // pitch,
@@ -78,7 +78,7 @@ def object_masks(
 
 
 def _seen(scene: Scene, pixels: View, times_s: Doubles, backend: str | None, progress: Progress) -> Bools:
-    """Pixels in which a mover is seen at any of a frame's times, (frame, slot): array (frame, v, u)."""
+    """Pixels that show a mover at any of a frame's times, (frame, slot): array (frame, v, u)."""
     from optsim.render.backend import activate
     from optsim.render.gbuffer import ObjectIds, camera_to_world, cast, sample_rays
     from optsim.render.stage import Stage

@@ -1,8 +1,8 @@
-"""Resume: what a run that was stopped has made, so that the same command goes on after the last whole frame.
+"""Resume: results of a stopped run, so that the same command continues after the last whole frame.
 
-Coded frames are kept with the state in which they leave the panel. Of what was decoded only the scores are:
-they are small, and all that a report asks of any frame but the last ones. All lies in a cache in the run's
-folder, whose place there is a hash of what decides the numbers.
+Coded frames are stored with the state of the panel after them. Decoded frames are stored as scores only:
+these are small, and a report needs more of the last frames alone. All lie in a cache in the run's folder,
+under a hash of what determines the numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _KINDS = {kind.__name__: kind for kind in (FrameTally, UncertaintyTally, PairTal
 
 
 def unfinished(folder: Path, key: str) -> Cache:
-    """Open what a run of this key has kept in its folder; what another key kept is as good as absent."""
+    """Open a folder's results of the run with this key; those of another key count as absent."""
     return Cache(folder / UNFINISHED / key, math.inf)
 
 
@@ -44,7 +44,7 @@ def kept_shot(
     code: ExposureCode,
     take: Callable[[], tuple[CodedFrame, PanelState]],
 ) -> tuple[CodedFrame, PanelState]:
-    """Recall a coded frame and the panel after it, or take and keep them."""
+    """Read a coded frame and the panel after it, or take and store them."""
     if kept is None:
         return take()
 
@@ -58,7 +58,7 @@ def kept_shot(
             "slots_shown": np.asarray(panel.slots_shown),
         }
 
-    # In memory: the folder goes when the run is done.
+    # In memory: the folder is deleted when the run is done.
     found = {name: np.array(array) for name, array in kept.get(_shot_key(method, index), arrays).items()}
     frame = CodedFrame(index, found["dn"], code, int(found["negative_light"]))
     return frame, PanelState(found["retardance_rad"], found["levels"], int(found["slots_shown"]))
@@ -70,7 +70,7 @@ def n_shots(kept: Cache, methods: Sequence[str]) -> int:
 
 
 def keep_scores(kept: Cache, methods: Sequence[str], index: int, scores: FrameScores) -> None:
-    """Keep what a coded frame of all methods scored."""
+    """Store the scores of a coded frame of all methods."""
     arrays = {
         f"{methods.index(tally.method)}.{type(tally).__name__}.{name}": np.asarray(value)
         for tally in scores
@@ -81,7 +81,7 @@ def keep_scores(kept: Cache, methods: Sequence[str], index: int, scores: FrameSc
 
 
 def kept_scores(kept: Cache, methods: Sequence[str]) -> list[FrameScores]:
-    """Recall the scores of the coded frames, from the first on, as far as they go."""
+    """Read the stored scores of consecutive coded frames, from the first on."""
     n = kept.n_first(_scores_key(methods, index) for index in count())
     return [_scores(kept.read(_scores_key(methods, index)), methods, index) for index in range(n)]
 
@@ -103,14 +103,14 @@ def _scores_key(methods: Sequence[str], index: int) -> str:
 
 
 def run_key(experiment: Experiment, *further: object) -> str:
-    """Hash of what decides the numbers of a run, its code and the content of its files included.
+    """Hash all that determines the numbers of a run, its code and the content of its files included.
 
     Parameters
     ----------
     experiment : Experiment
-        What is run; files that it names, priors for example, count by their content.
+        The experiment; files that it names, priors for example, count by their content.
     *further : object
-        What else decides the numbers, anything JSON can say: renderer, versions of libraries.
+        Further inputs that JSON can express: renderer, versions of libraries.
     """
     resolved = experiment.model_dump(mode="json")
     named, truth = _named_files(resolved), truth_content(experiment)
@@ -125,10 +125,10 @@ def _named_files(value: object) -> list[str]:
     if isinstance(value, list):
         return [found for each in cast("list[object]", value) for found in _named_files(each)]
     if isinstance(value, str):
-        # Most strings are no names of files, and some cannot be.
+        # Most strings are no file names, and some cannot be.
         with suppress(OSError, RuntimeError, ValueError):
             named = Path(value).expanduser()
-            # The record of a bench stands for the images beside it.
+            # The record of a bench represents the images beside it.
             files = sorted(named.parent.iterdir()) if named.name == BENCH_FILE else [named]
             return [content_hash(each) for each in files if each.is_file()]
     return []

@@ -1,4 +1,4 @@
-"""The folder of a run: whose it is, what is written into it, and whether a finished one still holds."""
+"""The folder of a run: its owner, its files, and whether a finished run is still valid."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ _KEPT = (
     "truth/*.exr",
 )
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "numba", "OpenEXR", "scikit-image", "colour-science")
-# What a report shows beside the numbers of its run.
+# Files that a report shows beside the numbers of its run.
 _SHOWN = ("optsim/experiment/evidence.json", "optsim/report/template/*")
 
 
 def run_folder(experiment: Experiment, out: Path) -> Path:
-    """Folder of a run, if it is free for this experiment.
+    """Return the folder of a run, if it is free for this experiment.
 
     Raises
     ------
     StorageError
-        When the folder holds a run of another experiment, or something that is no run.
+        When the folder holds a run of another experiment, or other files.
     """
     if out.is_file():
         raise StorageError(f"--out {out} is a file; expected a folder")
@@ -73,7 +73,7 @@ def run_folder(experiment: Experiment, out: Path) -> Path:
 
 @contextlib.contextmanager
 def stated(folder: Path, experiment: Experiment) -> Generator[None, None, None]:
-    """Write whose folder it is; when the truth is then refused, and nothing made, it is nobody's again."""
+    """Write the folder's experiment; if the truth is then refused before any result, remove it again."""
     path = folder / RECORD
     begun = path.exists()
     statement = {"fingerprint": experiment.fingerprint(), "experiment": experiment.model_dump(mode="json")}
@@ -90,7 +90,7 @@ def stated(folder: Path, experiment: Experiment) -> Generator[None, None, None]:
 
 
 def calibration_names(experiment: Experiment) -> dict[CalibrationChoice, str]:
-    """File of each calibration in a run's folder: one by the first method that alone knows it."""
+    """Name the file of each calibration in a run's folder: one by the first method that alone has it."""
     first, suffix = Path(CALIBRATION_FILE).stem, Path(CALIBRATION_FILE).suffix
     names = {experiment.calibration_choice: CALIBRATION_FILE}
     for method in experiment.methods:
@@ -101,7 +101,7 @@ def calibration_names(experiment: Experiment) -> dict[CalibrationChoice, str]:
 def write_calibrations(
     experiment: Experiment, folder: Path, calibrations: Mapping[CalibrationChoice, Calibration]
 ) -> list[CalibrationFile]:
-    """Write all calibrations of a run into its folder; return what results.json says of them."""
+    """Write all calibrations of a run into its folder; return their entry of results.json."""
     records: list[CalibrationFile] = []
     for known, name in calibration_names(experiment).items():
         write_calibration(folder / name, calibrations[known])
@@ -142,7 +142,7 @@ def write_frames(folder: Path, frames: Mapping[str, Sequence[CodedFrame]]) -> No
 
 
 def write_reconstruction(folder: Path, name: str, video: Reconstruction, per_radiance: float) -> None:
-    """Half floats of radiance: irradiance on the panel is so small that half would lose its dark end."""
+    """Half floats of radiance: in half precision the small irradiance on the panel would lose dark parts."""
     radiance = (video.irradiance_w_m2 / per_radiance).astype(np.float32)
     write_exr(
         folder / "reconstructions" / name / f"{video.index:06d}.exr",
@@ -161,20 +161,20 @@ def write_reconstruction(folder: Path, name: str, video: Reconstruction, per_rad
 
 
 def write_checksums(folder: Path) -> None:
-    """Write :data:`CHECKSUMS` of what lies in a run's folder now."""
+    """Write :data:`CHECKSUMS` of the present files in a run's folder."""
     paths = [path for pattern in _KEPT for path in sorted(folder.glob(pattern))]
     write_json(folder / CHECKSUMS, {path.relative_to(folder).as_posix(): sum_of(path) for path in paths})
 
 
 def changed_file(folder: Path, names: Sequence[str] | None = None) -> str:
-    """Name the first file that isn't as :data:`CHECKSUMS` says; empty when all are, or it says nothing.
+    """Name the first file that differs from :data:`CHECKSUMS`; empty when none does, or without a list.
 
     Parameters
     ----------
     folder : Path
-        Of the run.
+        Folder of the run.
     names : sequence of str, optional
-        Files to look at; by default all that are listed. One that isn't listed is taken as it is, as those
+        Files to check; by default all that are listed. An unlisted file counts as unchanged, as those
         of older versions.
 
     Raises
@@ -202,21 +202,21 @@ def versions() -> dict[str, str]:
 
 
 def results_key(experiment: Experiment, backend: str) -> str:
-    """Hash of what decides the numbers and the report of a run; ``backend`` is the one chosen."""
+    """Hash all that determines the numbers and the report of a run; ``backend`` is the one chosen."""
     return run_key(experiment, backend, versions(), hash_files(_SHOWN))
 
 
 def finished_run(
     experiment: Experiment, folder: Path, *, backend: str | None = None, export_truth: bool = False
 ) -> tuple[Results | None, str]:
-    """Find what an earlier run of an experiment left in its folder, and whether it is still what it would be.
+    """Find the results of an earlier run in its folder, and whether they are still valid.
 
     Parameters
     ----------
     experiment : Experiment
-        The folder's own.
+        The folder's experiment.
     folder : Path
-        Of the run, or none yet.
+        Folder of the run, which may not exist yet.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     export_truth : bool
@@ -225,9 +225,9 @@ def finished_run(
     Returns
     -------
     results : Results or None
-        Content of results.json; None when the run is to be made, for the first time or anew.
+        Content of results.json; None when the run must be made, for the first time or anew.
     why : str
-        Why a finished run is made anew; empty when there is none.
+        Reason to repeat a finished run; empty when there is none.
     """
     if not (folder / RESULTS).exists():
         return None, ""
@@ -241,7 +241,7 @@ def finished_run(
     chosen, _ = renderer(experiment, backend)
     if results.run_key != results_key(experiment, chosen):
         return None, _changes(results, chosen)
-    # A truth of another run may lie there, whose results these aren't.
+    # A truth of another run may lie there, with other results.
     if export_truth and not results.exported_truth:
         return None, "it holds no truth"
     shown = ("report.html", CHECKSUMS, *(picture.file for picture in results.pictures))
@@ -254,7 +254,7 @@ def finished_run(
 
 
 def _changes(results: Results, backend: str) -> str:
-    """Say what is other than when a run was made."""
+    """Describe the differences from the conditions of a run."""
     before, now = results.versions, versions()
     changes = [
         f"{name} was {before.get(name, 'absent')} and is {now.get(name, 'absent')}"

@@ -1,4 +1,4 @@
-"""The JSON schema of an experiment, for people and editors: each key with what it means and what is usual."""
+"""The JSON schema of an experiment, for people and editors: each key with its meaning and usual value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DATA_SHEETS = (hardware.prototype, hardware.lcr720, hardware.icx674)
 
 
 def experiment_schema() -> dict[str, Any]:
-    """Return the schema; keys of the camera's parts tell the prototype's values, and their sources."""
+    """Return the schema; keys of the camera's parts give the prototype's values, and their sources."""
     schema = Experiment.model_json_schema()
     sources = {key: text for make in _DATA_SHEETS for key, text in hardware.sources(make).items()}
     typical = {
@@ -38,12 +38,12 @@ def experiment_schema() -> dict[str, Any]:
 
 
 def explain_key(path: str) -> list[str]:
-    """Say of a key what it means, its unit, typical value, source and default; of a table, of each key.
+    """Describe a key by meaning, unit, typical value, source and default; a table by each of its keys.
 
     Parameters
     ----------
     path : str
-        As ``--set`` takes it, for example ``camera.relay.shift_x_px``; places in lists may be left out.
+        As ``--set`` takes it, for example ``camera.relay.shift_x_px``; indices of lists may be left out.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def explain_key(path: str) -> list[str]:
     Raises
     ------
     ConfigError
-        For a key that there isn't, with the nearest.
+        For an unknown key, with the nearest.
     """
     schema = experiment_schema()
     tables, abouts, done = [schema], list[Table](), list[str]()
@@ -112,7 +112,7 @@ def _parts(part: Part) -> Iterator[Part]:
 
 
 def _text(value: object) -> str:
-    """Write a value as TOML does; nothing for a table, or for what would fill a page."""
+    """Write a value as TOML does; empty for a table, or for a value that would fill a page."""
     if isinstance(value, float):
         return f"{value:g}"
     text = "" if value is None or isinstance(value, dict) else str(value)

@@ -1,4 +1,4 @@
-"""Where truth and estimate are brought together for a run: references, oracle masks, tallies, facts."""
+"""Comparison of truth and estimate for a run: references, oracle masks, tallies, facts."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ OBJECTS = "moving objects"
 
 @dataclass(eq=False)
 class Scorer:
-    """Scores a run frame by frame; holds the references of the last two frames and small tallies only.
+    """Scorer of a run, frame by frame; it holds the references of the last two frames and small tallies only.
 
     Parameters
     ----------
     experiment : Experiment
-        Its latency and coded slots decide phases and what is scored.
+        Its latency and coded slots determine the phases and the scored slots.
     camera : CodedCamera
         The true camera, behind its neutral density.
     truth : IrradianceVideo
@@ -126,7 +126,7 @@ class Scorer:
         return found
 
     def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally]:
-        """Set each other method beside the adaptive one, in the steady phase, which claims are about."""
+        """Compare each other method with the adaptive one in the steady phase, the subject of claims."""
         if metrics.ADAPTIVE not in videos:
             return []
         index = videos[metrics.ADAPTIVE].index
@@ -147,13 +147,13 @@ class Scorer:
         ]
 
     def recall(self, scores: FrameScores) -> None:
-        """Let a coded frame count that was scored before."""
+        """Add the scores of a coded frame that was scored before."""
         self.tallies += [each for each in scores if isinstance(each, metrics.FrameTally)]
         self.spreads += [each for each in scores if isinstance(each, metrics.UncertaintyTally)]
         self.pairs += [each for each in scores if isinstance(each, metrics.PairTally)]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[Score]:
-        """Score the truth's own Monte-Carlo noise on up to two steady frames: what it can certify."""
+        """Score the truth's own Monte-Carlo noise on up to two steady frames: the best certifiable score."""
         if self._half_difference is None:
             return []
         steady = [k for k in range(self.experiment.n_frames) if self.board.phase(k) == "steady"]
@@ -166,7 +166,7 @@ class Scorer:
         return self.board.records(tallies)
 
     def results(self) -> dict[str, Any]:
-        """Scores, coverage and series of everything added, as results.json holds them."""
+        """Scores, coverage and series of everything added, in the form of results.json."""
         pairs = self.pair_records()
         return {
             "scores": self.board.records(self.tallies),
@@ -179,7 +179,7 @@ class Scorer:
         }
 
     def pair_records(self) -> list[PairRecord]:
-        """Scores of the adaptive method beside each other one: of their own pixels, steady phase."""
+        """Scores of the adaptive method and each other one on their common pixels, steady phase."""
         latency = self.camera.latency_frames
         return metrics.pair_records(metrics.ALL, self.pairs, self.camera.coded_slots, latency)
 
@@ -191,7 +191,7 @@ class Scorer:
         frames : dict
             Method name -> its coded frames.
         objects : ndarray of shape (frame, v, u), bool, optional
-            Masks of the objects that move, set beside the methods' under the name :data:`OBJECTS`.
+            Masks of the moving objects, listed beside the methods' under the name :data:`OBJECTS`.
         """
         tallies = [
             metrics.MaskTally(
@@ -220,7 +220,7 @@ class Scorer:
         return {"masks": rows, "pooled_masks": pooled}
 
     def photons(self, frames: Frames) -> list[Photons]:
-        """Photoelectrons that each method used of a panel pixel, over all frames."""
+        """Photoelectrons that each method uses of a panel pixel, over all frames."""
         pixel = self._ideal_pixel
         rows: list[Photons] = []
         for method in self.experiment.methods:
@@ -254,7 +254,7 @@ class Scorer:
 
 
 def no_rivals(experiment: Experiment) -> list[str]:
-    """Methods that claims leave out: they code as the adaptive one does, or know another camera than it."""
+    """Methods that claims leave out: same code as the adaptive one, or another calibration."""
     by_name = {m.name: m for m in experiment.methods}
     ours = (
         experiment.choice_of(by_name[metrics.ADAPTIVE])
@@ -269,7 +269,7 @@ def no_rivals(experiment: Experiment) -> list[str]:
 
 
 def score(result: Result) -> metrics.Scores:
-    """Score a run held in memory.
+    """Score a run in memory.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def score(result: Result) -> metrics.Scores:
 
 
 def scorer_of(result: Result) -> Scorer:
-    """Let a scorer add up a run held in memory: its scores, pairs and masks."""
+    """Return a scorer with a run in memory: its scores, pairs and masks."""
     scorer = Scorer(result.experiment, result.camera, result.truth, result.radiance)
     for index in range(result.experiment.n_frames):
         scorer.add({name: video[index] for name, video in result.reconstructions.items()})

@@ -1,14 +1,14 @@
 # pyright: reportMissingTypeStubs=false
-"""Where the electrons of one CCD pixel come from, by origin, slot and panel pixel.
+"""Signal breakdown: electrons of one CCD pixel by origin, slot and panel pixel.
 
 The expected signal of a pixel is linear in the weights of all panel pixels:
 
     e = dark current + sum over paths, instants and panel pixels of
         weight x electrons that this panel pixel would give here in this instant if it were fully on
 
-The paths are parts of one row of the relay's operator, got from its adjoint: direct (PSF and overlap), ghost
-and veil. So electrons fall apart by path and by the panel pixel whose drive let the light through, and
-nothing is left over. Under fringing fields a pixel rules over the rim of its neighbours too.
+The paths are parts of one row of the relay's operator, from its adjoint: direct (PSF and overlap), ghost
+and veil. So the electrons split by path and by the panel pixel that transmitted the light, without a
+remainder. With fringing fields a pixel also drives the fringe of its neighbours.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from optsim.report.trace_record import Reading, Target
 NEAR_PX = 5
 _SIGMAS = 9.0  # 1e-18 of a Poisson distribution lies beyond
 
-# In the order of the light; each electron has exactly one.
+# In the order of the light path; each electron has exactly one origin.
 ORIGINS: dict[str, str] = {
     "own_open": "own panel pixel while it is told to be open, at any level above 0",
     "own_leak": "own panel pixel while it is told to be dark: what the finite contrast lets through, settled",
@@ -73,11 +73,11 @@ class Electrons:
     Parameters
     ----------
     by_slot : dict
-        Origin -> array (slot,); smear, which comes later, is not among them.
+        Origin -> array (slot,); without smear, which arises later.
     by_pixel : ndarray of shape (v, u), float64
-        On the direct path, from each panel pixel.
+        Electrons on the direct path, from each panel pixel.
     weight : ndarray of shape (slot,), float64
-        Effective weight of the own panel pixel, whether the shutter is open or not.
+        Effective weight of the own panel pixel, regardless of the shutter.
     """
 
     by_slot: dict[str, Doubles]
@@ -99,7 +99,7 @@ def count_electrons(
     Parameters
     ----------
     camera, truth, index, code, panel
-        As of :meth:`optsim.camera.camera.CodedCamera.expose`.
+        As in :meth:`optsim.camera.camera.CodedCamera.expose`.
     paths : ndarray of shape (3, y, x), float64
         From :func:`light_paths`.
     own : tuple of int
@@ -123,7 +123,7 @@ def count_electrons(
         if slot >= coded:
             break
         if cells is not None:
-            # What is more or less at a rim than a mix of weights counts for those who rule over it.
+            # A fringe's deviation from a mix of weights counts for the pixels that drive it.
             mixed = fine_image(shutter.weights[t], borders)
             light = light * np.divide(cells[t], mixed, out=np.ones(mixed.shape), where=mixed > 0)
         direct, ghost, veil = (fine_image_adjoint(path * light * fully_on, borders) for path in paths)
@@ -145,18 +145,18 @@ def count_electrons(
 
 
 def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> Target:
-    """Say which panel pixel a CCD pixel looks at.
+    """Find the panel pixel that a CCD pixel belongs to.
 
     Parameters
     ----------
     camera : CodedCamera
-        Where the panel's image lies on the CCD.
+        Camera, with the position of the panel's image on the CCD.
     y, x : int
         The CCD pixel.
     pitch : int
-        Fine cells to a panel pixel.
+        Fine cells per panel pixel.
     even : ndarray of shape (v, u), float64
-        What it gets of each panel pixel on the direct path, all open under even light.
+        Its light from each panel pixel on the direct path, all open under uniform light.
     """
     geometry = camera.relay_geometry(pitch)
     row, col, on_ccd = geometry.ccd_pixels(pitch)
@@ -181,7 +181,7 @@ def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> T
 
 
 def seen_per_slot(video: Video, first_slot: int, n_slots: int, seen: Doubles) -> Doubles:
-    """Mean light in each slot under sets of weights on the fine grid, (k, y, x).
+    """Average the light of each slot under sets of weights on the fine grid, (k, y, x).
 
     Returns
     -------
@@ -196,7 +196,7 @@ def seen_per_slot(video: Video, first_slot: int, n_slots: int, seen: Doubles) ->
 
 
 def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn: int) -> Reading:
-    """From the expected electrons of a frame, (y, x), to the digital number of one pixel."""
+    """Convert the expected electrons of a frame, (y, x), to the digital number of one pixel."""
     ccd, mean_e = camera.sensor, float(expected_e[y, x])
     smear_e = float(ccd.smear_e(expected_e, camera.exposure_s)[x])
     dsnu_e = float(ccd.dark_signal_e(camera.serial_number)[y, x])
@@ -230,7 +230,7 @@ def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn:
 
 
 def _poisson(mean: float) -> tuple[Doubles, Doubles]:
-    """Return the counts that occur, and the chance of each."""
+    """Return the counts that occur, and the probability of each."""
     reach = _SIGMAS * np.sqrt(mean) + 30
     counts = np.arange(max(0, int(mean - reach)), int(mean + reach) + 2, dtype=np.float64)
     if mean == 0:

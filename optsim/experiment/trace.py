@@ -1,4 +1,4 @@
-"""What one CCD pixel saw in one exposure: radiance, code, the panel's answer, electrons by origin, DN."""
+"""Trace of one CCD pixel in one exposure: radiance, code, effective code, electrons by origin, DN."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NOTES = (
 
 @dataclass(frozen=True)
 class TracedPixel:
-    """Which CCD pixel, coded frame and method to trace."""
+    """The CCD pixel, coded frame and method to trace."""
 
     y: int
     x: int
@@ -53,12 +53,12 @@ class TracedPixel:
 def choose_pixel(
     experiment: Experiment, pixel: str, frame: int | None = None, method: str | None = None
 ) -> TracedPixel:
-    """Read what to trace, before anything is rendered.
+    """Parse the target of a trace before anything is rendered.
 
     Parameters
     ----------
     experiment : Experiment
-        What would be run.
+        The experiment.
     pixel : str
         Row and column of a CCD pixel, ``y,x``.
     frame : int, optional
@@ -69,7 +69,7 @@ def choose_pixel(
     Raises
     ------
     ConfigError
-        For a pixel off the CCD, a frame that is not taken, or an unknown method.
+        For a pixel off the CCD, a frame outside the experiment, or an unknown method.
     """
     match = re.fullmatch(r"\s*(-?[0-9]+)\s*,\s*(-?[0-9]+)\s*", pixel)
     if match is None:
@@ -101,18 +101,18 @@ def choose_pixel(
 def trace_experiment(
     experiment: Experiment, traced: TracedPixel, *, backend: str | None = None, progress: Progress = silent
 ) -> Trace:
-    """Trace a pixel: truth, calibration, light and loop are those of a run, the loop of one method alone.
+    """Trace a pixel: truth, calibration, light and loop equal those of a run, with one method's loop alone.
 
     Parameters
     ----------
     experiment : Experiment
-        What would be run.
+        The experiment.
     traced : TracedPixel
         From :func:`choose_pixel`.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of each finished unit.
+        Called after each finished unit.
     """
     radiance = render_truth(experiment, backend=backend, progress=progress)
     progress("laboratory", 0, 1)
@@ -139,14 +139,14 @@ def trace_pixel(
     shot: Shot,
     traced: TracedPixel,
 ) -> Trace:
-    """Trace a pixel of a frame that has been taken.
+    """Trace a pixel of a frame already taken.
 
     Parameters
     ----------
     experiment : Experiment
         Its name and fingerprint go into the record.
     camera : CodedCamera
-        Behind its neutral density.
+        Camera behind its neutral density.
     radiance, truth : RadianceVideo, IrradianceVideo
         The scene, and its light on the modulator.
     shot : Shot
@@ -217,7 +217,7 @@ def show(trace: Trace) -> list[object]:
 
 
 def _on_own_pixel(direct: Doubles, own: tuple[int, int], pitch: int) -> Doubles:
-    """Part of the direct path that begins in the own panel pixel; all of that pixel alike where none does."""
+    """Part of the direct path from the own panel pixel; a uniform weight on it where there is none."""
     cells = np.zeros(direct.shape)
     v, u = own
     cells[v * pitch : (v + 1) * pitch, u * pitch : (u + 1) * pitch] = 1
@@ -256,5 +256,5 @@ def _levels(levels: Bytes, pixel: tuple[int, int]) -> tuple[int, ...]:
 
 
 def _column(values: Doubles) -> tuple[float | None, ...]:
-    """Values as JSON has them: NaN, which says that there is none, as null."""
+    """Values for JSON: NaN, which means none, as null."""
     return tuple(None if np.isnan(value) else float(value) for value in values)

@@ -1,4 +1,4 @@
-"""``optsim train``: make or take training footage, learn a prior, write its small file."""
+"""``optsim train``: make or import training footage, train a prior, write its small file."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from optsim.scene import Scene
 SCENE = "training_mix"
 Prior = Literal["dictionary", "mixture"]
 Footage = Literal["scene", "leaves", "both"]
-# Small panels with the demo's field of view: speeds in pixels per slot are those that decoders will meet.
+# Small panels with the demo's field of view, so that speeds in pixels per slot are those at decoding.
 _VIEW = View(rows=120, cols=160, samples_per_pitch=1, tan_half_width=0.32)
 _TIMING = Timing(slot_s=1 / 180, slots_per_frame=36, n_frames=2)
 _SAMPLES = 64
-# What the shipped priors learned from, chosen on moving photographs (benchmark reconstruct.photographs).
+# Training footage of the shipped priors, chosen on moving photographs (benchmark reconstruct.photographs).
 _SHIPPED: dict[Prior, Footage] = {"dictionary": "both", "mixture": "leaves"}
-# Clips of moving leaves, and how many are drawn and kept at a time: what a stop loses.
+# Clips of dead leaves, and the batch that is drawn and stored together: the loss by a stop.
 _LEAVES, _BATCH = 400, 25
 
 
@@ -48,7 +48,7 @@ def training_textures() -> list[str]:
 
 
 def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
-    """Clips of leaves, (slot, v, u), that carry the textures of the training scene; cached."""
+    """Clips of dead leaves, (slot, v, u), with the textures of the training scene; cached."""
     from optsim.scene.dead_leaves import dead_leaves
     from optsim.scene.textures import reflectance_map
 
@@ -114,31 +114,31 @@ def train_prior(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Path:
-    """Learn a prior from imported footage, the training scene, moving leaves or several of these.
+    """Train a prior on imported footage, the training scene, dead leaves or several of these.
 
-    What has been learned is kept in the cache after each iteration; the same call goes on there.
+    The state is cached after each iteration; the same call continues there.
 
     Parameters
     ----------
     prior : {"dictionary", "mixture"}
         Atoms for sparse coding, or Gaussians for the mixture decoder; of 8 x 8 pixels x 36 slots.
     out : Path, optional
-        File to write; by default the one that the package ships, but not with imported clips.
+        File to write; by default the shipped one, but not with imported clips.
     size : int, optional
         Atoms or Gaussians.
     method : {"mod", "ksvd"}, optional
-        How a dictionary's atoms are updated.
+        Update of a dictionary's atoms.
     seed : int
-        Of footage, patches and where learning begins.
+        Seed of footage, patches and the initial state.
     footage : {"scene", "leaves", "both"}, optional
         Renders of the training scene's variations, clips of :mod:`optsim.scene.dead_leaves`, or both; by
-        default what the shipped prior learned from, and none of them beside imported clips.
+        default the footage of the shipped prior, and none of them beside imported clips.
     clips : sequence of ImportedClip
-        Footage of one's own.
+        The user's own footage.
     backend : str, optional
         Mitsuba variant instead of the probed one.
     progress : Progress
-        Told of clips, of slots rendered and of iterations.
+        Called after clips, rendered slots and iterations.
 
     Returns
     -------
@@ -148,12 +148,12 @@ def train_prior(
     Raises
     ------
     ConfigError
-        When the file to write is no .npz, is missing where it must be said, or a mixture is given a method.
+        When the file to write is no .npz, is missing where required, or a mixture is given a method.
     StorageError
-        When nothing can be written there, a file said by name exists already, or another process learns it.
+        When the file cannot be written, a named one exists already, or another process trains it.
     """
     with claimed_file(prior_path(prior, out, method, imported=bool(clips))):
-        # Once more: another process may have written it since.
+        # Again: another process may have written it since.
         path = prior_path(prior, out, method, imported=bool(clips))
         return _train(prior, path, size, method, seed, footage, clips, backend, progress)
 
@@ -208,7 +208,7 @@ def _train(
 
 
 def prior_path(prior: Prior, out: Path | None, method: Method | None, *, imported: bool) -> Path:
-    """File that a training will write; errors as of :func:`train_prior`."""
+    """File that a training will write; errors as in :func:`train_prior`."""
     if prior == "mixture" and method is not None:
         raise ConfigError(
             f"--method {method}: got it with a mixture, which learns by EM, expected it with a dictionary; "

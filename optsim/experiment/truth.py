@@ -1,4 +1,4 @@
-"""Where an experiment's truth comes from: a scene, rendered through the cache, or recorded footage."""
+"""The truth of an experiment: a scene, rendered through the cache, or recorded footage."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TruthFacts:
-    """What a report says of the truth.
+    """Facts on the truth for a report.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class TruthFacts:
     white_w_m2_sr : float
         Declared white, W m^-2 sr^-1.
     focus : Focus or None
-        What the lens does to the scene; None of footage, which has been through a lens already.
+        Effect of the lens on the scene; None for footage, which already includes a lens.
     """
 
     name: str
@@ -47,12 +47,12 @@ class TruthFacts:
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Whether a scene is rendered polarised or unpolarised, and why.
+    """Decision for polarised or unpolarised rendering of a scene, and its reason.
 
     Parameters
     ----------
     azimuth_rad : float or None
-        Of the component that is seen, twice, of polarised light; None for unpolarised light.
+        Azimuth of the transmitted polarised component, which is counted twice; None for unpolarised light.
     why : str
         One line for people.
     """
@@ -62,19 +62,19 @@ class SceneLight:
 
 
 def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
-    """Decide whether a scene is rendered with its polarisation, as ``camera.splitter.scene_light`` says.
+    """Decide whether a scene is rendered with its polarisation, by ``camera.splitter.scene_light``.
 
     Parameters
     ----------
     experiment : Experiment
-        Its scene's materials decide where that is ``auto``.
+        Its scene's materials decide for ``auto``.
     preview : bool
         Whether only the scalar renderer works, which has no polarised light.
 
     Raises
     ------
     BackendError
-        When polarised light is insisted on and there is none.
+        When polarised light is required and no backend has it.
     """
     splitter = experiment.camera.splitter
     if experiment.scene is None:
@@ -115,26 +115,26 @@ def render_truth(
     Parameters
     ----------
     experiment : Experiment
-        Its scene or footage, render settings, field of view and timing decide the truth; codes don't.
+        Its scene or footage, render settings, field of view and timing determine the truth; codes don't.
     backend : str, optional
         Mitsuba variant to use instead of the one chosen by probing; None for footage.
     slot_error : float, optional
-        Of a scene: render each slot when it is asked for, with noise of its own and this error.
+        For a scene: render each slot on demand, with its own noise and this error.
     progress : Progress
-        Told of each finished pose or slot.
+        Called after each finished pose or slot.
 
     Returns
     -------
     RadianceVideo
-        Lazy: poses stay in the cache until a segment is asked for. Of polarised light it is twice the
-        component that the splitter transmits in, see :func:`scene_light`.
+        Lazy: poses stay in the cache until a segment is needed. For polarised light it is twice the
+        component that the splitter transmits, see :func:`scene_light`.
 
     Raises
     ------
     BackendError
         When no renderer backend works.
     ConfigError, ValueCheckError, StorageError
-        When the footage is not what was stated of it.
+        When the footage differs from its description.
     """
     recorded = chosen_footage(experiment)
     if recorded is not None:
@@ -157,12 +157,12 @@ def render_truth(
 
 
 def scene_focus(experiment: Experiment) -> Focus:
-    """Find what the objective's focus and distortion do to an experiment's scene, without rendering.
+    """Compute the effect of the objective's focus and distortion on an experiment's scene, without rendering.
 
     Raises
     ------
     ConfigError
-        When the truth is footage, which has been through a lens already.
+        When the truth is footage, which already includes a lens.
     """
     timing = experiment.timing
     duration_s = timing.n_slots * timing.slot_s
@@ -170,14 +170,15 @@ def scene_focus(experiment: Experiment) -> Focus:
 
 
 def truth_view(experiment: Experiment) -> View:
-    """Return what an experiment's scene is rendered through: a pinhole where no defocus would be seen."""
+    """Return the view for rendering an experiment's scene: a pinhole where defocus would be invisible."""
     return seen_through(experiment.camera.view, scene_focus(experiment))
 
 
 def camera_noise(experiment: Experiment) -> CameraNoise | None:
     """Noise of the camera in a slot and a fine sample, for ``render.noise_share``; None where that is unset.
 
-    Without neutral density, which the light rule chooses from the truth: so sampling never stops too early.
+    Neutral density is left out, because the light rule sets it from the truth: sampling never stops too
+    early.
     """
     from optsim.render import CameraNoise
 
@@ -190,14 +191,14 @@ def camera_noise(experiment: Experiment) -> CameraNoise | None:
 
 
 def illumination(experiment: Experiment) -> Illumination:
-    """Find what a probe of an experiment's camera is told of the light, without rendering."""
+    """Return the light for a probe of an experiment's camera, without rendering."""
     view = experiment.camera.view
     if experiment.scene is not None:
         scene = chosen_scene(experiment)
         white_w_m2_sr = scene.white_w_m2_sr
         lights = bright_lights(scene, view.tan_half_width, view.rows / view.cols)
     else:
-        # Of a recording it is known how bright it can get, not how much of it does.
+        # A recording's maximum is known, but not the share of bright light.
         footage = cast("Source", experiment.source).footage
         white_w_m2_sr = footage.white_w_m2_sr
         lights = [BrightLight(footage.scale_w_m2_sr / footage.white_w_m2_sr / WHITE_OVER_INTERIOR, 0.1)]
@@ -206,7 +207,7 @@ def illumination(experiment: Experiment) -> Illumination:
 
 
 def given(experiment: Experiment) -> Given:
-    """Collect what decides what an experiment leaves out, without rendering."""
+    """Collect the inputs of an experiment's plan, without rendering."""
     light = illumination(experiment)
     if experiment.scene is None:
         return Given(experiment.camera, light)
@@ -222,13 +223,13 @@ def given(experiment: Experiment) -> Given:
 
 
 def chosen_scene(experiment: Experiment) -> Scene:
-    """Load the scene of an experiment in the band that it sees.
+    """Load the scene of an experiment in its band.
 
     Raises
     ------
     ConfigError
-        When the truth is footage, which has no objects, depth or flow to render, for an unknown band, or when
-        the camera is one for other light.
+        When the truth is footage, which has no objects, depth or flow to render; for an unknown band; or
+        when the camera works at another wavelength.
     """
     whole, camera = whole_scene(experiment), experiment.camera
     scene = whole.in_band(experiment.scene.band if experiment.scene else None)
@@ -265,7 +266,7 @@ def chosen_footage(experiment: Experiment) -> FootageTruth | None:
 
 
 def check_truth(experiment: Experiment) -> None:
-    """Find what would stop rendering or importing before it starts: unknown names, missing files, sizes."""
+    """Check for obstacles to rendering or importing: unknown names, missing files, sizes."""
     recorded = chosen_footage(experiment)
     if recorded is None:
         chosen_scene(experiment)
@@ -274,7 +275,7 @@ def check_truth(experiment: Experiment) -> None:
 
 
 def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthFacts:
-    """Say what the truth is; with the cache of an import also what the recording lost to clipping."""
+    """Describe the truth; with the cache of an import also the loss of the recording to clipping."""
     recorded = chosen_footage(experiment)
     if recorded is None:
         scene = chosen_scene(experiment)
@@ -291,20 +292,20 @@ def describe_truth(experiment: Experiment, cache: Cache | None = None) -> TruthF
 
 
 def truth_content(experiment: Experiment) -> object:
-    """Say for a hash what the truth is made of: the loaded scene, or what the files of a recording hold."""
+    """Return the content of the truth for a hash: the loaded scene, or the content of a recording's files."""
     recorded = chosen_footage(experiment)
     return chosen_scene(experiment).model_dump(mode="json") if recorded is None else recorded.keys()
 
 
 def renderer(experiment: Experiment, backend: str | None = None) -> tuple[str, str]:
-    """Mitsuba variant that renders an experiment's truth, and why; ``none`` for footage.
+    """Return the Mitsuba variant that renders an experiment's truth, and why; ``none`` for footage.
 
     Raises
     ------
     BackendError
         When no renderer backend works, or none that the scene's light needs.
     ConfigError
-        When a backend is asked for and nothing is to be rendered.
+        When a backend is requested and nothing is to be rendered.
     """
     if experiment.source is None:
         from optsim import render

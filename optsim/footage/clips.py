@@ -1,4 +1,4 @@
-"""A user's own high-speed footage as clips to learn from: slot means of one band."""
+"""A user's own high-speed footage as training clips: slot means of one band."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from optsim.footage.recording import VIDEOS, Recording, array_axes, naming, open
 from optsim.footage.source import FootageSource
 
 Linearisation = Literal["linear", "srgb"]
-# Keys that readers of footage name, and the options that stand for them here.
+# Keys in the messages of the footage readers, and the options that replace them here.
 _OPTIONS = {
     "source.footage.path": "--clips",
     "source.footage.key: missing": "--clips: expected one array, or the channels Y or R, G and B",
@@ -30,16 +30,16 @@ _COLOURS = 3
 
 @dataclass(frozen=True, eq=False)
 class ImportedClip:
-    """Footage in front of learning: its files, and what their values mean.
+    """Footage for training: its files, and the meaning of their values.
 
     Parameters
     ----------
     recording : Recording
         The files.
     source : FootageSource
-        How a stored value becomes light.
+        Conversion of a stored value to light.
     frames_per_slot : int
-        Frames that a slot is the mean of.
+        Frames averaged in a slot.
     """
 
     recording: Recording
@@ -48,24 +48,24 @@ class ImportedClip:
 
     @property
     def n_slots(self) -> int:
-        """Whole slots."""
+        """Number of whole slots."""
         return self.recording.n_frames // self.frames_per_slot
 
     @property
     def name(self) -> str:
-        """Of the file, or of the folder of images; without the way there."""
+        """Name of the file, or of the folder of images, without its path."""
         files = self.recording.files
         return files[0].name if len(files) == 1 else files[0].resolve().parent.name
 
     def read(self, progress: Progress = silent) -> Floats:
-        """Mean light in each slot, (slot, v, u), of no stated scale; held in memory as a whole.
+        """Mean light in each slot, (slot, v, u), without a stated scale; all in memory.
 
-        Frames at the end that are too few for a slot are left out.
+        Frames at the end that don't fill a slot are left out.
 
         Raises
         ------
         ValueCheckError, StorageError
-            For a value that is no light, frames that are not alike, a file that ends early, or darkness.
+            For an invalid value of light, frames that differ in format, a file that ends early, or darkness.
         """
         clip = np.zeros((self.n_slots, *self.recording.shape[:2]), np.float32)
         frames = self.recording.read(0)
@@ -91,7 +91,7 @@ class ImportedClip:
         return clip
 
     def record(self) -> dict[str, Any]:
-        """Say what it is, for the provenance: names, a hash of the content, how it was read; no folders."""
+        """Record for the provenance: names, a hash of the content, how it was read; no folders."""
         files = self.recording.files
         content = [content_hash(path) for path in files]
         return {
@@ -114,26 +114,26 @@ def open_clips(
     patch: int = 8,
     slots: int = 36,
 ) -> list[ImportedClip]:
-    """Open footage to learn from; its first frames are looked at, the others when it is read.
+    """Open training footage; its first frames are checked now, the others when it is read.
 
     Colour becomes luminance (ITU-R BT.709-6 of linear R, G, B). Values are never rescaled by their dtype:
-    learning doesn't depend on the scale.
+    training doesn't depend on the scale.
 
     Parameters
     ----------
     paths : sequence of Path
         Each a folder or pattern of EXR, PNG or TIFF images, a TIFF stack, an npz, npy or mat file of one
-        array, or a video. Arrays have time first, those of MATLAB last; colour channels come behind columns,
-        or before time.
+        array, or a video. Arrays have time first, those of MATLAB last; colour channels follow the columns,
+        or precede time.
     frames_per_slot : int
-        Consecutive frames that a slot is the mean of.
+        Consecutive frames averaged in a slot.
     linearisation : {"linear", "srgb"}, optional
-        Of the stored values; by default what the file says; where it says nothing, ``srgb`` (IEC
+        Curve of the stored values; by default as the file states. Without a statement it is ``srgb`` (IEC
         61966-2-1) for whole numbers of 8 bits and for videos, ``linear`` for all others.
     black_level : float
-        Stored value of no light; only with linear footage.
+        Stored value at zero light; only with linear footage.
     patch, slots : int
-        Size of the patches that will be learned: what footage must have at least.
+        Size of the patches to train, which is the least size of footage.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def open_clips(
 
 
 def _source(recording: Recording, linearisation: Linearisation | None, black_level: float) -> FootageSource:
-    """Say what stored values mean; what is stated of radiance and time has no part in learning."""
+    """State the meaning of stored values; training does not depend on radiance and time."""
     name, whole = recording.files[0].name, "int" in recording.dtype
     encoded = (whole and recording.bits <= 8) or recording.files[0].suffix.lower() in VIDEOS
     if recording.says.curve is not None:
@@ -196,6 +196,6 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
     }
     source = FootageSource(**stated)
     with naming(_OPTIONS):
-        # Other primaries change the weights of colours, not what is learned of their motion and texture.
+        # Other primaries change the weights of colours, not the motion and texture that are learned.
         source.check_says(recording.says._replace(primaries=None), name)
     return source

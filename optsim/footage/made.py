@@ -1,4 +1,4 @@
-"""Truth from arrays rather than from the renderer: image sequences, and uniform fields for a bench."""
+"""Truth from arrays instead of the renderer: image sequences, and uniform fields for a bench."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from optsim.core.quantities import Floats, RadianceVideo, Segment
 def footage(
     frames: Floats, *, slot_s: float, samples_per_pitch: int = 1, white_w_m2_sr: float = 1.0
 ) -> RadianceVideo:
-    """Make a radiance video of given slot means.
+    """Make a radiance video from given slot means.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def footage(
 def still(
     image: Floats, *, n_slots: int, slot_s: float, samples_per_pitch: int = 1, white_w_m2_sr: float = 1.0
 ) -> RadianceVideo:
-    """Make a radiance video in which nothing moves.
+    """Make a static radiance video.
 
     Parameters
     ----------

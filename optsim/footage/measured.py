@@ -1,4 +1,4 @@
-"""Pictures of other cameras from disk, as stored: arrays, images, and EXR files whose channels are slots."""
+"""Images of other cameras from disk, as stored: arrays, images, and EXR files whose channels are slots."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _ARRAYS = (".npz", ".mat")
 def read_pictures(
     path: Path, said: str, *, names: Sequence[str] = (), slots: bool = False, light: bool = False
 ) -> NDArray[Any]:
-    """Read pictures in order of time.
+    """Read images in order of time.
 
     Parameters
     ----------
     path : Path
         An npz or mat file, or a folder, pattern or file of EXR, PNG or TIFF images.
     said : str
-        What messages call them: the key that names the path.
+        Their name in messages: the key that gives the path.
     names : sequence of str
-        Of the array in an npz or mat file: the first of these that is there.
+        Names of the array in an npz or mat file; the first that exists is read.
     slots : bool
         The channels of an EXR are slots, in the order of the numbers in their names.
     light : bool
-        The values are light, so that a file that says another curve than the linear one is refused.
+        The values are light, so a file with a stated curve other than linear is refused.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def read_pictures(
     Raises
     ------
     ConfigError, StorageError, ValueCheckError
-        When a file is missing, cannot be read, is not like the others, or holds colours.
+        When a file is missing, cannot be read, differs from the others, or has colours.
     """
     if path.suffix.lower() in _ARRAYS:
         return _array(path, said, names)
@@ -75,7 +75,7 @@ def _array(path: Path, said: str, names: Sequence[str]) -> NDArray[Any]:
 
 
 def _slot_stacks(path: Path, said: str) -> NDArray[Any]:
-    """Slots of each EXR file, (frame, slot, y, x); of files of one channel each, (t, y, x)."""
+    """Slots of each EXR file, (frame, slot, y, x); for files of one channel each, (t, y, x)."""
     files = sorted(path.glob("*.exr"), key=lambda file: by_number(file.name)) if path.is_dir() else [path]
     stacks = [_slots(read_exr(each)[0], f"{said}: {each}") for each in files]
     for each, stack in zip(files, stacks, strict=True):

@@ -1,4 +1,4 @@
-"""What a user states of recorded footage, and what its stored values mean in radiance."""
+"""A user's statement on recorded footage, and the radiance of its stored values."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from optsim.footage.recording import Says
 
 # Luminance of linear RGB with the primaries and white of ITU-R BT.709-6, item 3.2.
 REC709_Y = (0.2126, 0.7152, 0.0722)
-# Curves that no linearisation here undoes.
+# Curves that no linearisation here inverts.
 _OTHER_CURVES = ("PQ", "HLG", "log 100:1", "log 316:1")
 # Values below the black level are read noise around a dark signal: about half, never most of a frame.
 _BELOW_BLACK_SHARE = 0.6
 
 
 class FootageSource(Part):
-    """Truth from a recording: its files, its time base, and how a stored value becomes radiance.
+    """Truth from a recording: its files, its time base, and the conversion of stored values to radiance.
 
     ``signal = (value - black_level) / (full_scale - black_level)``, then the linearisation, then one
     weighted sum over colour channels, then ``scale_w_m2_sr``. Values are never rescaled by their dtype.
@@ -34,21 +34,21 @@ class FootageSource(Part):
         A folder of images, a pattern such as ``shots/*.exr``, or one file: EXR, PNG, TIFF (also a stack),
         npz, npy, mat, or a video. Relative to the experiment's file.
     frame_rate_hz : float
-        Recorded frames a second, whatever a video file says of its playback. Each frame is taken as the mean
+        Recorded frames a second, whatever a video file states for playback. Each frame counts as the mean
         over 1 / frame_rate_hz (full shutter).
     scale_w_m2_sr : float
         Radiance of a linearised signal of 1, W m^-2 sr^-1.
     white_w_m2_sr : float
         Declared white, the peak of every PSNR, W m^-2 sr^-1.
     linearisation : str
-        How stored values become light: ``linear``, ``srgb`` (IEC 61966-2-1), ``gamma`` (a power).
+        Conversion of stored values to light: ``linear``, ``srgb`` (IEC 61966-2-1), ``gamma`` (a power).
     gamma : float, optional
         Exponent of the curve ``gamma``: radiance goes as the signal to this power.
     full_scale : float, optional
-        Stored value that means a signal of 1, 65535 for all of 16 bits; greater ones are errors. Needed for
+        Stored value of a signal of 1, 65535 for all of 16 bits; greater ones are errors. Needed for
         integers and for curves; without it, floats are the signal itself.
     black_level : float
-        Stored value of no light; only with ``linear``. Values below it are noise and stay negative.
+        Stored value at zero light; only with ``linear``. Values below it are noise and stay negative.
     channel_weights : "rec709" or tuple of float, optional
         Weight of each linear colour channel; ``rec709`` is the luminance Y. Needed for colour footage.
     key : str, optional
@@ -56,10 +56,10 @@ class FootageSource(Part):
     axes : str, optional
         Order of an array's axes: t(ime), y, x, c(hannel). Needed for npz, npy and mat.
     first_frame : int
-        Footage frame, from 0, that is seen at time 0.
+        Footage frame, counted from 0, at time 0.
     fit : str
-        How footage fills the fine grid (``camera.view``): ``exact`` (same size), ``crop`` (its middle, one
-        to one) or ``area`` (its middle of the grid's proportions, averaged over each fine sample's area).
+        How footage fills the fine grid (``camera.view``): ``exact`` (same size), ``crop`` (its centre, one
+        to one) or ``area`` (its centre in the grid's proportions, averaged over each fine sample's area).
     repeat : bool
         Consent to footage slower than the slots: a frame then fills several of them.
     accept_8bit : bool
@@ -114,7 +114,7 @@ class FootageSource(Part):
         Raises
         ------
         ConfigError
-            When the file says another curve, or primaries whose luminance isn't BT.709's.
+            When the file states another curve, or primaries whose luminance isn't BT.709's.
         """
         curve, stated = says.curve, self.linearisation
         if curve in _OTHER_CURVES or (curve and (curve == "linear") != (stated == "linear")):
@@ -130,12 +130,12 @@ class FootageSource(Part):
             )
 
     def weights(self, n_channels: int) -> Doubles:
-        """Weight of each channel of footage that has so many, array (channel,).
+        """Weight of each channel for footage with ``n_channels``, array (channel,).
 
         Raises
         ------
         ConfigError
-            When colour footage has no stated weights, or not as many as it has channels.
+            When colour footage has no stated weights, or a number of weights other than its channels.
         """
         stated = self.channel_weights
         if n_channels == 1 and stated is None:
@@ -154,7 +154,7 @@ class FootageSource(Part):
         return np.asarray(values, np.float64)
 
     def radiance(self, values: NDArray[Any], where: str) -> RecordedLight:
-        """Turn stored values of a frame, array (y, x, channel), into radiance.
+        """Convert stored values of a frame, array (y, x, channel), to radiance.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class FootageSource(Part):
 
 @dataclass(frozen=True, eq=False)
 class RecordedLight:
-    """Radiance of one footage frame, and what its recording lost.
+    """Radiance of one footage frame, and the loss of its recording.
 
     Parameters
     ----------

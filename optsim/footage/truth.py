@@ -38,7 +38,7 @@ def overlap(start: float, stop: float) -> tuple[int, Doubles]:
     -------
     first : int
         First sample that the interval touches.
-    weights : ndarray of shape (sample,), float64
+    First sample that overlaps the interval.
         Overlap of each sample from there on, over the interval's length; the sum is 1.
     """
     low, high = round(start, _DECIMALS), round(stop, _DECIMALS)
@@ -53,9 +53,9 @@ def cell_shares(margin: float, step: float, n_cells: int, n_samples: int) -> csr
     Parameters
     ----------
     margin, step : float
-        Where the first cell begins, and the length of a cell, in samples.
+        Start of the first cell, and the length of a cell, in samples.
     n_cells, n_samples : int
-        Cells, all inside the samples.
+        Number of cells, all inside the samples, and number of samples.
 
     Returns
     -------
@@ -71,12 +71,12 @@ def cell_shares(margin: float, step: float, n_cells: int, n_samples: int) -> csr
 
 @dataclass(frozen=True, eq=False)
 class FootageTruth:
-    """A recording in front of a camera: what was stated of it, checked against its files.
+    """A recording for a camera: the user's statements, checked against its files.
 
     Parameters
     ----------
     source : FootageSource
-        What the user states.
+        The user's statements.
     recording : Recording
         The files.
     view : View
@@ -92,7 +92,7 @@ class FootageTruth:
 
     @property
     def frames_per_slot(self) -> float:
-        """Footage frames in a slot."""
+        """Number of footage frames in a slot."""
         return self.source.frame_rate_hz * self.timing.slot_s
 
     @cached_property
@@ -102,7 +102,7 @@ class FootageTruth:
         Raises
         ------
         GeometryError
-            When the footage doesn't fit the fine grid in the way stated.
+            When the footage doesn't fit the fine grid in the stated way.
         """
         rows, cols, _ = self.recording.shape
         grid = self.view.rows, self.view.cols
@@ -124,7 +124,7 @@ class FootageTruth:
     def _fit(self) -> tuple[csr_array, csr_array]:
         step = self.pixels_per_sample
         rows, cols, _ = self.recording.shape
-        # To a whole pixel where pixels are kept: half of one would blur all of them.
+        # Round to a whole pixel where pixels are kept: half of one would blur all of them.
         margins = [(n - step * m) / 2 for n, m in ((rows, self.view.rows), (cols, self.view.cols))]
         if step == 1:
             margins = [float(int(margin)) for margin in margins]
@@ -134,12 +134,12 @@ class FootageTruth:
         )
 
     def frames_of(self, slot: int) -> tuple[int, Doubles]:
-        """First footage frame of a slot, and the share of it and each following one in the slot's mean."""
+        """First footage frame of a slot, and the shares of it and its successors in the slot's mean."""
         start = self.source.first_frame + slot * self.frames_per_slot
         return overlap(start, start + self.frames_per_slot)
 
     def check(self) -> None:
-        """Find what would stop an import, from the files' headers and the first frame.
+        """Check for obstacles to an import, from the files' headers and the first frame.
 
         Raises
         ------
@@ -185,7 +185,7 @@ class FootageTruth:
         stated.radiance(next(held.read(0)), held.where(0))
 
     def radiance(self, cache: Cache, progress: Progress = silent) -> RadianceVideo:
-        """Read every frame once, in order; keep each slot's mean radiance in the cache.
+        """Read every frame once, in order; store each slot's mean radiance in the cache.
 
         Returns
         -------
@@ -211,7 +211,7 @@ class FootageTruth:
         )
 
     def _import(self, slots: list[int]) -> Iterator[tuple[int, int, Arrays]]:
-        """Mean radiance of each slot, and the shares that its frames lost; holds one frame at a time."""
+        """Mean radiance of each slot, and the shares that its frames lost; one frame at a time in memory."""
         if not slots:
             return
         rows, cols = self._fit
@@ -231,7 +231,7 @@ class FootageTruth:
             yield done, slot, {"light": ((rows @ mean) @ cols.T).astype(np.float32), "lost": lost}
 
     def keys(self) -> list[str]:
-        """Places of the slots in the cache: hashes of files, of what is stated, the grid, and this code."""
+        """Cache keys of the slots: hashes of files, statements, the grid, and this code."""
         stated = self.source.model_dump(mode="json", exclude={"path", "white_w_m2_sr"})
         same = [stated, self.view.rows, self.view.cols, self.timing.slot_s, hash_files(CODE)]
         files = self.recording.files
@@ -244,7 +244,7 @@ class FootageTruth:
         return keys
 
     def description(self, cache: Cache | None = None) -> str:
-        """Say what this truth is, for a report; with a filled cache also what the recording lost."""
+        """Describe the truth for a report; with a filled cache also the loss of the recording."""
         held, stated = self.recording, self.source
         rows, cols, channels = held.shape
         parts = [
@@ -266,7 +266,7 @@ class FootageTruth:
 
 
 def open_footage(source: FootageSource, view: View, timing: Timing) -> FootageTruth:
-    """Find a recording's files and look at its first frame; the rest is checked as it is read."""
+    """Find a recording's files and check its first frame; the rest is checked during reading."""
     found = open_recording(Path(source.path).expanduser(), key=source.key, axes=source.axes)
     return FootageTruth(source, found, view, timing)
 

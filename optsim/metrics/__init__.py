@@ -1,7 +1,7 @@
-"""Metrics: truth and estimate meet here and only here.
+"""Metrics: the only place where truth and estimate are compared.
 
-Every metric takes luminance in cd/m^2, (slot, v, u), float32, and streams: ``sum_errors`` a frame,
-``finish`` at the end. To add one, write its file and name an instance in :data:`ALL`.
+Every metric takes luminance in cd/m^2, (slot, v, u), float32, and is streamed: ``sum_errors`` for each frame,
+``finish`` at the end. To add one, write its file and add an instance to :data:`ALL`.
 """
 
 from optsim.metrics.claims import ADAPTIVE, judge_claims, measured

@@ -1,16 +1,16 @@
-"""The claims registered before they were measured, and what several draws say of them.
+"""Claims registered before their measurement, and their verdicts from several draws.
 
 Registered 2026-11-28, in place of an older form that judged one draw on pixels that all methods hold valid:
 
-1. Where it moves the adaptive scheme is at most 0.3 dB behind full random exposure.
-2. Where it stands still it is at most 0.3 dB behind the HDR mosaic.
+1. Where pixels move, the adaptive scheme is at most 0.3 dB behind full random exposure.
+2. Where pixels are static, it is at most 0.3 dB behind the HDR mosaic.
 3. No rival has a smaller error of the logarithm, over everything, by more than 0.01 stops (the tie band).
 
-Each is judged on the steady phase of the pixels that both methods of its own pair hold valid, for the room
-and for the bright outside apart. A draw is a run with its own seed (bench, codes, photons) at its own phase
-of the motion. From at least six draws a Student interval of 95 % is made, divided among the rivals of claim
+Each is judged in the steady phase on the pixels that both methods of its own pair hold valid, for the room
+and the bright outside separately. A draw is a run with its own seed (bench, codes, photons) at its own phase
+of the motion. At least six draws give a Student interval of 95 %, divided among the rivals of claim
 3 (Bonferroni). A claim *holds* when the whole interval keeps the bound, *fails* when the whole interval
-breaks it, and is *undecided* otherwise. A failure is published, not tuned away.
+breaks it, and is *undecided* otherwise. A failure is published, and nothing is tuned to avoid it.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ CLAIMS = (
 
 @dataclass(frozen=True)
 class _Rival:
-    """What draws say of one rival."""
+    """Result of the draws for one rival."""
 
     name: str
     mean: float
@@ -86,9 +86,9 @@ def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[st
     Parameters
     ----------
     draws : sequence of sequence of PairRecord
-        Of each run, from :func:`optsim.metrics.pair_records`.
+        Pairs of each run, from :func:`optsim.metrics.pair_records`.
     no_rivals : collection of str
-        Methods that code as the adaptive one does and decode otherwise, or know another camera.
+        Methods that share the adaptive one's code but not its decoder, or have another calibration.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def _verdict(rivals: Sequence[_Rival], margin: float) -> Literal["holds", "fails
 
 
 def measured(verdict: Verdict) -> str:
-    """Say for people what was measured: the advantage over the nearest rival, its interval, and of what."""
+    """Describe a measurement: the advantage over the nearest rival, its interval, and its basis."""
     if verdict.advantage is None:
         return "not measured: it needs the steady phase of both methods"
     digits, unit = (2, "dB") if verdict.unit == "dB" else (3, verdict.unit)

@@ -1,4 +1,4 @@
-"""Root mean square error in photographic stops: relative errors, the same weight to window and shadow."""
+"""Root mean square error in photographic stops: relative errors, with equal weight in window and shadow."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class LogRmse(Metric):
         return f"log-RMSE[e={self.e_cd_m2:g} cd/m2] (stops)"
 
     def encode(self, luminance_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
-        """Encode as stops above 1 cd/m^2; the scene's white plays no part."""
+        """Encode as stops above 1 cd/m^2, whatever the scene's white."""
         return np.log2(np.maximum(luminance_cd_m2, 0.0) + self.e_cd_m2)
 
     def finish(self, total: float, count: int) -> float | None:
-        """Return stops; None where nothing was compared."""
+        """Return stops; None without samples."""
         return math.sqrt(total / count) if count else None

@@ -1,4 +1,4 @@
-"""What every metric is: a sum of errors that can be streamed, and a number made of it at the end."""
+"""Base of every metric: a sum of errors that can be streamed, and a final number from it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from optsim.core.quantities import Bools, Doubles, Floats, checked
 class Metric(Part):
     """A mean of squared differences in some encoding of luminance; its name holds all its parameters.
 
-    Errors are summed frame by frame, so that nothing ever holds a whole video, and sums of disjoint
+    Errors are summed frame by frame, so that no whole video is in memory. The sums of disjoint
     regions add up to the sum of their union.
     """
 
@@ -25,7 +25,7 @@ class Metric(Part):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name with every parameter that decides the number."""
+        """Name with every parameter that determines the number."""
 
     @abstractmethod
     def encode(self, luminance_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
@@ -33,10 +33,10 @@ class Metric(Part):
 
     @abstractmethod
     def finish(self, total: float, count: int) -> float | None:
-        """Turn a sum over ``count`` samples into the metric; None where it would not be a finite number."""
+        """Convert a sum over ``count`` samples to the metric; None where it would not be a finite number."""
 
     def clamped(self, luminance_cd_m2: Doubles) -> int:
-        """Count samples outside the range in which this metric can tell luminances apart."""
+        """Count samples outside the range in which this metric distinguishes luminances."""
         return 0
 
     def sum_errors(
@@ -47,9 +47,9 @@ class Metric(Part):
         Parameters
         ----------
         estimate_cd_m2, reference_cd_m2 : ndarray of shape (slot, v, u), float32
-            Luminance, cd/m^2. A reference may dip below zero (unbiased Monte Carlo).
+            Luminance, cd/m^2. A reference may be below zero (unbiased Monte Carlo).
         where : ndarray of shape (slot, v, u) or (v, u), bool
-            Samples that count.
+            Samples to sum.
         white_cd_m2 : float
             Luminance of the scene's declared white.
 
@@ -58,12 +58,12 @@ class Metric(Part):
         total : float
             Sum in float64.
         count : int
-            Samples in it.
+            Number of samples.
 
         Raises
         ------
         ValueCheckError
-            For a sample that is not finite, inside the mask or outside, with its place; for other shapes.
+            For a non-finite sample, inside the mask or outside, with its place; for other shapes.
         """
         axes = ("slot", "v", "u")
         estimate = checked(

@@ -1,4 +1,4 @@
-"""Which pixels really move, from the truth, and how well a scheme's mask agrees."""
+"""Moving pixels by the truth, and the agreement of a scheme's mask with them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from optsim.metrics.scoring import by_method_and_phase
 
 SIGMAS = 2.0
 RELATIVE_CHANGE = 0.02
-# Standard deviations of the truth's own noise that a change must exceed in both halves: of noise alone fewer
-# than one pixel in 1000 does so, however many poses were rendered (tests/test_metrics_scoring.py).
+# Standard deviations of the truth's own noise that a change must exceed in both halves: noise alone does so
+# in fewer than one pixel in 1000, for any number of rendered poses (tests/test_metrics_scoring.py).
 _TRUTH_SIGMAS = 3.0
-# Pixels to a side over which the truth's noise is averaged: one pixel has few independent poses.
+# Side of the square over which the truth's noise is averaged, pixels: one pixel has few independent poses.
 _POOLED_PX = 5
-# Pixels beyond which the objective's blur doesn't carry noise.
+# Pixels beyond which the objective's blur correlates no noise.
 _APART_PX = 4
 
 
@@ -33,11 +33,11 @@ def oracle_moving(
 ) -> Bools:
     """Pixels whose slot irradiance changes within a coded frame or since the previous one.
 
-    A change is a range (largest less smallest slot) above max(2 sigma of a slot's predicted noise,
+    A change is a range (largest minus smallest slot) above max(2 sigma of a slot's predicted noise,
     2 % of the mid-range); moving shadows and bounce light count. The thresholds are this project's
-    definition, without outside source. A rendered truth has noise of its own, whose range would pass for
-    motion: there the slots are chosen by one half of the samples and the change is read from the other, and
-    both ways round it must exceed the threshold and 3 standard deviations of that noise.
+    definition, without outside source. A rendered truth has noise, whose range could be mistaken for
+    motion. So one half of the samples selects the slots and the other gives the change. Both ways round it
+    must exceed the threshold and 3 standard deviations of that noise.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def oracle_moving(
     Returns
     -------
     ndarray of shape (v, u), bool
-        True where it moves.
+        True for moving pixels.
 
     Raises
     ------
     ValueCheckError
-        For values that are not finite, or frames of different panels.
+        For non-finite values, or frames of different panels.
     """
     frames = [reference_w_m2] if previous_w_m2 is None else [reference_w_m2, previous_w_m2]
     for frame in (*frames, *half_differences_w_m2):
@@ -92,7 +92,7 @@ def oracle_moving(
     half = np.concatenate(half_differences_w_m2)
     first, second = light + half, light - half
     change = np.minimum(_change(second, first), _change(first, second))
-    # Between slots that another pixel's noise has chosen; one half has twice the variance of the mean.
+    # Another pixel's noise selects the slots; one half has twice the variance of the mean.
     by_chance = _change(half, np.roll(first, _APART_PX, axis=1))
     mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
     noise = np.sqrt(2 * mean(by_chance**2, _POOLED_PX))
@@ -109,7 +109,7 @@ def _change(light: Floats, chosen_by: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class MaskAgreement:
-    """Counts of a mask against the oracle; shares are None where they have no meaning.
+    """Counts of a mask against the oracle; shares are None where they are undefined.
 
     Precision and recall as in C. J. van Rijsbergen, Information Retrieval, 2nd ed. (1979), chapter 7;
     intersection over union is the index of P. Jaccard, New Phytologist 11, 37 (1912).
@@ -127,12 +127,12 @@ class MaskAgreement:
 
     @property
     def precision(self) -> float | None:
-        """Share of the mask that moves."""
+        """Share of marked pixels that move."""
         return _share(self.hits, self.hits + self.false_alarms)
 
     @property
     def recall(self) -> float | None:
-        """Share of what moves that is in the mask."""
+        """Share of moving pixels that are marked."""
         return _share(self.hits, self.hits + self.misses)
 
     @property
@@ -161,11 +161,11 @@ class MaskTally:
     Parameters
     ----------
     method : str
-        Whose mask.
+        Method of the mask.
     index : int
         Coded-frame index.
     agreement : MaskAgreement
-        Of all panel pixels.
+        Agreement over all panel pixels.
     """
 
     method: str
@@ -176,8 +176,8 @@ class MaskTally:
 def pooled_agreement(agreements: Iterable[MaskAgreement]) -> MaskAgreement:
     """Add up the counts of several frames.
 
-    A mean of the frames' own shares would let one in which hardly anything moves weigh as much as the others,
-    and one without a share had to be left out.
+    A mean of the frames' own shares would give a nearly static frame the same weight as the others,
+    and would have to leave out frames without a share.
     """
     counts = [(a.hits, a.false_alarms, a.misses, a.correct_static) for a in agreements]
     return MaskAgreement(*(sum(column) for column in zip(*counts, strict=True)))

@@ -1,8 +1,8 @@
-"""The adaptive method beside a rival, on the pixels that both hold valid, window and room apart.
+"""The adaptive method against a rival on their common valid pixels, window and room separately.
 
-Scores of a run are of the pixels that all its methods hold valid, so they depend on who else is in the list.
-A pair depends on nobody else. A bright window's few pixels can hold most of a squared error, so they stand
-apart.
+Scores of a run cover the pixels that all its methods hold valid, so they depend on the list of methods.
+A pair depends on its two methods only. The few pixels of a bright window can hold most of a squared error, so
+they are separate.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class PairTally:
     index : int
         Coded frame.
     sums : ndarray of shape (scope, side, metric, area, region), float64
-        Sums of squared errors. Scopes are the pixels that both hold valid, and all; sides are the adaptive
+        Sums of squared errors. Scopes are the common valid pixels, and all; sides are the adaptive
         method and the rival; areas are room and window; region 0 moves, region 1 is static.
     counts : ndarray of shape (scope, area, region), int64
-        Pixels in them.
+        Number of pixels in them.
     """
 
     method: str
@@ -72,7 +72,7 @@ def pixel_errors(
     Parameters
     ----------
     metrics : sequence of Metric
-        In the order of the sums.
+        Metrics in the order of the sums.
     scale : PhotometricScale
         The scene's stated scale.
     irradiance_w_m2, reference_w_m2 : ndarray of shape (slot, v, u), float32
@@ -80,7 +80,7 @@ def pixel_errors(
     valid : ndarray of shape (v, u), bool
         Pixels that the method holds valid.
     coded_slots : int
-        Slots that count, from the first.
+        Scored slots, from the first.
     """
     sums = np.zeros((len(metrics), *valid.shape))
     for slot in range(min(coded_slots, reference_w_m2.shape[0])):
@@ -96,7 +96,7 @@ def pixel_errors(
 def tally_pair(
     rival: str, index: int, ours: PixelErrors, theirs: PixelErrors, moving: Bools, window: Bools
 ) -> PairTally:
-    """Set two methods side by side in one coded frame.
+    """Compare two methods in one coded frame.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def tally_pair(
     index : int
         Coded frame.
     ours, theirs : PixelErrors
-        Of the adaptive method and of the rival.
+        Errors of the adaptive method and of the rival.
     moving, window : ndarray of shape (v, u), bool
-        The oracle's mask, and pixels that see any of the bright outside.
+        The oracle's mask, and pixels that show any of the bright outside.
     """
     both = ours.valid & theirs.valid
     sums = np.zeros((2, 2, ours.sums.shape[0], len(AREAS), 2))
@@ -166,7 +166,7 @@ def pair_records(
 
 
 def advantage(record: PairRecord, *, of_all: bool = False) -> float | None:
-    """By how much the adaptive method is better than the rival, in the metric's unit; less than 0: worse."""
+    """Advantage of the adaptive method over the rival, in the metric's unit; below 0 it is worse."""
     ours, theirs = (record.ours_of_all, record.theirs_of_all) if of_all else (record.ours, record.theirs)
     if ours is None or theirs is None:
         return None

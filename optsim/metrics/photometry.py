@@ -1,4 +1,4 @@
-"""From irradiance on the modulator back to the luminance that a viewer of the scene would see."""
+"""Conversion of irradiance on the modulator to luminance of the scene."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _SEEN_NM = (360.0, 830.0)
 def luminous_efficacy_lm_w(wavelength_m: float = MONO_WAVELENGTH_M) -> float:
     """Luminous efficacy of light of a wavelength, lm/W: 683 V, V of CIE 1924 (as in ISO/CIE 23539).
 
-    V is tabulated nanometre by nanometre, straight lines between.
+    V is tabulated in steps of a nanometre and interpolated linearly.
 
     Raises
     ------
     ConfigError
-        Where the eye sees nothing, so that scores in luminance mean nothing.
+        For light without response of the eye, whose luminance is undefined.
     """
     wavelength_nm = round(wavelength_m * 1e9, 6)
     if not _SEEN_NM[0] <= wavelength_nm <= _SEEN_NM[1]:
@@ -45,7 +45,7 @@ def luminous_efficacy_lm_w(wavelength_m: float = MONO_WAVELENGTH_M) -> float:
 
 
 class PhotometricScale(Part):
-    """The one stated scale of a scene: what a decoder's irradiance means as luminance.
+    """The stated scale of a scene: luminance for a decoder's irradiance.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class PhotometricScale(Part):
     irradiance_per_radiance
         On-axis irradiance on the modulator over scene radiance, sr (``CodedCamera.irradiance_per_radiance``).
     wavelength_m
-        Of the light, m: it says how bright a watt is.
+        Wavelength of the light, m; it sets the lumens of a watt.
     """
 
     white_w_m2_sr: float = Field(gt=0)

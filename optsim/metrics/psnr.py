@@ -10,9 +10,9 @@ from optsim.metrics.metric import Metric
 
 
 class Psnr(Metric):
-    """PSNR of linear light; peak = the scene's declared white, never the maximum found.
+    """PSNR of linear light; the peak is the scene's declared white, never the maximum found.
 
-    Errors of the brightest places decide it: read it beside an encoded or logarithmic error.
+    Errors of the brightest parts dominate it: read it together with an encoded or logarithmic error.
     """
 
     kind: Literal["psnr"] = "psnr"
@@ -29,5 +29,5 @@ class Psnr(Metric):
         return luminance_cd_m2 / white_cd_m2
 
     def finish(self, total: float, count: int) -> float | None:
-        """Return decibels; None where nothing was compared or nothing differs (the ratio has no value)."""
+        """Return decibels; None without samples or without any difference (the ratio has no value)."""
         return 10.0 * math.log10(count / total) if count and total > 0 else None

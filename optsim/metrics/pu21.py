@@ -1,4 +1,4 @@
-"""PU21: absolute luminance encoded so that equal steps look about equally large, and its PSNR.
+"""PU21: absolute luminance encoded in steps of about equal visibility, and its PSNR.
 
 Source: R. K. Mantiuk and M. Azimi, *PU21: A novel perceptually uniform encoding for adapting existing
 quality metrics for HDR*, Picture Coding Symposium 2021, doi:10.1109/PCS50896.2021.9477471; parameters and
@@ -62,11 +62,11 @@ class Pu21Psnr(Metric):
         return "PU21-PSNR[banding_glare, peak=256]"
 
     def encode(self, luminance_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
-        """Encode on the PU21 scale; the scene's white plays no part."""
+        """Encode on the PU21 scale, whatever the scene's white."""
         return pu21_encode(luminance_cd_m2)
 
     def finish(self, total: float, count: int) -> float | None:
-        """Return decibels; None where nothing was compared or nothing differs."""
+        """Return decibels; None without samples or without any difference."""
         return 10.0 * math.log10(256.0**2 * count / total) if count and total > 0 else None
 
     def clamped(self, luminance_cd_m2: Doubles) -> int:

@@ -1,4 +1,4 @@
-"""Rows of results.json that scoring makes, and the words that they share: regions, phases, areas.
+"""Score rows of results.json, and their common terms: regions, phases, areas.
 
 A missing number is None, never NaN or infinity. Shares are 0..1.
 """
@@ -31,7 +31,7 @@ class Record(BaseModel):
         return getattr(self, key)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what a JSON file holds of it; a key that was not stated is absent."""
+        """Return its content for a JSON file; a key that was not stated is absent."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
@@ -96,8 +96,8 @@ class MaskScore(Record):
 class PooledMask(Record):
     """Motion masks of a method, or of moving objects, against the oracle: all pixels of a phase together.
 
-    ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is None where nothing is marked,
-    ``recall`` where nothing moves, ``iou`` where both are so.
+    ``moves`` and ``marked`` are shares of all panel pixels. ``precision`` is None without marked pixels,
+    ``recall`` without moving ones, ``iou`` without either.
     """
 
     method: str
@@ -110,7 +110,7 @@ class PooledMask(Record):
 
 
 class PairRecord(Record):
-    """Scores of a pair in the steady phase; ``excluded`` is the share of pixels that one of both gives up."""
+    """Scores of a pair in the steady phase; ``excluded`` is the share of pixels invalid in either."""
 
     rival: str
     metric: str
@@ -129,7 +129,7 @@ class Verdict(Record):
     """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
 
     ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. ``excluded``
-    is the share of pixels that one of the pair gives up; ``advantage_of_all`` is the same on all pixels.
+    is the share of pixels invalid in either of the pair; ``advantage_of_all`` is the same on all pixels.
     """
 
     claim: str

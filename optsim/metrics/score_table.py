@@ -1,4 +1,4 @@
-"""Scores of a run that show themselves: as text when printed, as a table in a notebook."""
+"""Scores of a run with a display: as text when printed, as a table in a notebook."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from optsim.metrics.records import PHASES, Score
 
 
 class Scores(list[Score]):
-    """One record a method, metric, region and phase; shown are those of the most settled phase."""
+    """One record a method, metric, region and phase; the display shows the latest phase reached."""
 
     def __str__(self) -> str:
         """Write a line a metric and region, a column a method."""

@@ -1,6 +1,6 @@
 """Scores of a run: one small tally a coded frame, pooled afterwards by method, region and phase.
 
-Pooling is exact (``math.fsum``), so the order in which frames arrive cannot change a result.
+Pooling is exact (``math.fsum``), so the order of the frames cannot change a result.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class FrameTally:
     Parameters
     ----------
     method : str
-        Whose reconstruction.
+        Method of the reconstruction.
     index : int
         Coded-frame index.
     sums : ndarray of shape (metric, region, slot), float64
         Sums of squared errors.
     counts, covered, interpolated, samples : ndarray of shape (region, slot), int64
-        Samples scored, samples the method itself holds valid, those of them filled from neighbours,
-        and samples there are.
+        Samples scored, samples that the method itself holds valid, those of them filled from neighbours,
+        and all samples.
     clamped : ndarray of shape (metric, region), int64
         Scored samples whose reference lies outside the metric's range.
     """
@@ -64,11 +64,11 @@ class FrameTally:
 
 
 class Tally(Protocol):
-    """Sums of one method over one coded frame, whatever they are of."""
+    """Sums of one method over one coded frame."""
 
     @property
     def method(self) -> str:
-        """Whose."""
+        """Name of the method."""
         ...
 
     @property
@@ -92,7 +92,7 @@ def by_method_and_phase(
 
 @dataclass(frozen=True)
 class ScoreBoard:
-    """What decides the scores of a run: metrics, photometric scale, and which frames are in which phase.
+    """Scoring rules of a run: metrics, photometric scale, and the phases of its frames.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class ScoreBoard:
     coded_slots: int
 
     def phase(self, index: int) -> Phase:
-        """Phase of a coded frame, as :func:`phase_of` has it."""
+        """Phase of a coded frame, as in :func:`phase_of`."""
         return phase_of(index, self.latency_frames)
 
     def tally(
@@ -128,7 +128,7 @@ class ScoreBoard:
         Parameters
         ----------
         method : str
-            Name to score it under.
+            Name for the scores.
         reconstruction : Reconstruction
             The estimate; its invalid pixels are not scored, but counted.
         reference_w_m2 : ndarray of shape (slot, v, u), float32
@@ -137,7 +137,7 @@ class ScoreBoard:
             The oracle's mask: the same for all methods.
         scored : ndarray of shape (v, u), bool, optional
             Pixels to score, for example those that all methods hold valid: a method must not gain by
-            giving up hard ones. By default those that this method holds valid.
+            rejecting hard ones. By default those that this method holds valid.
         """
         r = reconstruction
         return self._tally(
@@ -154,7 +154,7 @@ class ScoreBoard:
     def tally_noise(
         self, index: int, reference_w_m2: Floats, half_difference_w_m2: Floats, moving: Bools
     ) -> FrameTally:
-        """Sum the errors that the truth's own Monte-Carlo noise makes: no score above its can be certified.
+        """Sum the errors of the truth's own Monte-Carlo noise: no score above theirs can be certified.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ class ScoreBoard:
             interpolated_counts[r, : self.coded_slots] = np.count_nonzero(region & valid & interpolated)
         white = self.scale.white_cd_m2
         for slot in range(min(slots, self.coded_slots)):
-            # One slot at a time: it stays in the processor's cache for all metrics and regions.
+            # One slot at a time stays in the processor's cache for all metrics and regions.
             estimate = self.scale.luminance_cd_m2(estimate_w_m2[slot : slot + 1])
             reference = self.scale.luminance_cd_m2(reference_w_m2[slot : slot + 1])
             for r, region in enumerate(regions):
@@ -303,5 +303,5 @@ class ScoreBoard:
 
 
 def rows_of(region: Region) -> slice:
-    """Rows of a tally that make up a region: moving and static add up to all."""
+    """Rows of a tally that form a region: moving and static add up to all."""
     return {"all": slice(0, 2), "moving": slice(0, 1), "static": slice(1, 2)}[region]

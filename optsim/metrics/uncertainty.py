@@ -1,7 +1,7 @@
-"""Whether a stated uncertainty holds: errors in units of the standard deviations that decoders give them.
+"""Check of stated uncertainties: errors in units of the decoders' standard deviations.
 
-Were errors Gaussian and the deviations right, 68.3 % would lie within one, 95.4 % within two, and the rms
-would be one. More than that within one says that the decoder is too modest, less that it is too sure.
+For Gaussian errors and correct deviations, 68.3 % lie within one, 95.4 % within two, and the rms
+is one. A greater share within one means that the deviations are too large, a smaller one too small.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class UncertaintyTally:
     Parameters
     ----------
     method : str
-        Whose reconstruction.
+        Method of the reconstruction.
     index : int
         Coded-frame index.
     squares : ndarray of shape (region,), float64
@@ -52,7 +52,7 @@ def tally_uncertainty(
     Parameters
     ----------
     method : str
-        Name to score it under.
+        Name for the scores.
     video : Reconstruction
         The estimate.
     reference_w_m2 : ndarray of shape (slot, v, u), float32

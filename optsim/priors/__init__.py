@@ -1,1 +1,1 @@
-"""Dictionaries and mixtures: training them, and the files that hold them."""
+"""Dictionaries and mixtures: their training and their files."""

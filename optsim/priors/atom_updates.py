@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""How atoms learn from sparse codes: all at once by least squares, or one after the other by K-SVD."""
+"""Updates of atoms from sparse codes: all at once by least squares, or one after the other by K-SVD."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from optsim.core.compiled import compiled
 from optsim.core.quantities import Doubles, Floats, Ints
 
 _BLOCK = 2048
-# Fewer uses than this is fitting one patch, not learning from many.
+# With fewer uses an atom would fit one patch instead of learning from many.
 _FEWEST_USES = 5
 # Sums may be reordered for vector units; NaN keeps its meaning.
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -19,15 +19,15 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) -> Floats:
     """Update all atoms at once by the method of optimal directions: ``X' C (C' C)^-1``.
 
-    Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624. A weak ridge keeps what is hardly
-    used.
+    Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624. A weak ridge keeps rarely used
+    atoms.
 
     Parameters
     ----------
     signals : ndarray of shape (n, e), float32
         Training signals.
     atoms : ndarray of shape (k, e), float32
-        Atoms that the codes are of.
+        Atoms of the codes.
     support : ndarray of shape (n, s), int64
         Atoms of each code, -1 after the last.
     amounts : ndarray of shape (n, s), float32
@@ -36,7 +36,7 @@ def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: 
     Returns
     -------
     ndarray of shape (k, e), float32
-        Of any length.
+        Updated atoms, of any length.
     """
     n_atoms = len(atoms)
     square = np.zeros((n_atoms, n_atoms))
@@ -55,17 +55,17 @@ def k_svd_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) 
     """Update the atoms one after the other, each with its coefficients, by approximate K-SVD.
 
     R. Rubinstein, M. Zibulevsky and M. Elad, "Efficient implementation of the K-SVD algorithm using batch
-    orthogonal matching pursuit", Technion CS-2008-08. Each atom and the coefficients of those signals that
-    use it take one step of the power method towards the best rank-one fit of what the other atoms leave, so
-    that the error never grows. Here the residuals are kept and follow, which takes four passes over the
-    signals that use an atom and no product with all atoms. Atom 0, the constant, stays.
+    orthogonal matching pursuit", Technion CS-2008-08. Each atom and the coefficients of its signals take one
+    step of the power method. The step goes towards the best rank-one fit of the other atoms' residual, so the
+    error never grows. Here the residuals are stored and updated, which takes four passes over the signals of
+    an atom and no product with all atoms. Atom 0, the constant, stays.
 
     Parameters
     ----------
     signals : ndarray of shape (n, e), float32
         Training signals.
     atoms : ndarray of shape (k, e), float32
-        Of unit length.
+        Atoms of unit length.
     support : ndarray of shape (n, s), int64
         Atoms of each code, -1 after the last; none twice.
     amounts : ndarray of shape (n, s), float32
@@ -74,7 +74,7 @@ def k_svd_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) 
     Returns
     -------
     atoms : ndarray of shape (k, e), float32
-        Of unit length.
+        Updated atoms, of unit length.
     amounts : ndarray of shape (n, s), float32
         New coefficients on the same support.
     """
@@ -117,7 +117,7 @@ def _one_by_one(residuals: Floats, atoms: Floats, users: Ints, amounts: Floats, 
         for j in range(len(new)):
             new[j] *= length
             same += new[j] * atom[j]
-        # The coefficients Ed, and the residuals that follow.
+        # The coefficients Ed, and the residuals after them.
         for i in range(first, last):
             row, before = residuals[users[i]], amounts[i]
             amount = before * same
@@ -130,23 +130,23 @@ def _one_by_one(residuals: Floats, atoms: Floats, users: Ints, amounts: Floats, 
 
 
 def renewed(atoms: Floats, uses: Ints, signals: Floats, left: Floats) -> Floats:
-    """Start atoms that next to nobody uses again, from the patches that are coded worst.
+    """Restart rarely used atoms from the patches with the largest residuals.
 
     Parameters
     ----------
     atoms : ndarray of shape (k, e), float32
         Atom 0 is the constant.
     uses : ndarray of shape (k,), int64
-        In how many codes each occurs.
+        Number of codes in which each occurs.
     signals : ndarray of shape (n, e), float32
         Training signals.
     left : ndarray of shape (n,), float32
-        Squared length of what each code leaves of its signal.
+        Squared length of each signal's residual.
 
     Returns
     -------
     ndarray of shape (k, e), float32
-        Of any length but for atom 0, which is the constant again.
+        Atoms of any length; atom 0 is the constant again.
     """
     idle = uses < _FEWEST_USES
     idle[0] = False

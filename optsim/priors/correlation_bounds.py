@@ -3,9 +3,9 @@
 """Correlations of all atoms with a few vectors, in 16-bit integers with a strict error bound.
 
 Twice as many 16-bit products as float32 ones fit into an instruction, and integer sums don't depend on
-their order. What matching pursuit needs of each atom is kept beside it and renewed in the same pass, so
-that correlations never go to memory. The kernel is written in LLVM's own vector types, because compilers
-don't keep a tile of sums in registers by themselves; LLVM turns them into what the processor has.
+their order. The numbers that matching pursuit needs of each atom are stored beside it and renewed in the same
+pass, so correlations never go to memory. The kernel uses LLVM's own vector types, because compilers don't
+keep a tile of sums in registers by themselves; LLVM translates them for the processor.
 A step of 16 signals among 2000 atoms of 64 rows takes 24 microseconds, with AVX-512; in float32 the same by
 numba takes 124, by numpy 155.
 """
@@ -27,7 +27,7 @@ from optsim.core.quantities import Floats
 _LANES = 16 if binding.get_host_cpu_features().get("avx512bw") else 8
 # Atoms of a panel: two vectors of sums for each of four patches are what 16 registers hold.
 PANEL = 2 * _LANES
-# Patches whose sums are kept in registers together, and steps of a loop turn.
+# Patches whose sums are kept in registers together, and steps unrolled in a loop.
 _TILE, _TURNS = 4, 2
 # Panels that share one row of peaks, and atoms that share a peak.
 _SPAN = 8
@@ -35,7 +35,7 @@ SHARING = 2 * _SPAN
 # Scale of a unit vector: products of two such vectors stay below 2**31, rounding included.
 SCALE = 46_000.0
 LARGEST = 32_767.0
-# Squared distance of an atom from the span of those picked below which it is a copy, in float32.
+# Squared distance of an atom from the span of the selected ones below which it is a copy, in float32.
 COPY = 1e-5
 
 Pairs = NDArray[np.int16]
@@ -43,7 +43,7 @@ Pairs = NDArray[np.int16]
 
 @njit(nogil=True, cache=True)
 def packed_shape(rows: int, width: int) -> tuple[int, int, int, int]:
-    """Shape of a packed matrix: (panel, pair of rows, atom, row of the pair); whole turns of the loop."""
+    """Shape of a packed matrix: (panel, pair of rows, atom, row of the pair), in whole unrolled loops."""
     return -(-width // PANEL), -(-rows // (2 * _TURNS)) * _TURNS, PANEL, 2
 
 
@@ -104,11 +104,9 @@ def _tile(slots: int) -> Callable[..., None]:
 
 
 def _tile_code(slots: int, context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    """Write ``x = integer products; c = c + f x; n = n + g x x`` and the peak of the bound on ``c c / n``.
-
-    Arguments: the panel's numbers, the slots' vectors, state (c and n of each atom), peaks and terms
-    (f, g, error of c, error of n), the number of pairs, and of peaks of a slot.
-    """
+    """Write ``x = integer products; c = c + f x; n = n + g x x`` and the peak of the bound on ``c c / n``."""
+    # Arguments: the panel's numbers, the slots' vectors, state (c and n of each atom), peaks and terms
+    # (f, g, error of c, error of n), the number of pairs, and of peaks of a slot.
     i16, i32, i64, f32 = ir.IntType(16), ir.IntType(32), ir.IntType(64), ir.FloatType()
     sums, halves = ir.VectorType(i32, _LANES), ir.VectorType(i16, 2 * _LANES)
     wide, floats = ir.VectorType(i32, 2 * _LANES), ir.VectorType(f32, _LANES)
@@ -162,7 +160,7 @@ def _tile_code(slots: int, context: Any, builder: Any, signature: Any, args: Any
             move = builder.bitcast(spread(builder.load(at(moves, place, i32), align=4)), halves)
             move = builder.sext(move, wide)
             for part in range(2):
-                # LLVM knows this as one instruction (pmaddwd on x86).
+                # LLVM maps this to one instruction (pmaddwd on x86).
                 products = builder.mul(atoms[part], move)
                 both = builder.add(pick(products, 0), pick(products, 1))
                 sums_now[slot][part] = builder.add(sums_now[slot][part], both)
@@ -204,13 +202,13 @@ _one, _four = _tile(1), _tile(_TILE)
 
 @njit(nogil=True, cache=True)
 def peaks_of(panels: int) -> int:
-    """Peaks that a slot has: each is the largest bound of a lane of some panels."""
+    """Count the peaks of a slot: each is the largest bound of a lane of some panels."""
     return -(-panels // _SPAN) * _LANES
 
 
 @njit(nogil=True, cache=True)
 def atom_of(peak: int, i: int) -> int:
-    """One of the ``SHARING`` atoms of a peak; may lie beyond the last atom."""
+    """Index of one of the ``SHARING`` atoms of a peak; may lie beyond the last atom."""
     return (peak // _LANES * _SPAN + i // 2) * PANEL + i % 2 * _LANES + peak % _LANES
 
 

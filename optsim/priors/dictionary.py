@@ -1,4 +1,4 @@
-"""The learned dictionary of space-time patches: its value and its file."""
+"""The learned dictionary of space-time patches, and its file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Floats, checked
 from optsim.priors.prior_file import eight_bits, read_prior, write_prior
 
-# Of an atom's length; files hold 8 bits a number.
+# Least length left of an atom of unit length; files hold 8 bits a number.
 _LEFT = 0.1
 
 
@@ -25,9 +25,9 @@ class Dictionary:
     Parameters
     ----------
     atoms : ndarray of shape (atom, v, u, slot), float32
-        Each of unit length.
+        Atoms of unit length.
     provenance : Mapping
-        How it was made: settings, seed, what it was trained on.
+        Settings, seed and training set.
     """
 
     atoms: Floats
@@ -53,7 +53,7 @@ class Dictionary:
         return self.atoms.shape[3]
 
     def shortened(self, slots: int) -> Dictionary:
-        """Return the dictionary of the first slots, without atoms of which next to nothing is left."""
+        """Return the dictionary of the first slots, without atoms that are nearly zero there."""
         first = self.atoms[..., :slots]
         left = np.sqrt((first.astype(np.float64) ** 2).sum(axis=(1, 2, 3)))
         return Dictionary(unit(first[left > _LEFT]), self.provenance)
@@ -72,7 +72,7 @@ def save_dictionary(path: Path, dictionary: Dictionary) -> None:
 
 
 def load_dictionary(path: Path) -> Dictionary:
-    """Read what :func:`save_dictionary` wrote.
+    """Read a file of :func:`save_dictionary`.
 
     Raises
     ------
@@ -85,6 +85,6 @@ def load_dictionary(path: Path) -> Dictionary:
 
 @lru_cache(maxsize=2)
 def shipped_dictionary() -> Dictionary:
-    """Load the dictionary that comes with the package."""
+    """Load the dictionary shipped with the package."""
     with resources.as_file(resources.files("optsim.priors") / "dictionary.npz") as path:
         return load_dictionary(path)

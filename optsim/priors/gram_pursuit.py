@@ -1,12 +1,12 @@
 """Orthogonal matching pursuit for long signals, from BLAS products and the whole Gram matrix.
 
-For training, where a signal has 2304 numbers: products of each new direction with the matrix, as
-:mod:`.matching_pursuit` computes them, would cost far more than a row of the Gram matrix does.
+For training, where a signal has 2304 numbers. Products of each new direction with the matrix, as in
+:mod:`.matching_pursuit`, would cost far more than a row of the Gram matrix.
 
 Pati, Rezaiifar and Krishnaprasad, "Orthogonal matching pursuit", Asilomar 1993
-(doi:10.1109/ACSSC.1993.342465), in the QR form: with q the part of the atom just picked that is orthogonal
-to those before, its correlations with all atoms are ``A'q = (G_k - sum r_i A'q_i) / |.|``; ``A'residual``
-then loses a multiple of that (compare Rubinstein, Zibulevsky and Elad, Technion CS-2008-08, which keeps G
+(doi:10.1109/ACSSC.1993.342465), in the QR form. Let q be the part of the selected atom that is orthogonal
+to those before. Its correlations with all atoms are ``A'q = (G_k - sum r_i A'q_i) / |.|``, and ``A'residual``
+loses a multiple of that (compare Rubinstein, Zibulevsky and Elad, Technion CS-2008-08, which keeps G
 but not ``A'q``).
 """
 
@@ -37,11 +37,11 @@ def pursue_products(products: Floats, gram: Floats, support: Ints, amounts: Floa
     Parameters
     ----------
     products : ndarray of shape (p, k), float32
-        Overwritten.
+        Products of signals and atoms; overwritten.
     gram : ndarray of shape (k, k), float32
-        Of atoms of unit length.
+        Gram matrix of atoms of unit length.
     support : ndarray of shape (p, s), int64
-        Filled with the atoms in the order picked, -1 after the last.
+        Filled with the atoms in the order of selection, -1 after the last.
     amounts : ndarray of shape (p, s), float32
         Filled with their coefficients.
     """
@@ -86,7 +86,7 @@ def _one(products: Floats, gram: Floats, spans: Floats, support: Ints, amounts: 
 def _project(
     row: Floats, spans: Floats, factors: Floats, picked: int, scale: float, share: float, products: Floats
 ) -> None:
-    """Fill ``spans[picked]`` with the new direction's correlations; take its share out of the products."""
+    """Fill ``spans[picked]`` with the new direction's correlations; subtract its share from the products."""
     # Only in-place updates: where a loop's source may be its own target, compilers fall back to scalar code.
     scale32, share32 = np.float32(scale), np.float32(share)
     new = spans[picked]
@@ -108,11 +108,9 @@ def _project(
 
 @compiled()
 def _largest(values: Floats) -> int:
-    """Index of the largest magnitude.
-
-    Floats without their sign bit are in the order of their bit patterns, and compilers turn an integer
-    maximum into vector code, unlike a float one: ten times faster here.
-    """
+    """Index of the largest magnitude."""
+    # Floats without their sign bit are in the order of their bit patterns. Compilers turn an integer maximum
+    # into vector code, unlike a float one: ten times faster here.
     bits = values.view(np.int32)
     peak = np.int32(-1)
     start = 0

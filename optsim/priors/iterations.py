@@ -1,4 +1,4 @@
-"""Learning step by step: each state is kept in a cache, so that a stop loses one iteration at most."""
+"""Iterations whose states are kept in a cache: a stop loses one iteration at most."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ def iterate(
     checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Arrays:
-    """Take so many steps from a state, or go on after the last one that is kept.
+    """Iterate from a state, or continue after the last state in the cache.
 
     Parameters
     ----------
     step : callable
-        State -> the next one.
+        Function from a state to the next one.
     state : dict
-        Arrays by name to begin with.
+        Initial arrays by name.
     iterations : int
-        Steps.
+        Number of steps.
     key : str
-        Hash of all that decides the states (:func:`learning_key`).
+        Hash of all that determines the states (:func:`learning_key`).
     checkpoint : Path, optional
-        Folder of the cache that keeps them; nothing is kept without one.
+        Folder of the cache of states; nothing is cached without one.
     progress : Progress
-        Told after each step.
+        Called after each step.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def iterate(
 
 
 def learning_key(signals: Floats, *settings: object) -> str:
-    """Hash of very the numbers that are learned from, of any shape, and of settings that JSON can say."""
+    """Hash of training numbers of any shape, and of settings that JSON can express."""
     content = hashlib.sha256(np.ascontiguousarray(signals).reshape(-1).data).hexdigest()
     return hash_of(content, signals.shape, *settings, __version__)
 

@@ -1,4 +1,4 @@
-"""The learned mixture of Gaussians of space-time patches: its value and its file."""
+"""The learned Gaussian mixture of space-time patches, and its file."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from optsim.priors.prior_file import eight_bits, read_prior, write_prior
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Prior of space-time patches whose brightness has been divided out: ``base + basis' z + rest``.
+    """Prior of space-time patches divided by their mean light: ``base + basis' z + rest``.
 
-    z is drawn from a mixture of Gaussians, the rest from independent ones of a small variance that is the
-    component's: what hardly changes has less detail than the basis leaves out of the liveliest.
+    z follows a mixture of Gaussians. The rest follows independent ones with the component's own small
+    variance: the basis leaves out less of patches that hardly change than of those that change most.
 
     Parameters
     ----------
     base : ndarray of shape (v, u, slot), float32
         Mean patch.
     basis : ndarray of shape (r, v, u, slot), float32
-        Orthonormal.
+        Orthonormal basis.
     shares : ndarray of shape (k,), float64
-        How often each component occurs; they sum to 1.
+        Probability of each component; they sum to 1.
     means : ndarray of shape (k, r), float64
-        Of z.
+        Means of z.
     covariances : ndarray of shape (k, r, r), float64
-        Of z.
+        Covariances of z.
     rest : ndarray of shape (k,), float64
-        Variance of each element that the basis leaves out, by component.
+        Variance of each element outside the basis, by component.
     provenance : Mapping
-        How it was made: settings, seed, what it was trained on.
+        Settings, seed and training set.
     """
 
     base: Floats
@@ -75,7 +75,7 @@ class Mixture:
         return self.basis.shape[3]
 
     def shortened(self, slots: int) -> Mixture:
-        """Return the mixture of the first slots: its marginal, on a basis that is orthonormal again."""
+        """Return the mixture of the first slots: its marginal, on a new orthonormal basis."""
         first = self.basis[..., :slots]
         axes, turn = np.linalg.qr(first.reshape(len(first), -1).T.astype(np.float64))
         basis = axes.T.reshape(-1, *first.shape[1:]).astype(np.float32)
@@ -94,10 +94,10 @@ class Mixture:
 
 
 def save_mixture(path: Path, mixture: Mixture) -> None:
-    """Write a mixture as a compressed .npz: covariances by their factors, 16 bits a number; the basis 8."""
+    """Write a mixture as a compressed .npz: covariances by factors in 16 bits a number, basis in 8."""
     factors = np.linalg.cholesky(mixture.covariances)
     low = np.tril_indices(factors.shape[1])
-    # Rows of the factors differ by decades: each is written relative to its largest element.
+    # Rows of the factors differ by decades: each is stored relative to its largest element.
     scales = np.abs(factors).max(axis=2)
     codes, steps = eight_bits(mixture.basis)
     arrays = {
@@ -114,7 +114,7 @@ def save_mixture(path: Path, mixture: Mixture) -> None:
 
 
 def load_mixture(path: Path) -> Mixture:
-    """Read what :func:`save_mixture` wrote.
+    """Read a file of :func:`save_mixture`.
 
     Raises
     ------
@@ -141,6 +141,6 @@ def load_mixture(path: Path) -> Mixture:
 
 @lru_cache(maxsize=2)
 def shipped_mixture() -> Mixture:
-    """Load the mixture that comes with the package."""
+    """Load the mixture shipped with the package."""
     with resources.as_file(resources.files("optsim.priors") / "mixture.npz") as path:
         return load_mixture(path)

@@ -1,5 +1,5 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""Learning the mixture of Gaussians from high-frame-rate clips."""
+"""Training of the Gaussian mixture from high-frame-rate clips."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from optsim.priors.iterations import iterate, learning_key
 from optsim.priors.mixture import Mixture
 from optsim.priors.training_patches import training_patches
 
-# A covariance learns from its own patches and, as if there were so many times the rank of these, from all.
+# Weight of the pooled covariance in a component's, in patches, as a multiple of the rank.
 _PRIOR_PATCHES = 0.05
 _BUMP = 3
 _LEAST_SHARE = 1e-3
-# Principal components in which the first members are told apart.
+# Principal components in which the first memberships are found.
 _FIRST = 24
-# A patch that belongs less to a component than this doesn't teach it.
+# Least membership with which a patch trains a component.
 _NEGLIGIBLE = 1e-6
-# Variance in a direction that has none, relative to the mean one; above what single precision rounds.
+# Floor of the variance in a direction, relative to the mean one; above rounding in single precision.
 _EMPTY = 1e-5
 
 
@@ -46,31 +46,31 @@ def train_mixture(
     """Learn a mixture of Gaussians by expectation maximisation in a subspace of principal components.
 
     Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1 (1977); for coded video Yang et al., IEEE Trans. Image
-    Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. A decoder knows a patch's brightness only as its
-    code measures it, so training patches are divided by what a random bump of three slots a pixel sees.
+    Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. A decoder knows a patch's mean light only through
+    its code. So training patches are divided by their mean over a random bump of three slots a pixel.
 
     Parameters
     ----------
     clips : sequence of ndarray of shape (slot, v, u), float32
         Mean light in each slot, any scale.
     rng : numpy.random.Generator
-        Draws patches, codes and first members.
+        Generator of patches, codes and first memberships.
     n_components, rank, patch, slots : int
         Size of the mixture.
     n_patches, iterations : int
-        Effort.
+        Training patches and iterations.
     provenance : Mapping, optional
-        What to remember about the clips.
+        Record of the clips for the file.
     checkpoint : Path, optional
-        Folder of a cache in which the state is kept after each iteration, and from which the same learning
-        goes on, as in :func:`optsim.priors.training.train_dictionary`.
+        Folder of a cache that keeps the state after each iteration, from which the same training
+        continues, as in :func:`optsim.priors.training.train_dictionary`.
     progress : Progress
-        Told after each iteration.
+        Called after each iteration.
 
     Raises
     ------
     ValueCheckError
-        When a clip is too small, or there is too little to learn from.
+        When a clip is too small, or the training set is.
     """
     signals = training_patches(clips, rng, patch, slots, n_patches)
     least = max(4 * rank, 40 * n_components)
@@ -95,7 +95,7 @@ def train_mixture(
 
     fitted = iterate(maximise, {}, iterations, key=key, checkpoint=checkpoint, progress=progress)
     member, likelihood = _memberships(z, **fitted)
-    # Mean over each component's patches of the variance that the basis leaves out.
+    # Mean variance outside the basis over each component's patches.
     unexplained = left / max(1, signals.shape[1] - rank)
     rest = (unexplained @ member / np.maximum(member.sum(axis=0), 1)).clip(0)
     record = {
@@ -112,11 +112,9 @@ def train_mixture(
 
 
 def _basis(signals: Floats, rank: int, slots: int) -> Floats:
-    """Principal components of what stands still, a quarter of the rank, and of what changes: (rank, e).
-
-    What stands still has so little energy in its finest detail that principal components of both together
-    would leave it out, and yet a code tells it best: each pixel is measured.
-    """
+    """Principal components of the static part, a quarter of the rank, and of the changing part: (rank, e)."""
+    # The finest detail of the static part has so little energy that joint principal components would leave it
+    # out. Yet a code measures it best: in every pixel.
     blocks = signals.reshape(len(signals), -1, slots)
     still = blocks.mean(axis=2)
     n_still = min(rank // 4, still.shape[1])
@@ -126,13 +124,13 @@ def _basis(signals: Floats, rank: int, slots: int) -> Floats:
 
 
 def _principal(rows: Floats, n: int) -> Floats:
-    """Find the n unit vectors, (n, e), that hold most of the energy of rows of shape (patch, e)."""
+    """Find the n unit vectors, (n, e), with most of the energy of rows of shape (patch, e)."""
     vectors: Doubles = np.linalg.eigh((rows.T @ rows).astype(np.float64))[1]
     return np.ascontiguousarray(vectors[:, ::-1][:, :n].T, np.float32)
 
 
 def _brightness(blocks: Floats, rng: np.random.Generator) -> Floats:
-    """Mean of each patch, (n, pixel, slot), over the slots that a random bump a pixel sees."""
+    """Mean of each patch, (n, pixel, slot), over the slots of a random bump a pixel."""
     n, pixels, slots = blocks.shape
     width = min(_BUMP, slots)
     starts = rng.integers(slots - width + 1, size=(n, pixels))
@@ -143,7 +141,7 @@ def _brightness(blocks: Floats, rng: np.random.Generator) -> Floats:
 
 
 def _nearest(z: Doubles, rng: np.random.Generator, n_components: int) -> Doubles:
-    """First members, (n, k): 1 for the nearest of the means that k-means finds, otherwise 0."""
+    """First memberships, (n, k): 1 for the nearest mean of k-means, otherwise 0."""
     _, nearest = kmeans2(z[:, :_FIRST], n_components, iter=20, minit="++", rng=rng)
     member = np.zeros((len(z), n_components))
     member[np.arange(len(z)), nearest] = 1
@@ -169,7 +167,7 @@ def _most_likely(z: Doubles, member: Doubles, pooled: Doubles) -> Arrays:
 
 
 def _definite(covariance: Doubles) -> Doubles:
-    """Fill directions that footage of few patterns leaves empty: there a density would be infinite."""
+    """Fill directions without variance in footage of few patterns: a density would be infinite there."""
     try:
         np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
@@ -179,7 +177,7 @@ def _definite(covariance: Doubles) -> Doubles:
 
 
 def _memberships(z: Doubles, shares: Doubles, means: Doubles, covariances: Doubles) -> tuple[Doubles, float]:
-    """How far each patch belongs to each component, (n, k), and the mean log likelihood."""
+    """Membership of each patch in each component, (n, k), and the mean log likelihood."""
     logs = log_densities(z, shares, means, covariances)
     top = logs.max(axis=1, keepdims=True)
     member = np.exp(logs - top)

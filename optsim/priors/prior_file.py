@@ -1,4 +1,4 @@
-"""Files of learned priors: arrays and how they were made, in a compressed .npz; and whether they fit."""
+"""Files of learned priors, arrays and provenance in a compressed .npz, and their check against a camera."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from optsim.core.quantities import Floats
 
 
 class Prior(Protocol):
-    """What is learned of space-time patches."""
+    """A learned prior of space-time patches."""
 
     @property
     def patch(self) -> int:
@@ -37,7 +37,7 @@ class Prior(Protocol):
 
 
 def eight_bits(rows: Floats) -> tuple[NDArray[np.int8], Floats]:
-    """Whole numbers of 8 bits in the shape of rows, (n, ...), and a step each, (n,), that give them back."""
+    """Round rows, (n, ...), to 8-bit integers of the same shape, and a step each, (n,)."""
     steps = np.abs(rows).max(axis=tuple(range(1, rows.ndim))) / 127
     codes = np.rint(rows / steps.reshape(-1, *[1] * (rows.ndim - 1))).astype(np.int8)
     return codes, steps.astype(np.float32)
@@ -53,7 +53,7 @@ def write_prior(path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, 
 
 
 def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read the named arrays of what :func:`write_prior` wrote, and the provenance.
+    """Read the named arrays and the provenance of a file of :func:`write_prior`.
 
     Raises
     ------

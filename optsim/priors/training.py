@@ -1,4 +1,4 @@
-"""Learning the dictionary from high-frame-rate clips."""
+"""Training of the dictionary from high-frame-rate clips."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def train_dictionary(
     checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Dictionary:
-    """Learn a dictionary by the method of optimal directions or by approximate K-SVD.
+    """Train a dictionary by the method of optimal directions or by approximate K-SVD.
 
-    Alternates sparse coding by OMP with an update of the atoms (:mod:`.atom_updates`); atoms that nobody uses
-    are replaced by the patches that are coded worst. Patches are drawn where clips change, scaled to the same
-    brightness, turned, mirrored and reversed in time. Atom 0 is the constant patch, and stays.
+    Sparse coding by OMP alternates with an update of the atoms (:mod:`.atom_updates`). Unused atoms are
+    replaced by the patches with the largest residuals. Patches are drawn where clips change, scaled to the
+    same mean light, rotated, mirrored and reversed in time. Atom 0 is the constant patch, and stays.
 
-    Both learn equally well. On patches of clips of leaves that they have not seen, 512 atoms leave 0.1781
-    of the rms by MOD and 0.1783 by K-SVD after 12 alternations on 15,000 patches, 1024 atoms 0.1687 and
-    0.1685 after 10 on 30,000; these decode moving photographs equally well, to 0.01 dB. On a core, the
+    Both methods train equally well. On patches of unseen clips of dead leaves, 512 atoms leave 0.1781 of the
+    rms by MOD and 0.1783 by K-SVD after 12 alternations on 15,000 patches. With 1024 atoms they leave 0.1687
+    and 0.1685 after 10 on 30,000. These decode moving photographs equally well, to 0.01 dB. On a core, the
     codes took 0.8 and 3.1 s an alternation, MOD's update 0.5 and 2.1 s, K-SVD's 0.3 and 0.7 s.
 
     Parameters
@@ -55,26 +55,26 @@ def train_dictionary(
     clips : sequence of ndarray of shape (slot, v, u), float32
         Mean light in each slot, any scale; at least ``slots`` slots and ``patch`` pixels each.
     rng : numpy.random.Generator
-        Draws patches, turns and first atoms.
+        Generator of patches, rotations and first atoms.
     n_atoms, patch, slots : int
         Size of the dictionary.
     n_patches, atoms_per_patch, iterations : int
-        Effort: training patches (30 an atom unless told), cap of the sparse codes, alternations.
+        Training patches (30 an atom by default), cap of the sparse codes, alternations.
     method : {"mod", "ksvd"}
-        How atoms are updated: all at once by least squares, or one after the other with their coefficients.
+        Update of the atoms: all at once by least squares, or one after the other with their coefficients.
     provenance : Mapping, optional
-        What to remember about the clips.
+        Record of the clips for the file.
     checkpoint : Path, optional
-        Folder of a cache in which the state is kept after each alternation, and from which the same learning
-        goes on: with the same result as without a stop, to the bit where the machine and its number of
-        threads are the same.
+        Folder of a cache that keeps the state after each alternation, from which the same training continues.
+        The result is that of an uninterrupted training, bit for bit on the same machine with the same number
+        of threads.
     progress : Progress
-        Told after each alternation.
+        Called after each alternation.
 
     Raises
     ------
     ValueCheckError
-        When a clip is too small, or there is too little to learn from.
+        When a clip is too small, or the training set is.
     """
     wanted = _PATCHES_AN_ATOM * n_atoms if n_patches is None else n_patches
     signals = training_patches(clips, rng, patch, slots, wanted)
@@ -118,22 +118,22 @@ def learn_atoms(
     Parameters
     ----------
     signals : ndarray of shape (n, e), float32
-        What to learn from.
+        Training signals.
     atoms : ndarray of shape (k, e), float32
-        First ones, of unit length; the first of all stays.
+        First atoms, of unit length; atom 0 stays.
     cap : int
-        Atoms that a code has at most.
+        Most atoms of a code.
     iterations, method, checkpoint, progress
-        As of :func:`train_dictionary`.
+        As in :func:`train_dictionary`.
     key : str
-        As of :func:`.iterate`.
+        As in :func:`.iterate`.
 
     Returns
     -------
     atoms : ndarray of shape (k, e), float32
-        Of unit length.
+        Trained atoms, of unit length.
     error : float
-        Rms of what the last codes left, relative to the signals; 0 without any.
+        Rms residual of the last codes, relative to the signals; 0 without any.
     """
     energy = (signals.astype(np.float64) ** 2).sum()
 

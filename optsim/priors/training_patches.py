@@ -1,4 +1,4 @@
-"""Patches to learn from: drawn where clips change, of one brightness and energy."""
+"""Training patches: drawn where clips change, of equal mean light and energy."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, Floats, Ints
 
 _BLOCK = 1024
-# Patches darker than this, relative to the mean of their clip, hold only noise.
+# Patches darker than this, relative to the mean of their clip, contain only noise.
 _LEAST_MEAN = 1e-3
-# Change in time, relative to the brightness, of patches that only rounding moves.
+# Change in time, relative to the mean light, of patches that change by rounding alone.
 _STILL = 1e-5
 
 
 def training_patches(
     clips: Sequence[Floats], rng: np.random.Generator, patch: int, slots: int, n_patches: int
 ) -> Floats:
-    """Brightness-normalised patches from each clip by its size, turned, mirrored and reversed in time.
+    """Draw patches from each clip by its size; normalise, rotate, mirror and reverse them in time.
 
     Parameters
     ----------
     clips : sequence of ndarray of shape (slot, v, u), float32
         Mean light in each slot, any scale; at least ``slots`` slots and ``patch`` pixels each.
     rng : numpy.random.Generator
-        Draws places and turns.
+        Generator of places and rotations.
     patch, slots : int
         Size of a patch.
     n_patches : int
-        About how many; fewer where clips are dark.
+        Approximate number; fewer where clips are dark.
 
     Returns
     -------
     ndarray of shape (n, v * u * slot), float32
-        Each of unit mean square.
+        Patches of unit mean square.
 
     Raises
     ------
     ValueCheckError
-        When a clip is too small, or nothing moves in any.
+        When a clip is too small, or no clip has motion.
     """
     size = sum(clip.size for clip in clips)
     kept: list[Floats] = []
@@ -52,7 +52,7 @@ def training_patches(
             raise ValueCheckError(
                 f"training clip: got shape {clip.shape}, expected at least ({slots}, {patch}, {patch})"
             )
-        # Twice what is needed, to keep the half that changes most in relation to its brightness.
+        # Twice the number needed, to keep the half with the largest relative change.
         corners = rng.integers((n - slots + 1, rows - patch + 1, cols - patch + 1), size=(2 * share, 3))
         bright, motion = _bright_and_moving(clip, corners, patch, slots)
         most = max(most, float(motion.max(initial=0)))
@@ -74,7 +74,7 @@ def training_patches(
 
 
 def _bright_and_moving(clip: Floats, corners: Ints, patch: int, slots: int) -> tuple[Bools, Floats]:
-    """Which patches hold more than noise, and how much each of these changes; a block at a time in memory."""
+    """Mask of patches above noise, and the change of each of these; a block at a time in memory."""
     bright: list[Bools] = []
     motion: list[Floats] = []
     least = _LEAST_MEAN * clip.mean()
@@ -96,7 +96,7 @@ def _means(blocks: Floats) -> Floats:
 
 
 def _turned(block: Floats, rng: np.random.Generator) -> Floats:
-    """One of the 16 turns, mirrors and time reversals of a block of shape (slot, v, u)."""
+    """One of the 16 rotations, mirror images and time reversals of a block of shape (slot, v, u)."""
     block = np.rot90(block, int(rng.integers(4)), axes=(1, 2))
     if rng.integers(2):
         block = block[:, :, ::-1]

@@ -1,4 +1,4 @@
-"""Reports: results.json and the pictures beside it become one page that opens from disk, without network."""
+"""Reports: one page from results.json and its images, which opens from disk without network."""
 
 from optsim.report.animation import animate
 from optsim.report.html import write_report

@@ -1,4 +1,4 @@
-"""The moving picture: reconstruction beside truth, as an animated WebP that needs no player."""
+"""The animation: reconstruction beside truth, as an animated WebP that needs no player."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def animate(
     tone : ToneCurve
         The run's one tone curve.
     method : str
-        Whose reconstruction is on the left.
+        Method of the reconstruction on the left.
     instant_s : float
         Scene time between two pairs, s.
     frame_ms : int
@@ -49,12 +49,12 @@ def animate(
     Returns
     -------
     Picture
-        With ``still`` for people who want no motion.
+        The animation, with ``still`` for people who want no motion.
 
     Raises
     ------
     ValueCheckError
-        When there is nothing to show, or it stays above 1.5 MB at the lowest quality.
+        When there is no frame, or the file stays above 1.5 MB at the lowest quality.
     """
     from PIL import Image
 
@@ -98,7 +98,7 @@ def animate(
 
 
 def _strip(left: Bytes, right: Bytes, width: int) -> Bytes:
-    """Two grey pictures side by side, each resized to a width."""
+    """Two grey images side by side, each resized to a width."""
     from PIL import Image
 
     height = round(left.shape[0] * width / left.shape[1])

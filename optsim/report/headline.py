@@ -1,4 +1,4 @@
-"""The answer of a run in its first screen: who is best where, and by how much."""
+"""The first screen of a report: the best method for each metric, and its lead."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Row:
 
     @property
     def lead(self) -> float | None:
-        """How far the best is ahead of the second, in the unit."""
+        """Lead of the best over the second, in the unit."""
         values = [value for _, value in self.ranked]
         return abs(values[0] - values[1]) if len(values) > 1 else None
 
@@ -78,7 +78,7 @@ def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list
 
 
 def cards(results: Results, phase: Phase) -> list[Row]:
-    """One row a region that has scores, each with the metric that the registered claims use there."""
+    """One row a region with scores, each with the metric of the registered claims there."""
     wanted = {verdict.region: verdict.metric for verdict in results.claims}
     known = [row for row in table(results.scores, results.methods, phase) if row.ranked]
     chosen: list[Row] = []
@@ -89,12 +89,12 @@ def cards(results: Results, phase: Phase) -> list[Row]:
 
 
 def style_of(methods: Sequence[str], name: str) -> str:
-    """CSS class of a method: the same colour wherever it appears."""
+    """CSS class of a method, the same everywhere."""
     return f"s{list(methods).index(name)}" if name in methods else "noise"
 
 
 def ceilings(results: Results, phase: Phase) -> dict[tuple[Region, str], float]:
-    """Best score that the truth can certify in a phase, by region and metric."""
+    """Best certifiable score of the truth in a phase, by region and metric."""
     return {
         (s.region, s.metric): s.value
         for s in results.noise_ceiling

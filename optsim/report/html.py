@@ -1,4 +1,4 @@
-"""From results.json to report.html: one page, relative pictures, no network."""
+"""The page report.html from results.json, with relative image paths and without network."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ TEMPLATES = Path(__file__).parent / "template"
 
 
 def write_report(folder: Path, results: object) -> Path:
-    """Render ``report.html`` from a results record and the pictures below the run folder alone.
+    """Render ``report.html`` from a results record and the images below the run folder alone.
 
     Parameters
     ----------
     folder : Path
         Run folder; ``pictures[].file`` is relative to it.
     results : Results
-        What ``results.json`` holds, see :mod:`optsim.report.schema`.
+        Content of ``results.json``, see :mod:`optsim.report.schema`.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def write_report(folder: Path, results: object) -> Path:
     ValueCheckError
         When the record does not follow the schema.
     StorageError
-        When a picture is missing.
+        When an image is missing.
     """
     import jinja2
 
@@ -73,7 +73,7 @@ def write_report(folder: Path, results: object) -> Path:
 
 
 def _context(results: Results) -> dict[str, object]:
-    """Names that the template uses; arrangement only, no number is made here."""
+    """Names for the template; numbers are arranged here and never computed."""
     latency = results.latency
     reached = headline.phases_reached(results)
     phase = reached[0] if reached else None
@@ -114,7 +114,7 @@ def _context(results: Results) -> dict[str, object]:
 
 
 def _known(results: Results) -> dict[str, list[str]]:
-    """Names of the methods by what they know of the camera."""
+    """Names of the methods by their calibration."""
     found: dict[str, list[str]] = {}
     for name, operator in results.calibrations.items():
         found.setdefault(operator, []).append(name)
@@ -129,7 +129,7 @@ def _grouped(results: Results, section: Section) -> list[tuple[str, list[Picture
 
 
 def _legend_of(pictures: Sequence[Picture]) -> list[LegendEntry]:
-    """Colours of several pictures, each meaning once."""
+    """Colours of several images, each meaning once."""
     return list({entry.meaning: entry for picture in pictures for entry in picture.legend}.values())
 
 
@@ -171,7 +171,7 @@ def _series_plots(
 
 
 def _mask_plot(results: Results) -> object:
-    """Intersection over union of the motion masks against the oracle, a line a method and one of movers."""
+    """Intersection over union of the motion masks against the oracle: a line a method, and one of movers."""
     methods = list(results.methods)
     lines: list[plots.Line] = []
     for method in dict.fromkeys(m.method for m in results.masks):

@@ -1,4 +1,4 @@
-"""Tables for the reports that the repository holds."""
+"""Markdown tables for the reports in the repository."""
 
 from __future__ import annotations
 

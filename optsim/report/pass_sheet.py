@@ -1,4 +1,4 @@
-"""One picture of all passes of a slot, with the scale of each: to look at, never to be scored."""
+"""One image of all passes of a slot, each with its scale: for viewing, never for scores."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOISE = ("#f7fbff", "#9ecae1", "#3182bd", "#08306b")
 _GREY = ("#000000", "#ffffff")
 _SIGNED = ("#08306b", "#6baed6", "#f7f7f7", "#fb6a4a", "#67000d")
 _MASKS = ((18, 166, 131), (224, 69, 123), (242, 178, 50))
-# Depths that spread over more than this ratio are shown by their logarithm.
+# Depths that spread over more than this ratio are drawn logarithmically.
 _FAR_TO_NEAR = 12.0
 # Relative noise at the dark end of its colours.
 _NOISIEST = 0.5
@@ -34,7 +34,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class _Panel:
-    """A picture with its legend: a colour bar, swatches, or the colour wheel of a flow of ``wheel_px``."""
+    """An image with its legend: a colour bar, swatches, or the colour wheel of a flow of ``wheel_px``."""
 
     picture: Bytes
     text: str
@@ -50,7 +50,7 @@ def pass_sheet(channels: Channels, id_table: Mapping[int, str], title: str) -> B
     Parameters
     ----------
     channels : Mapping
-        Channels of a slot's file, by their names there: arrays of shape (y, x).
+        Channels of a slot's file, by name: arrays of shape (y, x).
     id_table : Mapping
         Object id -> name.
     title : str
@@ -128,7 +128,7 @@ def _legend(
 
 
 def flow_colours(row: Doubles, col: Doubles, peak: float) -> Bytes:
-    """Colour of a flow: hue is its direction, saturation its length up to ``peak``; white for none.
+    """Colour a flow: hue is its direction, saturation its length up to ``peak``; white for none.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def flow_colours(row: Doubles, col: Doubles, peak: float) -> Bytes:
 
 
 def _short(value: float) -> str:
-    """Write three digits, in characters that Pillow's own font has."""
+    """Write three digits, in characters of Pillow's built-in font."""
     return f"{value:.3g}"
 
 
@@ -170,7 +170,7 @@ def _radiance(radiance: Floats, tones: tuple[float, float], what: str) -> _Panel
 
 
 def _further(channels: Channels) -> list[tuple[str, str]]:
-    """Further channels of radiance: name and what they are."""
+    """Further channels of radiance: name and meaning."""
     found = [
         (name, f"{word} {name.removeprefix(start)}")
         for start, word in (("Y.band.", "band"), ("Y.light.", "light group"))
@@ -181,7 +181,7 @@ def _further(channels: Channels) -> list[tuple[str, str]]:
 
 
 def _stokes(channels: Channels, peak: float) -> list[_Panel]:
-    """Components as shares of S0, all with the scale of the largest."""
+    """Components as shares of S0, all on the scale of the largest."""
     # Black has no polarisation, only noise.
     floor = 1e-3 * peak
     shares = [channels[f"S{i}"] / np.maximum(channels["S0"], floor) for i in (1, 2, 3)]
@@ -273,7 +273,7 @@ def _masks(channels: Channels) -> _Panel:
 
 
 def _noise(radiance: Floats, sigma: Floats) -> _Panel:
-    # Relative to no less than a thousandth of the picture's mean: black has no relative noise.
+    # Relative to no less than a thousandth of the image's mean: relative noise is undefined at black.
     floor = max(1e-3 * float(np.abs(radiance).mean()), 1e-30)
     relative = sigma / np.maximum(np.abs(radiance), floor)
     ticks = ("0", *(f"{_NOISIEST * i / 4:.0%}" for i in (1, 2, 3)), f"{_NOISIEST:.0%} or more")

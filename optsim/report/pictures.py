@@ -1,4 +1,4 @@
-"""Pictures for people, as pure functions from arrays to 8-bit images; none is ever scored."""
+"""Display images, as pure functions from arrays to 8-bit images; none is ever scored."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _SATURATED = "#ff7a1a"
 
 
 class ToneCurve(Part):
-    """One curve for all pictures of a run: mu-law, v = ln(1 + L / knee) / ln(1 + peak / knee).
+    """One curve for all images of a run: mu-law, v = ln(1 + L / knee) / ln(1 + peak / knee).
 
     Parameters
     ----------
     knee_cd_m2
-        Luminance around which the curve turns from linear to logarithmic.
+        Luminance around which the curve changes from linear to logarithmic.
     peak_cd_m2
-        Luminance shown as white; mu is peak / knee.
+        Luminance displayed as white; mu is peak / knee.
     """
 
     knee_cd_m2: float = Field(gt=0)
     peak_cd_m2: float = Field(gt=0)
 
     def apply(self, luminance_cd_m2: Floats) -> Bytes:
-        """Turn luminance into display values, 0..255, used as they are on an sRGB screen."""
+        """Convert luminance to display values, 0..255, for an sRGB screen without further conversion."""
         scaled = np.log1p(np.clip(luminance_cd_m2, 0, self.peak_cd_m2) / self.knee_cd_m2)
         return np.rint(255 * scaled / np.log1p(self.peak_cd_m2 / self.knee_cd_m2)).astype(np.uint8)
 
@@ -64,7 +64,7 @@ def rgb(grey: Bytes) -> Bytes:
 
 
 def enlarge(image: Bytes, factor: int) -> Bytes:
-    """Repeat each pixel ``factor`` times along both axes: no interpolation hides a pixel."""
+    """Repeat each pixel ``factor`` times along both axes, without interpolation."""
     return image.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
@@ -78,7 +78,7 @@ def error_picture(
     estimate_cd_m2, reference_cd_m2 : ndarray of shape (v, u), float32
         Luminance, cd/m^2.
     valid : ndarray of shape (v, u), bool
-        False where the decoder has nothing to go on.
+        False where the decoder has no information.
     e_cd_m2 : float
         Luminance below which errors fade out.
     limit_stops : float
@@ -110,7 +110,7 @@ def start_scale(slots: int) -> ColourScale:
 
 
 def mask_picture(mask: Bools, oracle: Bools, background: Bytes) -> Bytes:
-    """Motion mask against the oracle: three colours over a dimmed grey picture of shape (v, u)."""
+    """Motion mask against the oracle: three colours over a dimmed grey image of shape (v, u)."""
     out = rgb((background // 3 + 20).astype(np.uint8))
     for where, colour in ((mask & oracle, _HIT), (~mask & oracle, _MISS), (mask & ~oracle, _ALARM)):
         tint = np.asarray(_channels(colour), np.float64)

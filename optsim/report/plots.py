@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false
-"""Plots by matplotlib, as inline SVG: the page's style sheet colours them, so they follow light and dark."""
+"""Plots by matplotlib as inline SVG, coloured by the page's style sheet for its light and dark mode."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Variables of report.css, and colours that stand for them until the SVG is written.
+# Variables of report.css, and colours that replace them until the SVG is written.
 COLOURS = {
     "ink": "#1b1d22",
     "soft": "#5d6068",
@@ -32,7 +32,7 @@ COLOURS = {
 }
 # Text stays text. The salt makes the names of shapes the same in every run.
 SVG: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "optsim", "font.family": "DejaVu Sans"}
-# Fonts and line joins are the style sheet's. A name is needed only where something is used again.
+# The style sheet sets fonts and line joins. A name is needed only for what is used again.
 _USELESS = [
     (re.compile(pattern, re.DOTALL), instead)
     for pattern, instead in (
@@ -66,11 +66,11 @@ def line_plot(
     lines : sequence of Line
         Lines without any value are left out.
     title : str
-        Read out to those who cannot see it.
+        Text for screen readers.
     x_label, y_label : str
-        With units.
+        Axis labels with units.
     bands : sequence of Band
-        Shaded and labelled stretches.
+        Shaded and labelled intervals.
     """
     from matplotlib.ticker import MaxNLocator
 

@@ -1,4 +1,4 @@
-"""What results.json holds: the single source of every number in a report (``schema_version`` 2).
+"""Schema of results.json: the single source of every number in a report (``schema_version`` 2).
 
 A missing number is null, never NaN or infinity. Shares are 0..1; times, lengths and light are SI with the
 unit in the name. Sections that a run cannot fill are empty lists or null, and the report says so.
@@ -41,14 +41,14 @@ class StageTime(Record):
 
 
 class Resumed(Record):
-    """Coded frames of all methods that an interrupted run had left."""
+    """Coded frames of all methods that an interrupted run stored."""
 
     captured: int
     scored: int
 
 
 class LightRule(Record):
-    """The fixed light rule and what it decided, the same for all methods."""
+    """The fixed light rule and its result, the same for all methods."""
 
     statement: str
     nd_transmission: float
@@ -58,9 +58,9 @@ class LightRule(Record):
 
 
 class Photons(Record):
-    """Light that a method used: mean and 5th percentile of photoelectrons a CCD pixel and coded frame.
+    """Light of a method: mean and 5th percentile of photoelectrons a CCD pixel and coded frame.
 
-    ``negative_light``: CCD pixels, over all frames, whose unbiased light fell below zero and was clipped.
+    ``negative_light``: CCD pixels, over all frames, whose unbiased light was below zero and was clipped.
     """
 
     method: str
@@ -88,7 +88,7 @@ class Latency(Record):
 
 
 class SceneFacts(Record):
-    """What was looked at; ratios are 95th percentile of the window over 5th of the interior."""
+    """Facts on the scene; ratios are 95th percentile of the window over 5th of the interior."""
 
     name: str
     variation: str
@@ -102,7 +102,7 @@ class SceneFacts(Record):
 
 
 class PlanChoice(Record):
-    """Whether one thing was left out; ``bound`` is the most that a frame errs, rms, relative to its noise."""
+    """Whether one effect is skipped; ``bound`` is the largest rms error of a frame, relative to its noise."""
 
     skip: str
     what: str
@@ -112,7 +112,7 @@ class PlanChoice(Record):
 
 
 class Plan(Record):
-    """What was left out of the camera's model, and what that costs at most, relative to a frame's noise."""
+    """Effects skipped in the camera's model, and their largest error, relative to a frame's noise."""
 
     tolerance: float
     bound: float
@@ -143,14 +143,14 @@ class ColourScale(Record):
 
 
 class LegendEntry(Record):
-    """One colour of a picture and what it means."""
+    """One colour of an image and its meaning."""
 
     colour: str
     meaning: str
 
 
 class Picture(Record):
-    """An image file below the run folder, and where it belongs."""
+    """An image file below the run folder, and its place in the report."""
 
     file: str
     caption: str
@@ -165,7 +165,7 @@ class Picture(Record):
 
 
 class CalibrationFile(Record):
-    """File of the run's folder that joins the frames of some methods (CCD) with their codes (panel)."""
+    """File in the run's folder that relates the frames of some methods (CCD) to their codes (panel)."""
 
     calibration: str
     file: str
@@ -174,7 +174,7 @@ class CalibrationFile(Record):
 
 
 class Results(Record):
-    """Everything a report is made of; what has a default was absent in earlier versions."""
+    """All content of a report; keys with a default did not exist in earlier versions."""
 
     schema_version: Literal[2]
     title: str
@@ -220,7 +220,7 @@ def check_results(results: object) -> Results:
     Raises
     ------
     ValueCheckError
-        One line a problem: where, what was got, what was expected.
+        One line a problem: place, value found, value expected.
     """
     try:
         return Results.model_validate(results)

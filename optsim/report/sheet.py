@@ -1,4 +1,4 @@
-"""The contact sheet of a run: every still picture of the report, made from one coded frame."""
+"""The contact sheet of a run: every still image of the report, made from one coded frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHOWN_PX = 260
 
 @dataclass(frozen=True)
 class Crop:
-    """A rectangle of panel pixels worth a closer look."""
+    """A rectangle of panel pixels to enlarge."""
 
     name: str
     row: int
@@ -37,14 +37,14 @@ class Crop:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What one method did in the coded frame shown.
+    """Result of one method in the displayed coded frame.
 
     Parameters
     ----------
     estimate_cd_m2 : ndarray of shape (slot, v, u), float32
         Reconstructed luminance, cd/m^2.
     valid, moving : ndarray of shape (v, u), bool
-        Where the estimate holds; where the code was a temporal one.
+        Pixels with a valid estimate; pixels with a temporal code.
     dn : ndarray of shape (y, x), uint16
         The captured frame.
     levels : ndarray of shape (slot, v, u), uint8
@@ -60,18 +60,18 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The coded frame shown: truth, oracle mask and all methods.
+    """The displayed coded frame: truth, oracle mask and all methods.
 
     Parameters
     ----------
     index, slot : int
-        Coded frame, and the slot in it whose estimate is shown.
+        Coded frame, and its slot whose estimate is displayed.
     reference_cd_m2 : ndarray of shape (slot, v, u), float32
         True luminance, cd/m^2.
     oracle : ndarray of shape (v, u), bool
-        Where it really moves.
+        Moving pixels.
     saturation_dn : float
-        Where captured frames count as saturated, DN.
+        Level from which captured frames count as saturated, DN.
     shots : Mapping
         Method name -> Shot.
     """
@@ -87,16 +87,16 @@ class Moment:
 def choose_crops(
     reference_cd_m2: Floats, oracle: Bools, outside: Bools | None, *, size: tuple[int, int]
 ) -> tuple[Crop, ...]:
-    """Choose where to look from the truth alone: most motion, window, and most texture in the interior.
+    """Choose crops from the truth alone: most motion, window, and most texture in the interior.
 
     Parameters
     ----------
     reference_cd_m2 : ndarray of shape (v, u), float32
-        True luminance of the instant shown.
+        True luminance of the displayed instant.
     oracle : ndarray of shape (v, u), bool
-        Where it moves.
+        Moving pixels.
     outside : ndarray of shape (v, u), bool, or None
-        Where the bright outside is seen; None: the brightest place stands for it.
+        Pixels that show the bright outside; None uses the brightest place.
     size : (int, int)
         Height and width of the crops, panel pixels.
     """
@@ -107,7 +107,7 @@ def choose_crops(
     still = (~oracle).astype(np.float32)
     window = stops if outside is None else outside * (1 + gradient)
     interior = gradient * (still if outside is None else still * ~outside)
-    # a strong edge (the window's frame) is no texture: count small contrasts, of at most a stop
+    # A strong edge (the window's frame) is no texture: count small contrasts, of at most a stop.
     places = (
         ("what moves", oracle.astype(np.float32)),
         ("the window", window * still),
@@ -124,14 +124,14 @@ def _best(name: str, weight: Floats, size: tuple[int, int]) -> Crop:
 
 
 def _totals(weight: Floats, size: tuple[int, int]) -> Doubles:
-    """Sum over each crop, by its corner: from a table of sums over all rectangles at the origin."""
+    """Sum over each crop, by its corner, from a table of cumulative sums."""
     height, width = size
     sums = np.pad(weight.astype(np.float64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
     return sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
 
 
 def half_moving(moment: Moment, size: tuple[int, int]) -> Crop:
-    """Crop in which a camera that tells motion takes about half of the pixels to move: it has both codes."""
+    """Crop in which a motion-adaptive camera marks about half of the pixels as moving: it has both codes."""
     masks = [shot.moving for shot in moment.shots.values()]
     mask = next((m for m in masks if m.any() and not m.all()), moment.oracle)
     off = np.abs(_totals(mask.astype(np.float32), size) - size[0] * size[1] / 2)
@@ -142,18 +142,18 @@ def half_moving(moment: Moment, size: tuple[int, int]) -> Crop:
 def render_pictures(
     folder: Path, moment: Moment, tone: draw.ToneCurve, crops: Sequence[Crop], *, e_cd_m2: float
 ) -> list[Picture]:
-    """Write every still picture below ``folder/assets`` and describe it for results.json.
+    """Write every still image below ``folder/assets`` and describe it for results.json.
 
     Parameters
     ----------
     folder : Path
         Run folder.
     moment : Moment
-        The coded frame to show.
+        The coded frame to display.
     tone : ToneCurve
-        One curve for all pictures of light.
+        One curve for all images of light.
     crops : sequence of Crop
-        From :func:`choose_crops`; the picture of the code is of the first one's size.
+        From :func:`choose_crops`; the image of the code is of the first one's size.
     e_cd_m2 : float
         Offset of the error maps, that of the scored log error.
     """
@@ -223,7 +223,7 @@ def _capture(folder: Path, moment: Moment, name: str, shot: Shot, truth: Bytes, 
 
 
 def _save(folder: Path, name: str, image: Bytes, section: Section, **about: Any) -> Picture:
-    """Write one picture as PNG."""
+    """Write one image as PNG."""
     file = f"assets/{name}.png"
     write_png8(folder / file, image)
     return Picture(file=file, section=section, width=image.shape[1], height=image.shape[0], **about)

@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false
-"""A trace of one CCD pixel as one picture: light, code and electrons slot by slot; beside them where from."""
+"""A trace of one CCD pixel as one image: light, code and electrons slot by slot, and their origins."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SIDE, _END = 790, 1180  # of what stands beside them
 _INK, _SOFT, _RULE = COLOURS["ink"], COLOURS["soft"], COLOURS["rule"]
 _CODE = "#d9d5ca"
 _DECADES = 4
-# Names for people, and colours that colour-blind readers tell apart (M. Okabe and K. Ito, 2008).
+# Display names, and colours that colour-blind readers can distinguish (M. Okabe and K. Ito, 2008).
 _ORIGINS = {
     "own_open": ("own pixel, open", "#0072b2"),
     "own_leak": ("own pixel, dark: leak", "#56b4e9"),
@@ -87,7 +87,7 @@ def trace_plot(trace: Trace) -> str:
 
 
 def _plot(figure: Figure, left: float, top: float, right: float, bottom: float) -> Axes:
-    """Return axes at a place in SVG units, counted from the top left."""
+    """Return axes at a position in SVG units, counted from the top left."""
     place = left / _WIDTH, 1 - bottom / _HEIGHT, (right - left) / _WIDTH, (bottom - top) / _HEIGHT
     axes = figure.add_axes(place)
     axes.spines[:].set_visible(False)
@@ -112,7 +112,7 @@ def _steps(axes: Axes, values: Sequence[float | None], **style: Any) -> None:
 
 
 def _light(axes: Axes, trace: Trace) -> None:
-    """Irradiance to the left, radiance to the right: where a sharp lens without glare puts it."""
+    """Irradiance on the left axis, radiance on the right, scaled by a sharp lens without glare."""
     slots, scale = trace.slots, trace.irradiance_per_radiance
     drawn: list[float] = []
     for label, irradiance, radiance, colour in (
@@ -224,7 +224,7 @@ def _map(axes: Axes, trace: Trace) -> None:
     shades = LinearSegmentedColormap.from_list("electrons", ["#ffffff", "#08306b"]).with_extremes(
         bad=COLOURS["sunk"]
     )
-    # No electrons at all are as white as four decades below the most.
+    # Zero electrons are as white as four decades below the most.
     floor = highest / 10**_DECADES or 1.0
     norm = LogNorm(floor, highest or 10.0, clip=True)
     edges = np.arange(len(electrons) + 1)

@@ -1,4 +1,4 @@
-"""What a trace of one CCD pixel says: the content of trace.json, in the order of the light."""
+"""Record of a trace of one CCD pixel: the content of trace.json, in the order of the light path."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """The panel pixel that a CCD pixel looks at.
+    """The panel pixel that a CCD pixel belongs to.
 
     Parameters
     ----------
     v, u : int
         Row and column on the panel.
     relation : str
-        ``picked``: decoders read this panel pixel from this CCD pixel; ``most light``: they read it from
-        another one, but this one gets more of its light than of any other's, all open under even light;
-        ``outside``: no panel pixel is imaged here, and this is the nearest one.
+        ``picked``: this CCD pixel is the panel pixel's readout pixel in the pixel map. ``most light``:
+        another one is, but this CCD pixel receives more light from the panel pixel than from any other, all
+        open under uniform light. ``outside``: no panel pixel is imaged here, and this is the nearest one.
     offset_v_px, offset_u_px : float
-        Centre of the CCD pixel less the image of the panel pixel's centre, panel pixels.
+        Centre of the CCD pixel minus the image of the panel pixel's centre, panel pixels.
     share : float
-        Share of this CCD pixel's light that is the panel pixel's, all open under even light, without ghost
+        Share of this CCD pixel's light from the panel pixel, all open under uniform light, without ghost
         and veil.
     stuck : bool
-        Whether the panel pixel stands still whatever it is told.
+        Whether the panel pixel is stuck.
     """
 
     v: int
@@ -38,24 +38,24 @@ class Target:
 
 @dataclass(frozen=True)
 class Slots:
-    """What happens in each slot of the exposure; all columns are as long as the frame has slots.
+    """Light, code and electrons in each slot of the exposure; each column has one entry a slot.
 
     Parameters
     ----------
     own_radiance_w_m2_sr, own_irradiance_w_m2 : tuple of float or None
-        Radiance of the scene, and irradiance on the modulator, mean over what the CCD pixel sees of its own
-        panel pixel; of the whole panel pixel where it sees nothing of it.
+        Radiance of the scene, and irradiance on the modulator, mean over the part of the own panel pixel that
+        the CCD pixel receives; over the whole panel pixel where it receives nothing of it.
     radiance_w_m2_sr, irradiance_w_m2 : tuple of float or None
-        The same over the whole panel, weighted by how much of each place arrives when all is open: the
+        The same over the whole panel, weighted by the light that arrives when all is open: the
         relay operator's row, ghost and veil included. None where nothing can arrive.
     level : tuple of int
-        What the own panel pixel was told, 0 to 255.
+        Commanded level of the own panel pixel, 0 to 255.
     weight : tuple of float
-        What it let through, fully on and settled as 1; leak and history included.
+        Its effective weight, fully on and settled as 1; leak and history included.
     shutter_open : tuple of bool
         Whether the shutter was open.
     origins_e : dict
-        Origin -> electrons that it added in each slot; smear comes later, so it is not among them.
+        Origin -> electrons that it added in each slot; smear comes later and is not included.
     """
 
     own_radiance_w_m2_sr: tuple[float | None, ...]
@@ -75,11 +75,11 @@ class SignalShare:
     Parameters
     ----------
     name, meaning : str
-        Name and what counts as it.
+        Name and definition.
     electrons_e : float
         Expected electrons of the frame.
     share : float
-        Of all expected electrons, smear included; 0 where there are none.
+        Share of all expected electrons, smear included; 0 where there are none.
     """
 
     name: str
@@ -90,20 +90,20 @@ class SignalShare:
 
 @dataclass(frozen=True)
 class Source:
-    """Another panel pixel whose light arrives here.
+    """Another panel pixel whose light reaches this CCD pixel.
 
     Parameters
     ----------
     v, u, dv, du : int
-        Its place on the panel, and counted from the own panel pixel.
+        Its place on the panel, and its offset from the own panel pixel.
     electrons_e : float
         Expected electrons from it, without ghost and veil.
     share : float
-        Of all expected electrons.
+        Share of all expected electrons.
     even_share : float
-        Share of this CCD pixel's light that would be its own, all open under even light.
+        Its share of this CCD pixel's light, all open under uniform light.
     level : tuple of int
-        What it was told in each slot.
+        Its commanded level in each slot.
     """
 
     v: int
@@ -118,19 +118,19 @@ class Source:
 
 @dataclass(frozen=True)
 class Reading:
-    """From expected electrons to the digital number; losses are means over the shot noise.
+    """Conversion of expected electrons to the digital number; losses are means over the shot noise.
 
     Parameters
     ----------
     collected_e : float
         Expected electrons before any clip, as the camera computes them.
     lost_at_well_e, smear_e, lost_to_bend_e, dsnu_e : float
-        What the full well cuts off, smear adds, the non-linearity takes away and the fixed dark pattern
-        adds.
+        Electrons cut off by the full well, added by smear, removed by the non-linearity, and added by the
+        fixed dark pattern.
     signal_e, gain_e, black_dn : float
-        What is left, electrons a digital number, and the black level.
+        Remaining electrons, electrons a digital number, and the black level.
     shot_noise_e, smear_noise_e, read_noise_e, quantisation_noise_e : float
-        Standard deviations; of shot noise what well and non-linearity let through.
+        Standard deviations; for shot noise the part that passes full well and non-linearity.
     sigma_dn, expected_dn : float
         Standard deviation of all noise, and the mean digital number.
     clipped : str
@@ -164,30 +164,30 @@ class Trace:
     Parameters
     ----------
     experiment, fingerprint, method : str
-        Which run it belongs to.
+        The run of the trace.
     frame : int
         Coded frame, from 0.
     phase : str
-        Of the frame: warm-up, merging or steady.
+        Phase of the frame: warm-up, merging or steady.
     y, x : int
         The CCD pixel.
     nd_transmission, irradiance_per_radiance : float
         Neutral density of the light rule, and modulator irradiance on axis per radiance behind it.
     target : Target
-        The panel pixel it looks at.
+        The panel pixel that it belongs to.
     slots : Slots
         Slot by slot.
     origins : tuple of Origin
-        Where its electrons come from; together ``reading.collected_e + reading.smear_e``, up to the
+        Origins of its electrons; together ``reading.collected_e + reading.smear_e``, up to the
         rounding of float32 light and weights, below 1e-6 of the whole.
     reading : Reading
         From electrons to the digital number.
     sources : tuple of Source
-        Other panel pixels that give most, the first one most of all.
+        Other panel pixels that contribute most, in falling order.
     neighbourhood_e : tuple of tuple of float or None
         Electrons from the panel pixels up to 5 away, without ghost and veil; None beyond the panel's edge.
     notes : tuple of str
-        How to read it.
+        Hints for reading it.
     """
 
     experiment: str
@@ -216,12 +216,12 @@ _RELATIONS = {
 
 
 def open_slots(level: Sequence[int]) -> int:
-    """Slots in which a panel pixel is told to be open."""
+    """Count the slots in which a panel pixel is commanded to be open."""
     return sum(each > 0 for each in level)
 
 
 def sentences(trace: Trace) -> tuple[str, str, str]:
-    """Say in three sentences what was traced, what the pixel looked at, and what it read."""
+    """Describe in three sentences the traced pixel, its panel pixel, and its digital number."""
     target, reading = trace.target, trace.reading
     told = f"told to be open in {open_slots(trace.slots.level)} of {len(trace.slots.level)} slots"
     stuck = " and standing still" if target.stuck else ""

@@ -1,4 +1,4 @@
-"""Numbers and key names as people read them; the exact number stays beside each in the page."""
+"""Numbers and key names in readable form; the exact number stays beside each in the page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 def score(value: float | None, unit: str) -> str:
-    """Write a score with the decimals its unit deserves; a dash for None."""
+    """Write a score with the decimals that suit its unit; a dash for None."""
     return "–" if value is None else f"{value:.{_DECIMALS.get(unit, 3)}f}".replace("-", "−")
 
 
@@ -46,12 +46,12 @@ def seconds(value: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """Begin with a capital letter and leave the rest as it is."""
+    """Capitalise the first letter only."""
     return text[:1].upper() + text[1:]
 
 
 def metric(name: str, unit: str) -> str:
-    """Name of a metric with its unit, unless the name already says it."""
+    """Name of a metric with its unit, unless the name includes it."""
     return name if f"({unit})" in name else f"{name}, {unit}"
 
 
@@ -65,7 +65,7 @@ def label(key: str) -> str:
 
 
 def quantity(key: str, value: object) -> str:
-    """Write a value with the unit that its key's suffix says."""
+    """Write a value with the unit of its key's suffix."""
     if value is None:
         return "–"
     if isinstance(value, bool):

@@ -1,10 +1,10 @@
-"""What a mixture of Gaussians says of a patch that a code has measured.
+"""Posterior of a patch measured through a code, under a Gaussian mixture.
 
-With ``signal = A (base + basis' z + rest) + noise`` the posterior of z is again a mixture: shares by how
-likely each component makes the signal, means by the linear estimator of least mean square error (S. M. Kay,
-*Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, theorem 11.1). The eigenvectors of
-each component's signal covariance are found once for all patches that share A: then every patch may have
-a noise of its own.
+With ``signal = A (base + basis' z + rest) + noise`` the posterior of z is again a mixture. A component's
+share follows from its likelihood of the signal. Its mean is the linear estimator of least mean square error
+(S. M. Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, theorem 11.1). The
+eigenvectors of each component's signal covariance are found once for all patches that share A. Each patch may
+then have its own noise.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.priors.mixture import Mixture
 
-# Components that are less likely than this beside the best one are left out of a patch.
+# Components less likely than this beside the best one are left out of a patch.
 _NEGLIGIBLE = 1e-3
-# Noise variance, relative to the strongest direction's power, that is the least believed: signals in float32
-# have some 1e-7 of rounding, so less would be noise taken for signal.
+# Least accepted noise variance, relative to the strongest direction's power: float32 signals have some 1e-7
+# of rounding, which would else count as signal.
 _LEAST_NOISE = np.float32(1e-12)
 _TINY = np.float32(1e-30)
 # Numbers from 1 to 1 / _LEAST_NOISE whose product float64 holds: a logarithm costs ten multiplications.
@@ -29,7 +29,7 @@ _MULTIPLIED = 16
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A mixture as a matrix of weights shows it; k components, m measurements, rank r.
+    """A mixture seen through a matrix of weights; k components, m measurements, rank r.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class Seen:
     means : ndarray of shape (k, r), float32
         Mean of z.
     backs : ndarray of shape (k, m, r), float32
-        Covariance of the turned signal with z.
+        Covariance of the rotated signal with z.
     rest : ndarray of shape (k,), float32
-        Mean variance of a measurement by what the basis leaves out.
+        Mean variance of a measurement from outside the basis.
     """
 
     log_shares: Doubles
@@ -59,7 +59,7 @@ class Seen:
 
 
 def seen_through(mixture: Mixture, weights: Floats) -> Seen:
-    """Prepare a mixture for weights of shape (pixel, slot)."""
+    """Compute a mixture's signal statistics for weights of shape (pixel, slot)."""
     pixels, slots = weights.shape
     matrix = np.einsum("rpt,pt->pr", mixture.basis.reshape(-1, pixels, slots), weights, optimize=True)
     base = (mixture.base.reshape(pixels, slots) * weights).sum(axis=1)
@@ -79,18 +79,18 @@ def seen_through(mixture: Mixture, weights: Floats) -> Seen:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What is known of p patches seen through the same weights, component by component.
+    """Posterior of p patches seen through the same weights, component by component.
 
     Parameters
     ----------
     seen : Seen
-        The prior behind the weights.
+        The prior seen through the weights.
     chance : ndarray of shape (p, k), float64
         Shares of the components; 0 for those left out.
     turned : list of k ndarray of shape (p, m), float32
-        Signals less the component's mean, along its eigenvectors.
+        Signals minus the component's mean, along its eigenvectors.
     noise : ndarray of shape (p, k), float32
-        Variance of a measurement: noise, and what the basis leaves out of each component.
+        Variance of a measurement: its noise, and each component's variance outside the basis.
     """
 
     seen: Seen
@@ -99,7 +99,7 @@ class Posterior:
     noise: Floats
 
     def some(self, rows: Bools) -> Posterior:
-        """Of some of the patches."""
+        """Select some of the patches."""
         return Posterior(self.seen, self.chance[rows], [part[rows] for part in self.turned], self.noise[rows])
 
     def mean(self) -> Floats:
@@ -115,14 +115,14 @@ class Posterior:
 
 
 def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
-    """Ask a mixture about patches that were measured.
+    """Compute the posterior of measured patches.
 
     Parameters
     ----------
     seen : Seen
-        The prior behind the weights.
+        The prior seen through the weights.
     signals : ndarray of shape (p, m), float32
-        Signals whose brightness has been divided out.
+        Signals divided by their mean light.
     variance : ndarray of shape (p,), float32
         Noise variance of each patch's measurements.
     """
@@ -140,7 +140,7 @@ def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
 
 @compiled(fastmath={"reassoc", "contract", "arcp"})
 def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
-    """Logarithm of a component's share times its density, but for what all components share."""
+    """Logarithm of a component's share times its density, up to a term that all components share."""
     n = len(powers)
     for p in range(len(turned)):
         level = np.float64(noise[p])

@@ -1,10 +1,10 @@
-"""How sure a mixture of Gaussians is of each element of a patch: the diagonal of its posterior covariance.
+"""Posterior variance of each element of a patch under a Gaussian mixture.
 
-Of each component's variance a code measures m directions, and of each of these the noise leaves the share
-``noise / (power + noise)``. Written so, the variance is a sum of positive terms: the difference of prior
-and gain that textbooks print (S. M. Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*,
-1993, theorem 11.1) cancels where the noise is small and may come out negative. Between components the law of
-total variance adds how far apart their means are.
+A code measures m directions of each component's variance; the noise leaves the share
+``noise / (power + noise)`` of each. The variance is then a sum of positive terms. The textbook form, prior
+minus gain (S. M. Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, theorem
+11.1), cancels where the noise is small and may come out negative. The law of total variance adds the
+distances between the means of the components.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from optsim.priors.mixture import Mixture
 
 # Patches whose elements are held at once: 1024 of 8 x 8 x 36 are 9 MB.
 _TOGETHER = 1024
-# A direction whose power is a smaller share of the strongest one's than this drowns in the rounding of the
+# A direction whose power is a smaller share of the strongest one's is lost in the rounding of the
 # eigenvalues (float64, some 1e-15): it counts as not measured.
 _DROWNED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """A mixture's elements before anything is measured; k components, rank r, e elements of a patch.
+    """A mixture's elements before a measurement; k components, rank r, e elements of a patch.
 
     Parameters
     ----------
     basis : ndarray of shape (r, e), float32
-        The mixture's.
+        The mixture's basis.
     means : ndarray of shape (k, e), float32
         Mean of each component, without the mixture's base.
     variances : ndarray of shape (k, e), float32
         Variance of each component within the basis.
     outside : ndarray of shape (k, e), float32
-        Variance by what the basis leaves out. No code tells anything of it here.
+        Variance outside the basis. No code reduces it here.
     """
 
     basis: Floats
@@ -48,12 +48,12 @@ class Spread:
 
     @classmethod
     def of(cls, mixture: Mixture) -> Spread:
-        """Lay out a mixture: once for all patches."""
+        """Compute the elements of a mixture, once for all patches."""
         basis = mixture.basis.reshape(len(mixture.basis), -1)
         roots = np.linalg.cholesky(mixture.covariances).astype(np.float32)
         spread = (root.T @ basis for root in roots)
         variances = [np.einsum("re,re->e", part, part) for part in spread]
-        # The rest fills what is orthogonal to the basis: of an element, one less its share within.
+        # The rest is orthogonal to the basis: an element has one minus its share within it.
         outside = np.outer(mixture.rest, (1 - np.square(basis).sum(axis=0)).clip(0))
         return cls(
             basis, mixture.means.astype(np.float32) @ basis, np.stack(variances), outside.astype(np.float32)
@@ -114,7 +114,7 @@ class Spread:
             )
 
     def _measured(self, seen: Seen, k: int) -> tuple[Floats, Floats, Floats]:
-        """Effect of a standard deviation of each direction on the elements, its square, what is not told."""
+        """Effect of each direction's standard deviation on the elements, its square, and the rest."""
         powers = seen.powers[k].astype(np.float64)
         heard = powers > _DROWNED * powers.max()
         scale = np.where(heard, 1 / np.sqrt(np.where(heard, powers, 1)), 0)
@@ -146,11 +146,9 @@ def _blend(
     mean: Floats,
     total: Floats,
 ) -> None:
-    """Add a component to the patches that have it: its own variance and how far off its mean is.
-
-    Running mean and variance (West, Commun. ACM 22, 532 (1979), doi:10.1145/359146.359153): no difference of
-    large squares. Without ``here`` the patches have no other component.
-    """
+    """Add a component to the patches that have it: its own variance and the distance of its mean."""
+    # Running mean and variance (West, Commun. ACM 22, 532 (1979), doi:10.1145/359146.359153) avoid
+    # differences of large squares. Without ``here`` the patches have no other component.
     for i in range(len(some)):
         row, average = total[some[i]], mean[some[i]]
         a, b, c = share[i], step[i], share[i] * (1 - step[i])

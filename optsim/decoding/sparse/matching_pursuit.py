@@ -1,14 +1,14 @@
 """Orthogonal matching pursuit for many short signals that share one matrix, in single-thread kernels.
 
-Each step picks the atom that leaves the least residual once all picked ones are fitted: the greatest
+Each step selects the atom that leaves the least residual after a fit of all selected ones: the greatest
 ``c**2 / n`` with c the atom's correlation with the residual and n its squared distance from the span of
-those picked. That is the order-recursive form (Gharavi-Alkhansari and Huang, ICASSP 1998,
+the selected atoms. That is the order-recursive form (Gharavi-Alkhansari and Huang, ICASSP 1998,
 doi:10.1109/ICASSP.1998.681678; Rebollo-Neira and Lowe, 2002, doi:10.1109/LSP.2002.1001652), which SPAMS
-computes too; Pati, Rezaiifar and Krishnaprasad (1993) pick the greatest ``|c|``.
+computes too; Pati, Rezaiifar and Krishnaprasad (1993) select the greatest ``|c|``.
 
 The direction q that an atom adds changes all c and n by ``A'q``: one product of q with the matrix a step. It
-runs in 16-bit integers for a few signals at a time (:mod:`.correlation_bounds`), which gives bounds; atoms
-whose bound could win are compared exactly, in float64. So picks don't depend on how signals are blocked.
+runs in 16-bit integers for a few signals at a time (:mod:`.correlation_bounds`), which gives bounds. Atoms
+whose bound could win are compared exactly, in float64. So the choice doesn't depend on the blocks of signals.
 """
 
 from __future__ import annotations
@@ -31,18 +31,19 @@ from optsim.priors.correlation_bounds import (
     peaks_of,
 )
 
-# Signals in work together share each reading of the matrix; of more their own states would be read too often.
+# Signals in work together share each reading of the matrix; with more, their own states would be read too
+# often.
 _SLOTS = 16
 # Shares of a signal's energy below this are rounding of its float32 numbers.
 _NOTHING = 1e-12
-# Correlations are computed afresh where their bound exceeds this share of the residual.
+# Correlations are recomputed where their bound exceeds this share of the residual.
 _STALE = 0.0012
-# Peaks looked through together.
+# Peaks compared together.
 _CHUNK = 16
 
 
 class _Atoms(NamedTuple):
-    """Columns of a matrix as contiguous vectors: all copied for many signals, else when first asked for."""
+    """Columns of a matrix as contiguous vectors: all copied for many signals, else at their first use."""
 
     matrix: Floats  # (m, k)
     columns: Floats  # (k, m)
@@ -53,8 +54,8 @@ class _Atoms(NamedTuple):
 def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, amounts: Floats) -> None:
     """Sparse codes of signals over the columns of a matrix.
 
-    Atoms nearer than ``sqrt(1e-5)`` to the span of those picked count as copies and are never picked, nor
-    are those that take less than 1e-12 of a signal's energy: rounding of its float32 numbers.
+    Atoms nearer than ``sqrt(1e-5)`` to the span of the selected ones count as copies and are never selected,
+    nor are those with less than 1e-12 of a signal's energy: rounding of its float32 numbers.
 
     Parameters
     ----------
@@ -63,9 +64,9 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
     signals : ndarray of shape (p, m), float32
         One signal a row.
     stop_energy : ndarray of shape (p,), float32
-        Squared residual at which a signal is done.
+        Squared residual at which a signal's pursuit stops.
     support : ndarray of shape (p, s), int64
-        Filled with the atoms in the order picked, -1 after the last.
+        Filled with the atoms in the order of selection, -1 after the last.
     amounts : ndarray of shape (p, s), float32
         Filled with their coefficients.
     """
@@ -80,21 +81,21 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
     if n > _SLOTS:
         _turn(matrix, atoms.columns)
         atoms.known[:] = True
-    # What correlate() reads and renews.
+    # Arrays that correlate() reads and renews.
     steps = make_steps(slots, rows, packed.shape[1])
     state = np.zeros((packed.shape[0], slots, 2, PANEL), np.float32)
     peaks = np.zeros((slots, peaks_of(packed.shape[0])), np.float32)
     # Largest peak of each chunk, of one slot at a time.
     heights = np.zeros(-(-peaks.shape[1] // _CHUNK), np.float32)
-    # Of each slot: its signal and the length of that, to which all else relates; its number of atoms.
+    # For each slot: its signal and that signal's length, the unit of all lengths below; its number of atoms.
     owner, length, picked = np.full(slots, -1, np.int64), np.zeros(slots), np.zeros(slots, np.int64)
-    # The residual, its energy, and that at which it is done.
+    # The residual, its energy, and the energy at which pursuit stops.
     residual, energy, enough = np.zeros((slots, rows)), np.zeros(slots), np.zeros(slots)
-    # Picked atoms, one a row, in an orthonormal basis; the signal in that basis.
+    # Selected atoms, one a row, in an orthonormal basis; the signal in that basis.
     basis, triangle = np.zeros((slots, cap, rows)), np.zeros((slots, cap, cap))
     directions = basis.reshape(slots * cap, rows)
     shares, parts = np.zeros((slots, cap)), np.zeros(cap)
-    # Whether correlations are due anew before the next pick.
+    # Whether correlations must be recomputed before the next selection.
     stale = np.zeros(slots, np.bool_)
     following = 0
     while True:
@@ -149,7 +150,7 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
 def _look(
     slot: int, residual: Doubles, energy: Doubles, grid: tuple[float, float], state: Floats, steps: Steps
 ) -> None:
-    """Have the correlations computed from the residual itself."""
+    """Set a step that computes the correlations from the residual itself."""
     for panel in range(len(state)):
         for k in range(PANEL):
             state[panel, slot, 0, k] = 0
@@ -168,7 +169,7 @@ def _turn(matrix: Floats, columns: Floats) -> None:
 
 @compiled(makes_arrays=False)
 def _restart(slot: int, state: Floats, width: int) -> None:
-    """Distances of unit atoms from nothing; what lies beyond the last atom is never picked."""
+    """Set initial distances of unit atoms; columns beyond the last atom are never selected."""
     for panel in range(len(state)):
         for k in range(PANEL):
             state[panel, slot, 1, k] = 1
@@ -190,10 +191,7 @@ def _best(
     parts: Doubles,
     count: int,
 ) -> int:
-    """Atom that takes most of the residual's energy, the first of equal ones; -1 if none takes any.
-
-    Its parts along the basis are left in the triangle.
-    """
+    """Atom with the most residual energy, the first of equal ones or -1; the triangle gets its parts."""
     c_error, n_error = terms[slot, 2], terms[slot, 3]
     n_peaks = peaks.shape[1]
     highest, top = np.float32(-1), 0
@@ -272,10 +270,7 @@ def _energy_taken(
     count: int,
     least: float,
 ) -> float:
-    """Energy that an atom takes from the residual, exactly; 0 if c**2 is below the least, -1 for a copy.
-
-    Finds the atom's parts along the basis.
-    """
+    """Exact energy that an atom takes; 0 if c**2 is below the least, -1 for a copy. Finds its parts."""
     columns, rows = atoms.columns, atoms.columns.shape[1]
     if not atoms.known[atom]:
         for m in range(rows):
@@ -308,10 +303,7 @@ def _extend(
     residual: Doubles,
     count: int,
 ) -> tuple[float, float]:
-    """Add an atom, whose parts are in the triangle, to the basis; take its share from the residual.
-
-    Returns the share and the energy left.
-    """
+    """Add an atom with its parts in the triangle to the basis; return its share and the energy left."""
     rows = columns.shape[1]
     for m in range(rows):
         basis[slot, count, m] = columns[atom, m]

@@ -1,6 +1,6 @@
 """From a coded image to a video, patch by patch: measurement matrices, sparse codes, overlapping sums.
 
-Panel grid throughout; a patch is named by its first row and column.
+Everything is on the panel grid; a patch is named by its first row and column.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from optsim.decoding.sparse.matching_pursuit import pursue
 from optsim.priors.dictionary import Dictionary
 
 _STRIP = 16
-# Sensible, no source: 0.08 dB better on moving photographs than to leave nothing out, 0.4 to 0.6 alike; it
-# matters most through one shutter for all pixels, which hides most atoms.
+# Sensible, no source: 0.08 dB better on moving photographs than no threshold, 0.4 to 0.6 are equal; it
+# matters most for one shutter for all pixels, through which most atoms are invisible.
 _HARDLY = 0.6
-# Patches of a job: enough that a matrix shared by them costs little, few enough to keep all cores at work.
+# Patches of a job: enough to share the cost of a matrix, few enough to keep all cores busy.
 _OWN_BLOCK, _SHARED_BLOCK = 256, 2048
 
 
 @dataclass(frozen=True, eq=False)
 class PatchCoder:
-    """A dictionary laid out for measuring: used for all frames of a video.
+    """A dictionary arranged for measuring, used for all frames of a video.
 
     Parameters
     ----------
     by_pixel : ndarray of shape (pixel, slot, atom), float32
         The atoms, so that a row of a measurement matrix is a short sum of contiguous rows.
     sums : ndarray of shape (pixel, atom), float32
-        Their sums over the slots, for what leaks in every slot.
+        Their sums over the slots, for the leak in every slot.
     atoms : ndarray of shape (atom, v, u, slot), float32
         The atoms themselves.
     """
@@ -45,7 +45,7 @@ class PatchCoder:
 
     @classmethod
     def of(cls, dictionary: Dictionary) -> PatchCoder:
-        """Lay out a dictionary."""
+        """Arrange a dictionary for measuring."""
         n_atoms, _, _, slots = dictionary.atoms.shape
         flat = dictionary.atoms.reshape(n_atoms, -1, slots)
         by_pixel = np.ascontiguousarray(np.moveaxis(flat, 0, -1))
@@ -137,9 +137,9 @@ def measurement_matrix(
     """Measured atoms for weights of shape (pixel, slot), as unit columns and their lengths.
 
     An atom that the code hardly measures, by less than a share of the median atom's length, gets a column of
-    zeros and an infinite length: what noise or the other atoms leave would blow it up.
+    zeros and an infinite length: noise and the residual of other atoms would be amplified.
 
-    Most slots of a pixel carry the same weight (what a dark panel leaks): they cost one row, and only the
+    Most slots of a pixel have the same weight (the leak of a dark panel): they cost one row, and only the
     others are added one by one.
     """
     lengths[:] = 0

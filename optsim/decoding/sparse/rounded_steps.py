@@ -1,10 +1,10 @@
-"""What a pursuit asks :func:`.correlate` to renew, and how far the outcome may be off.
+"""Steps of a pursuit that :func:`.correlate` renews, and bounds of their errors.
 
-Correlations start from a rounded residual and lose the share of one rounded direction after the other. All
-use one rounded matrix. So the outcome equals that matrix times (residual + drift), where the drift is the
+Correlations start from a rounded residual and lose the shares of one rounded direction after the other. All
+use one rounded matrix. So the result equals that matrix times (residual + drift), where the drift is the
 known sum of the vectors' rounding errors. The matrix's own rounding adds at most its largest error times the
 norm of the residual, however many steps were taken (Cauchy and Schwarz). Its products with orthonormal
-directions, of which distances are made, are together no longer than it is (Bessel).
+directions, which give the distances, are together no longer than it is (Bessel).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from optsim.core.compiled import compiled
 from optsim.core.quantities import Doubles, Floats
 from optsim.priors.correlation_bounds import LARGEST, SCALE, Pairs
 
-# Of float32 sums, relative to a signal.
+# Rounding of float32 sums, relative to a signal.
 _ROUNDING = 1e-6
 
 
@@ -33,7 +33,7 @@ class Steps(NamedTuple):
 
 @compiled()
 def make_steps(slots: int, rows: int, pairs: int) -> Steps:
-    """Make steps of slots at rest."""
+    """Make zero steps for all slots."""
     return Steps(
         np.zeros((slots, 2 * pairs), np.int16),
         np.zeros((slots, 4), np.float32),
@@ -46,20 +46,20 @@ def make_steps(slots: int, rows: int, pairs: int) -> Steps:
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
 @compiled(makes_arrays=False)
 def look(slot: int, residual: Doubles, length: float, grid: tuple[float, float], steps: Steps) -> None:
-    """Have correlations, which are set to zero, computed from the residual of some length itself.
+    """Set a step that computes correlations, first set to zero, from the residual itself.
 
     Parameters
     ----------
     slot : int
-        Which one.
+        Index of the slot.
     residual : ndarray of shape (slot, m), float64
-        Of all slots.
+        Residuals of all slots.
     length : float
-        Of the slot's residual.
+        Length of the slot's residual.
     grid : tuple of float
         Step and error of the matrix, from :func:`.pack`.
     steps : Steps
-        The slot's are renewed; ``doubt`` stays.
+        The slot's step is renewed; ``doubt`` stays.
     """
     for m in range(steps.drift.shape[1]):
         steps.drift[slot, m] = 0
@@ -80,26 +80,26 @@ def follow(
     grid: tuple[float, float],
     steps: Steps,
 ) -> None:
-    """Have correlations lose a share of a direction, and distances what lies along it.
+    """Set a step that subtracts a share of a direction from correlations, and its part from distances.
 
     Parameters
     ----------
     slot : int
-        Which one.
+        Index of the slot.
     directions : ndarray of shape (d, m), float64
-        Orthonormal those of a slot.
+        Directions, orthonormal within a slot.
     which : int
-        The direction.
+        Index of the direction.
     share : float
-        What the residual loses of it.
+        Share that the residual loses.
     left : float
-        Length of the residual without it.
+        Length of the residual after it.
     count : int
         Directions of the slot, this one included.
     grid : tuple of float
         Step and error of the matrix, from :func:`.pack`.
     steps : Steps
-        The slot's are renewed.
+        The slot's step is renewed.
     """
     terms = steps.terms
     step, error = _round_unit(directions, which, 1.0, -share, slot, steps)
@@ -115,7 +115,7 @@ def follow(
 
 @compiled(fastmath={"reassoc", "contract"}, makes_arrays=False)
 def _drifted(slot: int, left: float, grid_error: float, steps: Steps) -> float:
-    """Most that a correlation with a residual of some length is off, but for its float32 rounding."""
+    """Largest error of a correlation with a residual of some length, without its float32 rounding."""
     square = 0.0
     for m in range(steps.drift.shape[1]):
         square += steps.drift[slot, m] ** 2
@@ -126,14 +126,9 @@ def _drifted(slot: int, left: float, grid_error: float, steps: Steps) -> float:
 def _round_unit(
     vectors: Doubles, which: int, length: float, factor: float, slot: int, steps: Steps
 ) -> tuple[float, float]:
-    """Round one of several vectors, divided by its length, to 16 bits; a factor times its error drifts.
-
-    Returns
-    -------
-    step, error : float
-        The vector divided by its length is ``step`` times the slot's moves, but for a vector of at most the
-        length ``error``.
-    """
+    """Round one of several vectors, divided by its length, to 16 bits; return step and largest error."""
+    # The unit vector is ``step`` times the slot's moves, up to a vector of at most the length ``error``. A
+    # factor times that vector is added to the drift.
     rows = np.uint64(vectors.shape[1])
     top = 0.0
     for m in range(rows):

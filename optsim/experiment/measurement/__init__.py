@@ -1,4 +1,4 @@
-"""Coded measurements of any camera, from arrays or files, and what a decoder makes of them."""
+"""Coded measurements of any camera, from arrays or files, and their decoding."""
 
 from optsim.experiment.measurement.coded import Measurement, Sensor, coded_measurement
 from optsim.experiment.measurement.files import MeasurementFiles, read_measurement

@@ -1,4 +1,4 @@
-"""Coded images of any camera and the code of each, as the frames and the calibration that decoders take."""
+"""Coded images of any camera with their codes, converted to the decoders' frames and calibration."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ from optsim.optics.panel import PanelResponse
 # An instantaneous panel without leak, whose weight is the sine squared of a quarter turn times its level.
 _OPEN_OR_SHUT = PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, drive_exponent=1.0)
 _WORDS = 65535
-# Of what is bright, steps that are too coarse if they are coarser than the noise as well.
+# Percentile of bright counts, and least steps there; coarser steps are refused if coarser than the noise,
+# too.
 _BRIGHT, _STEPS = 90, 1000
-# A truth that is so many times as bright as the image, or as dark, is in another unit.
+# Ratio of truth to image, or the reverse, beyond which the truth is in another unit.
 _TIMES = 3.0
 
 
 class Sensor(Part):
-    """What is known of the sensor that took coded images, in the counts of their files.
+    """The sensor of coded images, in the counts of their files.
 
     Parameters
     ----------
     black : float
         Counts without light.
     saturation : float or None
-        Least count that means saturated; None for the largest number that whole numbers of 8 or 16 bits
-        hold, and no saturation for others.
+        Least saturated count. None for the largest number of 8 or 16 bits in whole-number files,
+        and no saturation in others.
     read_noise : float or None
-        Temporal noise in the dark, quantisation included, counts; None for 1 (no source), or for as little
-        as 8 bits would have where an image of broken numbers, 0 to 1 for example, holds less than 255.
+        Temporal noise in the dark, quantisation included, counts. None for 1 (no source), or for the noise
+        of 8 bits where an image of fractional numbers, 0 to 1 for example, stays below 255.
     counts_per_electron : float
         System gain; 0 leaves shot noise out.
     slot_s : float
@@ -62,22 +63,22 @@ class Sensor(Part):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Coded frames with what is known of their camera.
+    """Coded frames with the calibration of their camera.
 
     Parameters
     ----------
     frames : tuple of CodedFrame
         Images with their codes, in order of time.
     calibration : Calibration
-        Of the camera.
+        Calibration of the camera.
     truth : tuple of ndarray of shape (slot, v, u), float32
-        The same light slot by slot, a frame each, in the unit of ``unit``; empty when it isn't known.
+        The same light slot by slot, a frame each, in the unit of ``unit``; empty when unknown.
     unit : str
-        Of the light: counts a slot where the camera isn't calibrated.
+        Unit of the light: counts a slot where the camera isn't calibrated.
     rounded : float
-        How far weights of the code had to be rounded, at most: 0 for pixels that are open or shut.
+        Largest rounding of the code's weights: 0 for pixels that are open or shut.
     origin : Mapping
-        Where it comes from, for records of what is made of it: files and their SHA-256, settings, or a run.
+        Provenance for the records of its decoding: files and their SHA-256, settings, or a run.
     """
 
     frames: tuple[CodedFrame, ...]
@@ -106,32 +107,32 @@ def coded_measurement(
     moving: NDArray[Any] | None = None,
     truth: NDArray[Any] | None = None,
 ) -> Measurement:
-    """Make a measurement of arrays: each pixel of an image is the sum over slots of weight times light.
+    """Make a measurement from arrays: each pixel of an image is the sum over slots of weight times light.
 
     Parameters
     ----------
     images : ndarray of shape (v, u) or (frame, v, u)
-        Counts, whole or not; what is not finite counts as a dead pixel.
+        Counts, whole or not; non-finite values mark dead pixels.
     codes : ndarray of shape (slot, v, u) or (frame, slot, v, u)
         Weights from 0 to 1, or whole numbers of 8 bits from 0 to 255; one for all frames, or one each.
     sensor : Sensor, optional
-        What is known of it.
+        The sensor.
     moving : ndarray of shape (v, u) or (frame, v, u), optional
-        Not zero: pixels for the video decoder, where a decoder makes a difference; default all.
+        Not zero: pixels of the video decoder, where a decoder distinguishes; default all.
     truth : ndarray of shape (slot, v, u) or (frame, slot, v, u) or (frame * slot, v, u), optional
         Light in each slot, counts.
 
     Returns
     -------
     Measurement
-        Whose light is in counts a slot.
+        The measurement, with light in counts a slot.
 
     Raises
     ------
     ValueCheckError
-        For shapes that don't agree, weights outside of 0..1, light that isn't finite or of another unit than
-        the image, a black above all of it, or a few pixels so bright that 16 bits leave too little for the
-        others.
+        For shapes that don't agree, weights outside of 0..1, non-finite light, or light in another unit than
+        the image. Also for a black level above the whole image, and for a few pixels so bright that 16 bits
+        leave too few steps for the others.
     """
     known = sensor or Sensor()
     images, codes = stacked(images, codes)
@@ -167,7 +168,7 @@ def _other_pixels(images: NDArray[Any], codes: NDArray[Any]) -> str:
 
 
 def numbers(name: str, given: object) -> NDArray[Any]:
-    """Array of real numbers.
+    """Convert to an array of real numbers.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def numbers(name: str, given: object) -> NDArray[Any]:
 
 
 def stacked(images: object, codes: object) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Images (frame, y, x), and codes (frame, slot, v, u) of which there is one for all or one each."""
+    """Stack images (frame, y, x), and codes (frame, slot, v, u): one for all or one each."""
     images, codes = numbers("image", images), numbers("code", codes)
     images = images[None] if images.ndim == 2 else images
     codes = codes[None] if codes.ndim == 3 else codes
@@ -203,7 +204,7 @@ def stacked(images: object, codes: object) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def coded_frames(words: list[Words], levels: Bytes, moving: Bools) -> tuple[CodedFrame, ...]:
-    """Images with their codes and masks, of which there is one for all or one each."""
+    """Join images with their codes and masks, of which there is one for all or one each."""
     return tuple(
         CodedFrame(k, word, ExposureCode(levels[k % len(levels)], moving[k % len(moving)]))
         for k, word in enumerate(words)
@@ -211,12 +212,12 @@ def coded_frames(words: list[Words], levels: Bytes, moving: Bools) -> tuple[Code
 
 
 def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, ...]) -> Bools:
-    """Masks of moving pixels, (1 or frame, v, u); all of them if nothing is said.
+    """Read masks of moving pixels, (1 or frame, v, u); all pixels by default.
 
     Raises
     ------
     ValueCheckError
-        When they are not of the code's pixels, or neither one nor one each.
+        When they differ in shape from the code, or in number from one or one each.
     """
     if moving is None:
         return np.ones((1, *shape), np.bool_)
@@ -231,7 +232,7 @@ def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, .
 
 
 def code_levels(codes: NDArray[Any]) -> tuple[Bytes, float]:
-    """Drive levels of an instantaneous panel that have a code's weights, and how far these were rounded.
+    """Convert a code's weights to drive levels of an instantaneous panel; also return their rounding error.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ def truth_frames(truth: NDArray[Any] | None, n_frames: int, slots: int) -> tuple
 
 
 def _check_light(images: NDArray[Any], black: float, noise: float) -> None:
-    """Refuse a black level that the brightest pixel doesn't come near."""
+    """Refuse a black level that lies above the brightest pixel or close to it."""
     most = float(np.where(np.isfinite(images), images, -np.inf).max())
     if np.isfinite(most) and most < black - 3 * noise:
         raise ValueCheckError(
@@ -298,14 +299,14 @@ def _check_unit(
     full: float,
     noise: float,
 ) -> None:
-    """Refuse a truth that, under the code, is nowhere near as bright as the images."""
+    """Refuse a truth whose sum under the code is far from the images."""
     for k, light in enumerate(truth):
         if light.shape[1:] != images.shape[1:]:
             return  # what holds truth and image says so
         seen = np.isfinite(images[k]) & (images[k] < full)
         if not seen.any():
             continue
-        # Slot by slot: all together would take more room than all else.
+        # Slot by slot: all slots together would need more memory than everything else.
         slots = zip(levels[k % len(levels)], light, strict=True)
         coded = sum(float((_weights(level[seen]) * each[seen]).mean()) for level, each in slots)
         counts = float(images[k][seen].mean()) - black
@@ -318,14 +319,14 @@ def _check_unit(
 
 
 def _full(images: NDArray[Any], sensor: Sensor) -> float:
-    """Least count that is saturated; infinite where nothing says so."""
+    """Least saturated count; infinite where none is stated."""
     if sensor.saturation is not None:
         return sensor.saturation
     return float(np.iinfo(images.dtype).max) if images.dtype.name in ("uint8", "uint16") else float("inf")
 
 
 def _read_noise(images: NDArray[Any], sensor: Sensor) -> float:
-    """Noise in the dark, counts, as stated, or as a default that is no more than 8 bits have."""
+    """Noise in the dark, counts, as stated, or by default at most that of 8 bits."""
     seen = images[np.isfinite(images)]
     if sensor.read_noise is not None:
         return sensor.read_noise
@@ -336,7 +337,7 @@ def _read_noise(images: NDArray[Any], sensor: Sensor) -> float:
 
 
 def _opened(levels: Bytes) -> int:
-    """Slots until the last that any pixel is open in; the shutter is closed in those after it."""
+    """Slots until the last in which any pixel is open; the shutter is closed after it."""
     opened = np.flatnonzero(levels.any(axis=(0, 2, 3)))
     return int(opened[-1]) + 1 if opened.size else levels.shape[1]
 
@@ -344,18 +345,12 @@ def _opened(levels: Bytes) -> int:
 def _words(
     images: NDArray[Any], black: float, full: float, noise: float
 ) -> tuple[list[Words], tuple[float, float]]:
-    """Images as 16-bit numbers, and what a number is: first + step x count; whole numbers that fit stay.
-
-    Raises
-    ------
-    ValueCheckError
-        When a few bright pixels would leave the others too few numbers.
-    """
+    """Images in 16 bits, and their scale: first + step x count; ValueCheckError if that is too coarse."""
     finite = np.minimum(np.where(np.isfinite(images), images, black), full)
     least, most = float(finite.min(initial=black)), float(finite.max(initial=black))
     first, step = (0.0, 1.0)
     if least < 0 or most > _WORDS or not np.array_equal(finite, np.rint(finite)):
-        # Noise below black stays noise, and rounding stays far below what any sensor tells apart.
+        # Noise below black stays noise, and rounding stays far below any sensor's resolution.
         first, step = least, max(most - least, 1e-30) / _WORDS
     bright = float(np.percentile(np.abs(finite - black), _BRIGHT))
     if step > max(2 * noise, bright / _STEPS):
@@ -370,7 +365,7 @@ def _words(
 def _calibration(
     levels: Bytes, valid: Bools, sensor: Sensor, noise: float, scale: tuple[float, float], full: float
 ) -> Calibration:
-    """Camera whose pixels are those of the code: what the paper's equations take for granted."""
+    """Camera whose pixels are those of the code, as the paper's equations assume."""
     first, step = scale
     own = np.indices(valid.shape, dtype=np.int64)
 

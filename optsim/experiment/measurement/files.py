@@ -1,9 +1,9 @@
-"""Coded measurements as they lie on disk: one array file, or images that a small TOML file names.
+"""Coded measurements on disk: one array file, or images that a small TOML file names.
 
 An ``.npz`` or ``.mat`` file by itself is a measurement when it holds the arrays ``image``, ``code`` and, if
 known, ``truth`` and ``moving``; the names ``meas``, ``mask`` and ``orig`` of published snapshot-video sets
-will do. Arrays of numpy have time first, those of MATLAB last. Everything else is said in a TOML file, whose
-keys are the fields of :class:`MeasurementFiles`; paths in it begin at its folder.
+work too. Arrays of numpy have time first, those of MATLAB last. Everything else stands in a TOML file, whose
+keys are the fields of :class:`MeasurementFiles`; paths in it start at its folder.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ _READ = (*IMAGES, ".json")  # what is read of a folder, of a bench too
 
 
 class DecoderChoice(Part):
-    """With what a measurement is decoded.
+    """The decoder of a measurement.
 
     Parameters
     ----------
     decoder : decoder
-        By default interpolation, which needs nothing learned and takes any number of slots.
+        By default interpolation, which needs no training and takes any number of slots.
     """
 
     decoder: Decoder = Interpolation()
@@ -66,29 +66,30 @@ class DecoderChoice(Part):
 
 
 class MeasurementFiles(DecoderChoice):
-    """What a measurement's TOML file says, beside the decoder.
+    """Keys of a measurement's TOML file, beside the decoder.
 
     Parameters
     ----------
     image, code : str
-        Coded images, and their codes: an ``.npz`` or ``.mat`` file, or a folder, pattern or file of PNG,
-        TIFF or EXR images. A code's images are one a slot, the same for all coded images, or an EXR a coded
-        image whose channels, in the order of their names, are its slots.
+        Coded images, and their codes: an ``.npz`` or ``.mat`` file, or a folder, pattern or file of PNG, TIFF
+        or EXR images. A code has one image a slot, the same for all coded images. Or it has one EXR a coded
+        image, whose channels, in the order of their names, are its slots.
     truth : str or None
-        Light slot by slot, if it is known: as the code's, but all slots of the first coded image, then all
+        Light slot by slot, if known: in the code's format, with all slots of the first coded image, then all
         of the second.
     moving : str or None
-        Masks, not zero where a union may take the video's decoder: one, or one a coded image; default
+        Masks, not zero where a union may use the video's decoder: one, or one a coded image; default
         all.
     slots : int or None
         Slots of a coded image, where the code's files hold those of all coded images one after the other.
     bench, calibration : str or None
-        What is known of a camera whose image of the code is not pixel by pixel, one of both: the folder of a
-        calibration bench; or a ``calibration.npz``, the folder of a run that holds one, or that of a bench.
+        Calibration of a camera whose image of the code is not pixel by pixel; give one of both. ``bench``:
+        the folder of a calibration bench. ``calibration``: a ``calibration.npz``, or the folder of a run or
+        bench.
     reading_px : int
-        With a bench: sensor pixels to a side of the square that is read for a pixel of the code, odd.
+        With a bench: side of the readout window of a code pixel, sensor pixels, odd.
     sensor : Sensor
-        What is known of the sensor; not with a bench or a calibration, which says it.
+        The sensor; not with a bench or a calibration, which state it.
     """
 
     image: str
@@ -103,14 +104,14 @@ class MeasurementFiles(DecoderChoice):
 
 
 def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
-    """Read what is stated of a measurement: a TOML file, or one array file.
+    """Read the description of a measurement: a TOML file, or one array file.
 
     Parameters
     ----------
     path : Path
         The file.
     assignments : list of str
-        ``key=value``, over the file's.
+        ``key=value``, with priority over the file.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def measurement_files(path: Path, assignments: list[str]) -> MeasurementFiles:
     """
     if path.suffix.lower() in _ARRAYS:
         there = array_names(path)
-        # Image and code must be there: where they are read it is said what is there instead.
+        # Image and code are checked where they are read, which can name the files that exist instead.
         table: dict[str, Any] = {
             role: str(path)
             for role, names in _NAMES.items()
@@ -182,7 +183,7 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
 
 
 def _origin(files: MeasurementFiles) -> dict[str, object]:
-    """Say what was stated of a measurement, and the SHA-256 of each of its files."""
+    """Collect the settings of a measurement, and the SHA-256 of each of its files."""
     said = files.model_dump(mode="json", exclude={"decoder"}, exclude_none=True)
     hashes: dict[str, str] = {}
     for key in (each for each in (*_NAMES, *_OF_CAMERA) if each in said):
@@ -204,7 +205,7 @@ def _on_a_camera(
     moving: NDArray[Any] | None,
     truth: NDArray[Any] | None,
 ) -> Measurement:
-    """Measurement of a camera that was calibrated, by its file or its bench's: codes are drive levels."""
+    """Measurement of a calibrated camera, by its file or its bench's: codes are drive levels."""
     images, codes = stacked(images, codes)
     if images.dtype != np.uint16:
         raise ValueCheckError(f"image: got {images.dtype}, expected the sensor's own numbers of 16 bits")

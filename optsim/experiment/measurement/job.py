@@ -1,4 +1,4 @@
-"""A measurement decoded into a folder: OpenEXR of the light, a picture and a film to look at, scores."""
+"""A measurement decoded into a folder: OpenEXR of the light, an overview image, a film and scores."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ def decode_measurement(
     Parameters
     ----------
     measurement : Measurement
-        What was measured.
+        The measurement.
     decoder : decoder
         Any of :mod:`optsim.decoding`.
     folder : Path
         New or empty: gets ``reconstruction/*.exr`` (float32 channels ``slot00`` and on, ``valid``,
-        ``interpolated``, and ``sigma00`` and on where the decoder knows how sure it is), ``slots.png``,
-        ``film.gif`` (of scenes with bright lights logarithmic) and ``results.json``.
+        ``interpolated``, and ``sigma00`` and on where the decoder predicts its uncertainty), ``slots.png``,
+        ``film.gif`` (logarithmic for scenes with bright lights) and ``results.json``.
     peak : float, optional
-        Of the PSNR, in the light's unit; default the brightest of the truth.
+        Peak of the PSNR, in the light's unit; default the brightest of the truth.
     progress : Progress
-        Told of each coded image.
+        Called after each coded image.
 
     Returns
     -------
     dict
-        The content of results.json; PSNR and its peak are None where the truth isn't known. The PSNR is of
-        slots in which the code opens a pixel, and of pixels that are valid.
+        The content of results.json; PSNR and its peak are None without a truth. The PSNR counts
+        slots in which the code opens a pixel, and valid pixels.
 
     Raises
     ------
     StorageError
-        When the folder holds something, or another process writes into it.
+        When the folder holds files, or another process writes into it.
     ConfigError
-        When the peak is none.
+        When the peak is invalid.
     """
     if peak is not None and not 0 < peak < float("inf"):
         raise ConfigError(f"--peak: got {peak:g}, expected more than 0, in the unit of the light")
@@ -116,14 +116,14 @@ def _psnr_db(peak: float | None, squared_error: float | None) -> float | None:
 
 
 def _opened(measurement: Measurement, index: int) -> Bools:
-    """Slots in which a frame's code opens any pixel, (slot,): what others showed a decoder only guesses."""
+    """Slots in which a frame's code opens any pixel, (slot,); a decoder can only guess the others."""
     opened: Bools = np.asarray(measurement.frames[index].code.levels.any(axis=(1, 2)))
     opened[measurement.calibration.coded_slots :] = False
     return opened
 
 
 def _read_noise(measurement: Measurement) -> float:
-    """Noise in the dark that decoders go by, in the unit of the image: the light's times slots."""
+    """Noise in the dark that decoders assume, in the unit of the image: the light's times slots."""
     known = measurement.calibration
     return float(known.read_noise_dn / np.median(known.responsivity_dn))
 

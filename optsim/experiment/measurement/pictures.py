@@ -1,4 +1,4 @@
-"""What a decoded measurement looks like: some slots as a picture, all of them as a film; the truth beside."""
+"""Images of a decoded measurement: some slots in one image, all of them in a film, beside the truth."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def draw_slots(path: Path, measurement: Measurement, video: Reconstruction) -> N
     path : Path
         The PNG.
     measurement : Measurement
-        What was decoded.
+        The decoded measurement.
     video : Reconstruction
-        Of its first coded image.
+        Reconstruction of its first coded image.
     """
     like, factor = _shown(measurement, video), _factor(measurement)
     coded = enlarge(_coded(measurement)[0], factor)
@@ -54,9 +54,9 @@ def draw_film(path: Path, measurement: Measurement, decoded: Sequence[Reconstruc
     path : Path
         The GIF.
     measurement : Measurement
-        What was decoded.
+        The decoded measurement.
     decoded : sequence of Reconstruction
-        Of all its coded images.
+        Reconstructions of all its coded images.
     """
     like, factor, coded = _shown(measurement, decoded[0]), _factor(measurement), _coded(measurement)
     stacks = [
@@ -76,7 +76,7 @@ def draw_film(path: Path, measurement: Measurement, decoded: Sequence[Reconstruc
 
 
 def _shown(measurement: Measurement, video: Reconstruction) -> Floats:
-    """Light whose tones all pictures have."""
+    """Light that sets the tones of all images."""
     return measurement.truth[0] if measurement.truth else video.irradiance_w_m2
 
 
@@ -90,7 +90,7 @@ def _coded(measurement: Measurement) -> list[Bytes]:
 
 
 def _toned(light: Floats, like: Floats) -> Bytes:
-    """Grey of light, up to the brightest of ``like``; logarithmic where its middle would be black."""
+    """Grey tones of light, up to the brightest of ``like``; logarithmic if its median would be black."""
     middle, white = (max(float(q), 1e-30) for q in np.percentile(like, (50, 99.9)))
     relative = np.clip(light / white, 0, 1)
     if white > _DEEP * middle:
@@ -101,7 +101,7 @@ def _toned(light: Floats, like: Floats) -> Bytes:
 
 
 def _labelled(image: Bytes, texts: Sequence[str]) -> Bytes:
-    """Write texts into as many columns of a picture."""
+    """Write texts into as many columns of an image."""
     picture = Image.fromarray(image)
     pen, width = ImageDraw.Draw(picture), image.shape[1] / len(texts)
     for place, text in enumerate(texts):

@@ -1,4 +1,4 @@
-"""The frames of a finished run as a measurement, to be decoded again in another way."""
+"""The frames of a finished run as a measurement, for another decoder."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ _CURE = "cure: copy the run's folder again, or run the experiment again"
 
 
 def decoder_of_run(folder: Path, method: str | None) -> Decoder:
-    """Read which decoder one of a run's methods had; parameters and errors as of :func:`read_run`."""
+    """Read the decoder of one of a run's methods; parameters and errors as in :func:`read_run`."""
     return _method_of_run(folder, method)[1].decoder
 
 
 def read_run(folder: Path, method: str | None) -> Measurement:
-    """Read the frames of one of a run's methods, with what its decoder knew of the camera.
+    """Read the frames of one of a run's methods, with its calibration.
 
-    A run that kept no calibration, as earlier versions did, is calibrated anew.
+    A run without a stored calibration, as of earlier versions, is calibrated anew.
 
     Parameters
     ----------
     folder : Path
-        Of ``optsim run``.
+        Folder of ``optsim run``.
     method : str or None
-        Its name; None where there is only one.
+        Name of the method; None where there is only one.
 
     Raises
     ------
     ConfigError, StorageError
-        For an unknown method, or a folder that is no whole run.
+        For an unknown method, or a folder without a complete run.
     """
     experiment, chosen = _method_of_run(folder, method)
     camera = experiment.camera
@@ -88,16 +88,16 @@ def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method
 def read_frames(
     folder: Path, method: str, n_frames: int, ccd: tuple[int, int], code: tuple[int, int, int]
 ) -> list[CodedFrame]:
-    """Read the frames of a method, as the run wrote them.
+    """Read the frames of a method as the run wrote them.
 
     Parameters
     ----------
     folder : Path
-        Of the run.
+        Folder of the run.
     method : str
-        Its name.
+        Name of the method.
     n_frames : int
-        Frames that there must be, no fewer and no more.
+        Exact number of frames expected.
     ccd : tuple of int
         CCD pixels (y, x) of a frame.
     code : tuple of int
@@ -106,7 +106,7 @@ def read_frames(
     Raises
     ------
     StorageError, ValueCheckError
-        For a file that is missing, damaged, of another size or kind, or not what the run wrote.
+        For a file that is missing, damaged, of another size or kind, or changed since the run.
     """
     files = [frame_files(folder, method, index) for index in range(n_frames)]
     found = sorted((folder / "frames" / method).glob("*.png"))
@@ -139,7 +139,7 @@ def _picture(path: Path, shape: tuple[int, ...], dtype: type[np.generic]) -> NDA
 
 
 def _check_written(folder: Path, files: Sequence[Path], what: str) -> None:
-    """Refuse a file that isn't there as the run wrote it."""
+    """Refuse a file that is missing or changed since the run."""
     changed = changed_file(folder, [path.relative_to(folder).as_posix() for path in files])
     if changed:
         got = "other content" if (folder / changed).is_file() else "no such file"

@@ -1,4 +1,4 @@
-"""Recordings as they lie on disk: files in, frames as stored out; what they mean is ``footage_source``'s."""
+"""Recordings on disk: files in, frames as stored out; ``footage_source`` states their meaning."""
 
 from optsim.footage.recording.arrays import array_axes, array_names, load_array
 from optsim.footage.recording.files import IMAGES, VIDEOS, by_number, naming, open_recording

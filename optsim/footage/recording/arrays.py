@@ -36,7 +36,7 @@ def _native(frame: Pixels) -> Pixels:
 
 
 def array_axes(path: Path) -> str | None:
-    """Axes of a file's only array: time first where numpy wrote it, last where MATLAB did; else None.
+    """Axes of a file's only array: time first in files of numpy, last in those of MATLAB; else None.
 
     Raises
     ------
@@ -70,12 +70,12 @@ def array_names(path: Path) -> list[str]:
 
 
 def load_array(path: Path, name: str) -> Pixels:
-    """Load one array of an npz or mat file; errors as of :func:`array_names`.
+    """Load one array of an npz or mat file; errors as in :func:`array_names`.
 
     Raises
     ------
     ValueCheckError
-        For an array that holds anything but plain real numbers.
+        For an array of anything but plain real numbers.
     """
     stored = mat.load(path, name) if path.suffix.lower() == ".mat" else npz_array(path, name)
     if stored.dtype.kind not in "buif":

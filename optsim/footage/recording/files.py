@@ -1,4 +1,4 @@
-"""Which files belong to a recording, in which order, and what reads them."""
+"""The files of a recording, their order, and their readers."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
     StorageError
         When a file is missing, unreadable, or the numbering has a hole.
     ConfigError
-        When ``key`` or ``axes`` is missing, or names nothing in the file.
+        When ``key`` or ``axes`` is missing, or doesn't occur in the file.
     ValueCheckError
-        For a dtype that is no measured light.
+        For a dtype that no measured light has.
     """
     files = _files_of(path)
     suffix = files[0].suffix.lower()
@@ -64,7 +64,7 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
 
 @contextmanager
 def naming(keys: Mapping[str, str]) -> Generator[None, None, None]:
-    """Let errors of this room name options, or keys of other files, instead of its own keys."""
+    """Let this room's errors name options, or keys of other files, instead of its own keys."""
     try:
         yield
     except OptsimError as error:
@@ -75,7 +75,7 @@ def naming(keys: Mapping[str, str]) -> Generator[None, None, None]:
 
 
 def by_number(name: str) -> list[tuple[int, str]]:
-    """Key that sorts names by the numbers in them: slot2 before slot10."""
+    """Sort key of a name by its numbers: slot2 before slot10."""
     return [(int(digits or -1), word) for digits, word in re.findall(r"(\d+)|(\D+)", name)]
 
 

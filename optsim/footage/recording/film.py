@@ -1,4 +1,4 @@
-"""A recording: its frames as stored, one by one, each checked to be like the first."""
+"""A recording: its frames as stored, one by one, each checked against the first."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DTYPES = ("uint8", "uint16", "uint32", "uint64", "int16", "int32", "int64", "fl
 
 
 class Says(NamedTuple):
-    """What files say of their values, each None where they say nothing.
+    """Statements of files on their values, each None without a statement.
 
     Parameters
     ----------
@@ -35,24 +35,24 @@ _NOTHING_SAID = Says()
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Frames as stored, in order of time; nothing but one array or one frame is ever in memory.
+    """Frames as stored, in order of time; at most one array or one frame is in memory.
 
     Parameters
     ----------
     files : tuple of Path
-        One a frame, or one file of all frames.
+        One file a frame, or one file of all frames.
     n_frames : int
-        Frames stored.
+        Number of stored frames.
     shape : tuple of int
         Rows, columns and channels of each.
     dtype : str
-        Of the stored values.
+        Dtype of the stored values.
     bits : int
-        Bits that a stored value really had: those of a video are decoded to 16.
+        Original bits of a stored value: those of a video are decoded to 16.
     frames : callable
         First frame -> iterator over the frames from there, each an array of ``shape``.
     says : Says
-        What the files themselves say of their values.
+        Statements of the files on their values.
     """
 
     files: tuple[Path, ...]
@@ -64,11 +64,11 @@ class Recording:
     says: Says = _NOTHING_SAID
 
     def where(self, frame: int) -> str:
-        """File and number of a frame, for messages and to tell frames apart."""
+        """File and number of a frame, which identify it in messages and elsewhere."""
         return f"{self.files[0]}, frame {frame}" if len(self.files) == 1 else f"{self.files[frame]}"
 
     def read(self, first: int) -> Iterator[Pixels]:
-        """Frames from ``first`` on, each checked to be like the first of all.
+        """Read frames from ``first`` on, each checked against the first of all.
 
         Raises
         ------
@@ -99,7 +99,7 @@ def as_recording(
     bits: int | None = None,
     says: Says = _NOTHING_SAID,
 ) -> Recording:
-    """Make a recording of its reader, by looking at the first frame."""
+    """Make a recording from its reader, after a check of the first frame."""
     first = next(frames(0), None)
     if first is None or n_frames == 0 or first.size == 0:
         raise StorageError(f"{files[0]} holds no frames")
@@ -111,7 +111,7 @@ def as_recording(
 
 
 def with_channels(values: Pixels) -> Pixels:
-    """Give a grey frame, array (y, x), its channel axis."""
+    """Add a channel axis to a grey frame, array (y, x)."""
     return values[..., None] if values.ndim == 2 else values
 
 

@@ -13,7 +13,7 @@ from optsim.core.foreign.h273 import primaries_at
 from optsim.core.foreign.png import png_head, png_pixels
 from optsim.footage.recording.film import Pixels, Says, with_channels
 
-# Names that the format keeps for depth and opacity.
+# Names that the format reserves for depth and opacity.
 _NO_LIGHT = {"Z", "ZBack", "A"}
 
 
@@ -29,7 +29,7 @@ def exr(path: Path, key: str | None) -> Pixels:
 
 
 def exr_says(path: Path, key: str | None) -> Says:
-    """Say which primaries the chosen part declares."""
+    """Return the primaries that the chosen part states."""
     part, _ = _chosen(path, exr_parts(path), key)
     declared = part.header.get("chromaticities")
     if declared is None:
@@ -48,13 +48,13 @@ def png(path: Path) -> Pixels:
 
 
 def png_says(path: Path) -> Says:
-    """Say which curve and primaries the chunks declare."""
+    """Return the curve and primaries that the chunks state."""
     head = png_head(path)
     return Says(head.curve, head.primaries)
 
 
 def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrPart, str | None]:
-    """Part that is meant, and its channel if one is named."""
+    """Part that ``key`` selects, and its channel if one is named."""
     if len(parts) == 1:
         if key is not None and key not in parts[0].stored:
             raise unknown_name(f"source.footage.key of {path.name}", key, parts[0].stored)
@@ -73,7 +73,7 @@ def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrP
 
 
 def _light(path: Path, part: ExrPart, channels: Mapping[str, object]) -> list[str]:
-    """Names of the channels that hold light."""
+    """Names of the channels of light."""
     if {"R", "G", "B"} <= set(channels):
         return ["R", "G", "B"]
     if "Y" in channels:

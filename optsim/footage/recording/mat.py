@@ -34,7 +34,7 @@ def load(path: Path, name: str) -> Pixels:
     Raises
     ------
     StorageError
-        When the file is missing, damaged, of version 7.3, or declares more than it can hold.
+        When the file is missing, damaged, of version 7.3, or declares more data than it can hold.
     ValueCheckError
         For a variable that is no full array of real numbers.
     """

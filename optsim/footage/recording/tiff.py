@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""TIFF files page by page (TIFF 6.0): what a tag says of the stored numbers is honoured or refused."""
+"""TIFF files page by page (TIFF 6.0): a tag on the stored numbers is honoured or refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CURE = "copy it again, whole, or write it uncompressed, one page a frame"
 _MIN_IS_WHITE, _MIN_IS_BLACK, _RGB = 0, 1, 2
 _FORMATS = (1, 2, 3)  # SampleFormat: whole numbers without and with a sign, floats
 _ALPHA = (1, 2)
-# Tag Orientation: how stored rows and columns are turned to stand as they are meant.
+# Tag Orientation: transformation of stored rows and columns to the upright image.
 _TURNS: dict[int, Callable[[Pixels], Pixels]] = {
     1: lambda stored: stored,
     2: lambda stored: stored[:, ::-1],
@@ -79,14 +79,14 @@ def tiff_stack(path: Path) -> Recording:
 
 
 class _Refusal(logging.Handler):
-    """Raise what the library only logs as an error: pages that it leaves out, strips that it cuts."""
+    """Raise errors that the library only logs: pages that it leaves out, strips that it cuts."""
 
     def __init__(self) -> None:
         logging.Handler.__init__(self, logging.WARNING)
         self._thread = threading.get_ident()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Raise an error of the thread that reads, keep silent about the rest."""
+        """Raise an error of the reading thread; ignore other records."""
         if record.levelno >= logging.ERROR and record.thread == self._thread:
             raise ValueError(record.getMessage())
 
@@ -105,7 +105,7 @@ def _opened(path: Path) -> Generator[Any, None, None]:
 
 
 def _page(where: str, page: Any, file_bytes: int) -> Pixels:
-    """Pixels of a page as they are meant, array (y, x, channel)."""
+    """Pixels of a page in upright orientation, array (y, x, channel)."""
     tags, shape = page.tags, page.shape
     if page.subfiletype & _NOT_A_FRAME:
         raise _unlike(where, "NewSubfileType", page.subfiletype, "a frame, no smaller version or mask")
@@ -129,7 +129,7 @@ def _page(where: str, page: Any, file_bytes: int) -> Pixels:
     if page.axes not in ("YX", "YXS", "SYX"):
         raise ValueCheckError(f"{where}: a page has axes {page.axes}, expected YX, YXS or SYX")
     _check_segments(where, page, bits, file_bytes)
-    # In one thread: what others log could not be told apart.
+    # In one thread: log records of other threads could not be told apart.
     pixels = with_channels(page.asarray(maxworkers=1))
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels.reshape(shape), 0, -1)
@@ -164,7 +164,7 @@ def _check_segments(where: str, page: Any, bits: int, file_bytes: int) -> None:
 
 
 def _says(page: Any) -> Says:
-    """Say which curve and primaries the tags TransferFunction and PrimaryChromaticities declare."""
+    """Curve and primaries that the tags TransferFunction and PrimaryChromaticities state."""
     curve = "that of tag TransferFunction" if 301 in page.tags else None
     declared = page.tags.valueof(319)
     if declared is None:

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingTypeStubs=false, reportMissingImports=false
-"""What only the extra ``video`` (PyAV, with its own FFmpeg) can read: videos, and 16-bit colour PNG."""
+"""Readers that need the extra ``video`` (PyAV, with its own FFmpeg): videos, and 16-bit colour PNG."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _LUMA = {1: (0.2126, 0.0722), 2: (0.299, 0.114), 5: (0.299, 0.114), 6: (0.299, 0
 _LIMITED_RANGE, _FULL_RANGE = 1, 2
 _WHAT = "a video"
 _ATTACHED_PICTURE = 1 << 10
-# Frames whose rate can be told, and the share of a period by which a step may differ.
+# Least frames to determine a rate, and the share of a period by which a step may differ.
 _FEW, _UNEVEN = 3, 0.05
-# Names of pixel formats whose codes are no whole numbers of light.
+# Names of pixel formats whose codes are not integers of light.
 _OTHER_FORMATS = re.compile("pal|bayer|xyz|mono|f16|f32")
 _DAMAGE = re.compile(r"crc|checksum|mismatch|while decoding|conceal|corrupt|damage|overread", re.IGNORECASE)
 
@@ -35,7 +35,7 @@ _DAMAGE = re.compile(r"crc|checksum|mismatch|while decoding|conceal|corrupt|dama
 def video(path: Path) -> Recording:
     """Open a video; its frames are decoded to 16 bits over the full range, grey or R'G'B'.
 
-    The file's own colour matrix, range and turn hold; BT.601 and the limited range where it states none.
+    The file's own colour matrix, range and rotation apply; BT.601 and the limited range where it states none.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def video(path: Path) -> Recording:
     StorageError
         When the file cannot be read, is damaged, or holds fewer frames than it declares.
     ValueCheckError
-        When frames don't come at a steady rate, are interlaced, or have other pixels than square ones.
+        When frames don't come at a steady rate, are interlaced, or have non-square pixels.
     """
     av = _av(path)
     with reading(path, _WHAT), av.open(str(path)) as container:
@@ -54,7 +54,7 @@ def video(path: Path) -> Recording:
             raise ValueError("its pixel format is unknown")
         bits = max(component.bits for component in coded.format.components)
         check_memory(path, 8.0 * coded.width * coded.height * 3, _WHAT)
-        # What an edit list cuts off is decoded, but is no frame.
+        # Frames cut off by an edit list are decoded, but don't count.
         stored = [packet for packet in container.demux(stream) if packet.size]
         packets = [packet for packet in stored if not packet.is_discard]
         period_s = _period_s(path, packets, stream)
@@ -72,7 +72,7 @@ def video(path: Path) -> Recording:
     def frames(first: int) -> Iterator[NDArray[Any]]:
         with reading(path, _WHAT), av.open(str(path)) as container:
             stream = _stream(path, container)
-            # What the decoder logs is told to the thread that decodes.
+            # The decoder's log records go to the decoding thread.
             stream.thread_type = "NONE"
             decoded = container.decode(stream)
             for index in count():
@@ -86,7 +86,7 @@ def video(path: Path) -> Recording:
 
 
 def _stream(path: Path, container: Any) -> Any:
-    """Return the one film of a file, of square pixels; a picture of its cover is none."""
+    """Return the one video stream of a file, of square pixels; cover images don't count."""
     found = [stream for stream in container.streams.video if not stream.disposition.value & _ATTACHED_PICTURE]
     if len(found) != 1:
         raise StorageError(
@@ -102,7 +102,7 @@ def _stream(path: Path, container: Any) -> Any:
 
 
 def _period_s(path: Path, packets: list[Any], stream: Any) -> float:
-    """Time between frames, 0 where none is told; refused if not steady within a tick of the clock."""
+    """Time between frames, 0 where none is stated; refused if not steady within a tick of the clock."""
     stamps = [packet.pts for packet in packets]
     if None in stamps:
         stamps = [packet.dts for packet in packets]
@@ -144,7 +144,7 @@ def _next(av: Any, decoded: Iterator[Any]) -> Any:
 
 
 def _turned(frame: Any, pixels: NDArray[Any], path: Path) -> NDArray[Any]:
-    """Turn a frame as its display matrix says (ISO/IEC 14496-12, 8.3.2)."""
+    """Rotate a frame by its display matrix (ISO/IEC 14496-12, 8.3.2)."""
     for said in frame.side_data:
         if said.type.name == "DISPLAYMATRIX":
             right, down = np.frombuffer(bytes(said), np.int32).reshape(3, 3)[:2, :2] / 65536
@@ -184,7 +184,7 @@ def _pixels(frame: Any, bits: int, path: Path) -> NDArray[np.uint16]:
         codes = np.stack([_plane(frame, part.plane, bits) for part in parts], axis=-1)
         return _full_scale(codes, bits, limited=limited)
     if form.is_rgb:
-        # FFmpeg's own way from 8 to 16 bits ends at 65283 of 65535.
+        # FFmpeg's own conversion from 8 to 16 bits ends at 65283 of 65535.
         codes = frame.to_ndarray(format="rgb24" if bits == 8 else "rgb48le")
         return _full_scale(codes, bits, limited=limited)
     if int(frame.colorspace) not in _LUMA:
@@ -217,7 +217,7 @@ def rgb_of(codes: Doubles, bits: int, luma: tuple[float, float], *, full: bool) 
     codes : ndarray of shape (y, x, 3), float64
         Y', Cb and Cr.
     bits : int
-        Of the codes.
+        Bits of the codes.
     luma : tuple of float
         Weights of red and blue in Y'.
     full : bool
@@ -226,7 +226,7 @@ def rgb_of(codes: Doubles, bits: int, luma: tuple[float, float], *, full: bool) 
     Returns
     -------
     ndarray of shape (y, x, 3), uint16
-        Of 65535; what lies outside the cube is clipped.
+        Scaled to 65535; colours outside the cube are clipped.
     """
     unit = 2.0 ** (bits - 8)
     black, white, chroma = (
