@@ -70,7 +70,7 @@ def results(experiment: Experiment, tmp_path_factory: pytest.TempPathFactory) ->
     folder = tmp_path_factory.mktemp("run") / "lab"
     assert job.check(experiment, folder, None)["backend"] == "none"
     job.execute(experiment, folder, command="optsim run lab.toml", export_truth=True)
-    return folder, dict(check_results(json.loads((folder / "results.json").read_text())))
+    return folder, check_results(json.loads((folder / "results.json").read_text())).as_json()
 
 
 @pytest.mark.slow

@@ -175,7 +175,9 @@ def test_a_second_run_finds_the_truth_and_gives_the_same_scores(
 
     monkeypatch.setattr(Stage, "radiance", rendering)
     again = job.execute(experiment, tmp_path / "again")
-    for one, other in zip(again["scores"], read_json(folder / "results.json")["scores"], strict=True):
+    for one, other in zip(
+        again.as_json()["scores"], read_json(folder / "results.json")["scores"], strict=True
+    ):
         assert {**one, "value": 0} == {**other, "value": 0}
         # Threads add overlapping patches in any order: rounding, nothing more.
         assert one["value"] == pytest.approx(other["value"], rel=1e-6)

