@@ -124,7 +124,7 @@ class Experiment(Part):
     description : str
         A sentence for people; nothing depends on it.
     seed : int
-        Seed of all random numbers: the same experiment and seed give the same results.
+        Of all random numbers: the same experiment and seed give the same results.
     n_frames : int
         Coded frames to take; the steady phase begins with frame latency_frames + 4, counted from 0.
     render
