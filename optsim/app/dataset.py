@@ -43,18 +43,17 @@ def build(
 ) -> None:
     """Build a data set: every scene, variation, camera and seed of SPEC. Stopped, it goes on."""
     from optsim.core.console import people, progress_bars
-    from optsim.core.threads import CORES
     from optsim.dataset import build_dataset, forecast, load_spec
 
     loaded = load_spec(spec)
     folder = out or Path("reports") / "datasets" / loaded.name
     if plan:
         with progress_bars() as progress:
-            n = workers or max(1, CORES // 2)
-            said = forecast(loaded, folder, workers=n, layout=layout, progress=progress)
+            said = forecast(loaded, folder, workers=workers, layout=layout, progress=progress)
         people.print(
-            f"{said.sequences} sequences, {said.to_do} to do: {said.wall_s / 60:.1f} min with {n} workers, "
-            f"{said.disk_mb:.0f} MB of disk in all, {said.peak_mb:.0f} MB of memory a worker "
+            f"{said.sequences} sequences, {said.to_do} to do: {said.wall_s / 60:.1f} min "
+            f"with {said.workers} workers, {said.disk_mb:.0f} MB of disk in all, "
+            f"{said.peak_mb:.0f} MB of memory a worker "
             f"(measured on {said.measured} sequences, which are kept)"
         )
         return

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.errors import StorageError, ValueCheckError
-from optsim.core.foreign.exr import only_part
+from optsim.core.foreign.exr import exr_header, only_part
 from optsim.core.foreign.png import png_head, png_pixels
 
 _HALF_MAX = 65504.0
@@ -253,12 +253,23 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         When the file is missing, unreadable or of several parts; for pixels as of :meth:`ExrPart.pixels`.
     """
     part = only_part(path, "write one part a file")
+    return part.pixels(path), _attributes(part.header)
+
+
+def read_exr_header(path: Path) -> tuple[list[str], dict[str, Any]]:
+    """Read the names of the channels and the JSON attributes without any pixel, else as :func:`read_exr`."""
+    header = exr_header(path)
+    return [channel.name for channel in header["channels"]], _attributes(header)
+
+
+def _attributes(header: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON attributes of a header, empty if the file is not ours."""
     try:
-        attributes = json.loads(part.header.get("optsim", "{}"))
+        attributes = json.loads(header.get("optsim", "{}"))
     except (ValueError, TypeError, RecursionError):
         # Another program's attribute of the same name.
         attributes = {}
-    return part.pixels(path), cast("dict[str, Any]", attributes) if isinstance(attributes, dict) else {}
+    return cast("dict[str, Any]", attributes) if isinstance(attributes, dict) else {}
 
 
 def write_png16(path: Path, image: NDArray[np.uint16]) -> None:

@@ -26,7 +26,7 @@ from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
 from optsim.experiment.resume import run_key
 from optsim.experiment.run_folder import versions
 from optsim.experiment.truth import renderer
-from optsim.tasks import Outcome, Task, run_tasks, task_record
+from optsim.tasks import Outcome, Task, default_workers, run_tasks, task_record
 
 Layout = Literal["exr", "npy"]
 CHECKS = "checks.json"
@@ -42,6 +42,8 @@ class Forecast:
     ----------
     sequences, to_do : int
         All sequences, and those still missing.
+    workers : int
+        Processes that do them.
     wall_s, disk_mb, peak_mb : float
         Time left, disk of the whole data set, memory of a worker.
     measured : int
@@ -50,6 +52,7 @@ class Forecast:
 
     sequences: int
     to_do: int
+    workers: int
     wall_s: float
     disk_mb: float
     peak_mb: float
@@ -58,15 +61,13 @@ class Forecast:
 
 def tasks_of(spec: DatasetSpec, layout: Layout = "exr") -> list[Task]:
     """List the tasks of a data set, one a sequence, each with a key of all that determines its files."""
-    table = spec.model_dump(mode="json")
+    table, made_by = spec.model_dump(mode="json"), versions()
+    wanted = list(spec.schemes), list(spec.seeds), spec.reconstruct, spec.half, layout
     tasks: list[Task] = []
     for sequence in spec.sequences():
-        experiments = [spec.experiment_of(sequence, seed) for seed in spec.seeds]
-        backend, _ = renderer(experiments[0], None)
-        key = hash_of(
-            [run_key(each, backend, versions()) for each in experiments],
-            *(list(spec.schemes), spec.reconstruct, spec.half, layout),
-        )
+        experiment = spec.experiment_of(sequence, spec.seeds[0])
+        backend, _ = renderer(experiment, None)
+        key = hash_of(run_key(experiment, backend, made_by), *wanted)
         tasks.append(Task(sequence.name, key, _make, (table, asdict(sequence), layout)))
     return tasks
 
@@ -116,10 +117,7 @@ def build_dataset(
     StorageError
         When the folder holds other files.
     """
-    check_spec(spec)
-    folder.mkdir(parents=True, exist_ok=True)
-    with claimed_file(folder / _SPEC):
-        _own(folder, spec)
+    _own(folder, spec)
     if recipe and not only and (folder / CARD).is_file() and read_record(folder / CARD)["recipe"]:
         # Its sequences are gone on purpose.
         return Outcome((), tuple(each.name for each in spec.sequences()), {})
@@ -132,16 +130,19 @@ def build_dataset(
 
 
 def forecast(
-    spec: DatasetSpec, folder: Path, *, workers: int, layout: Layout = "exr", progress: Progress = silent
+    spec: DatasetSpec,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    layout: Layout = "exr",
+    progress: Progress = silent,
 ) -> Forecast:
     """Build two sequences of each scene, as a pilot, and estimate the time of the rest.
 
     The second measures a warm worker. The pilot is part of the build: nothing is made twice.
     """
-    check_spec(spec)
-    folder.mkdir(parents=True, exist_ok=True)
-    with claimed_file(folder / _SPEC):
-        _own(folder, spec)
+    _own(folder, spec)
+    workers = workers or default_workers()
     sequences, tasks = spec.sequences(), tasks_of(spec, layout)
     scene_of = {sequence.name: sequence.scene for sequence in sequences}
     pilots: list[Task] = []
@@ -161,7 +162,7 @@ def forecast(
     counts = Counter(scene_of.values())
     wall_s = sum(seconds[scene] * n for scene, n in to_do.items()) / max(1, min(workers, sum(to_do.values())))
     disk_mb = sum(sizes[scene] * n for scene, n in counts.items())
-    return Forecast(len(tasks), sum(to_do.values()), wall_s, disk_mb, peak_mb, len(pilots))
+    return Forecast(len(tasks), sum(to_do.values()), workers, wall_s, disk_mb, peak_mb, len(pilots))
 
 
 def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> None:
@@ -205,17 +206,18 @@ def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], la
 
 
 def _own(folder: Path, spec: DatasetSpec) -> None:
-    """Write the spec that the folder belongs to, or refuse a folder of another spec."""
-    table = spec.model_dump(mode="json")
-    if (folder / _SPEC).is_file():
-        if read_record(folder / _SPEC) != table:
+    """Check a spec and write it into its folder, or refuse a folder of another one."""
+    check_spec(spec)
+    table, path = spec.model_dump(mode="json"), folder / _SPEC
+    with claimed_file(path):
+        if not path.is_file():
+            if any(not each.name.startswith(CLAIM) for each in folder.iterdir()):
+                raise StorageError(
+                    f"--out {folder}: got a folder that isn't empty and holds no build; cure: choose another"
+                )
+            write_json(path, table)
+        elif read_record(path) != table:
             raise StorageError(
-                f"--out {folder}: got a build of another spec ({folder / _SPEC}), expected this one; "
+                f"--out {folder}: got a build of another spec ({path}), expected this one; "
                 "cure: choose another folder"
             )
-        return
-    if any(path.name != CLAIM and not path.name.startswith(CLAIM) for path in folder.iterdir()):
-        raise StorageError(
-            f"--out {folder}: got a folder that isn't empty and holds no build; cure: choose another"
-        )
-    write_json(folder / _SPEC, table)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from optsim.core.files import content_hash
 from optsim.dataset.channels import CONVENTIONS
 from optsim.dataset.reading import KIND, MANIFEST, PASSES
 from optsim.dataset.spec import SPLITS, DatasetSpec, SequencePlan
@@ -115,11 +115,9 @@ def manifest_lines(folder: Path, sequences: Sequence[SequencePlan]) -> list[str]
     lines: list[str] = []
     for each in sequences:
         for path in sorted(p for p in (folder / each.name).rglob("*") if p.is_file()):
-            with path.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
             place = path.relative_to(folder).as_posix()
-            record = {"path": place, "bytes": path.stat().st_size, "sha256": digest, "split": each.split}
-            lines.append(json.dumps({**record, "sequence": each.name}) + "\n")
+            record = {"path": place, "bytes": path.stat().st_size, "sha256": content_hash(path)}
+            lines.append(json.dumps({**record, "split": each.split, "sequence": each.name}) + "\n")
     return lines
 
 

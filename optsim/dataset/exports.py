@@ -19,6 +19,7 @@ from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
 from optsim.dataset.reading import Dataset, Sample
 from optsim.dataset.spec import SPLITS
+from optsim.optics.srgb import linear_to_srgb
 
 _SHARD = 64
 
@@ -99,9 +100,7 @@ def _transforms(sample: Sample, folder: Path) -> None:
     frames: list[dict[str, Any]] = []
     for slot, image in enumerate(radiance):
         share: Doubles = np.clip(image / white, 0, 1)
-        dark = share <= 0.0031308
-        coded: Doubles = dark * 12.92 * share + ~dark * (1.055 * share ** (1 / 2.4) - 0.055)
-        picture = np.rint(255 * coded).astype(np.uint8)
+        picture = np.rint(255 * linear_to_srgb(share)).astype(np.uint8)
         write_png8(folder / "images" / f"{slot:06d}.png", np.repeat(picture[..., None], 3, axis=2))
         # OpenCV's axes (y down, z forward) to OpenGL's.
         pose = camera["camera_to_world"][slot] @ np.diag([1.0, -1.0, -1.0, 1.0])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.errors import StorageError, ValueCheckError, unknown_name
-from optsim.core.files import read_exr, read_record
+from optsim.core.files import read_exr, read_exr_header, read_record
 from optsim.dataset.spec import SPLITS, Split
 
 KIND = "optsim data set 1"
@@ -106,8 +106,13 @@ class Sample(Mapping[str, Array]):
         return sorted((self.folder / "truth").glob("slot*.exr"))
 
     @cached_property
-    def _header(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        return read_exr(self._slots[0])
+    def _header(self) -> tuple[list[str], dict[str, Any]]:
+        return read_exr_header(self._slots[0])
+
+    @property
+    def n_slots(self) -> int:
+        """Number of slots of the truth."""
+        return len(self._slots)
 
     @property
     def _coded(self) -> Path:
@@ -159,7 +164,7 @@ class Sample(Mapping[str, Array]):
     @cached_property
     def camera(self) -> dict[str, Array]:
         """Lens and poses: ``intrinsics_px``, ``radial_k1``, ``camera_to_world`` (slot, 4, 4), ``times_s``."""
-        headers = [read_exr(path)[1] for path in self._slots]
+        headers = [read_exr_header(path)[1] for path in self._slots]
         return {
             "intrinsics_px": np.array(headers[0]["intrinsics_px"]),
             "radial_k1": np.array(headers[0]["radial_k1"]),

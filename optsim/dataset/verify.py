@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from optsim.core.files import content_hash
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
 from optsim.dataset.reading import MANIFEST, Dataset, manifest
@@ -34,16 +33,15 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
         One line a problem: a file that is missing, changed or not listed; empty without problems.
     """
     found: list[str] = []
-    stated = dataset.card["manifest"]["sha256"]
-    if _sha256(dataset.folder / MANIFEST) != stated:
-        found.append(f"{MANIFEST}: changed since the card was written")
     listed = manifest(dataset.folder)
+    if content_hash(dataset.folder / MANIFEST) != dataset.card["manifest"]["sha256"]:
+        found.append(f"{MANIFEST}: changed since the card was written")
     for number, record in enumerate(listed, start=1):
         path = dataset.folder / record["path"]
         if not path.is_file():
             if not dataset.card["recipe"]:
                 found.append(f"{record['path']}: missing")
-        elif path.stat().st_size != record["bytes"] or _sha256(path) != record["sha256"]:
+        elif path.stat().st_size != record["bytes"] or content_hash(path) != record["sha256"]:
             found.append(f"{record['path']}: changed")
         progress("verify", number, len(listed))
     known = {record["path"] for record in listed}
@@ -71,7 +69,7 @@ def statistics(dataset: Dataset, progress: Progress = silent) -> dict[str, Any]:
         samples = dataset.samples(split)
         stops, speeds, moving = np.zeros(len(_STOPS)), np.zeros(len(_SPEEDS) - 1), list[float]()
         for sample in samples:
-            middle = len(sample.camera["times_s"]) // 2
+            middle = sample.n_slots // 2
             radiance: Doubles = sample.slot("radiance", middle).astype(np.float64)
             flow = sample.slot("flow_forward", middle).astype(np.float64)
             below = np.log2(np.maximum(radiance, 1e-300) / radiance.max())
@@ -90,10 +88,3 @@ def statistics(dataset: Dataset, progress: Progress = silent) -> dict[str, Any]:
             "moving": [min(moving), float(np.mean(moving)), max(moving)] if moving else None,
         }
     return result
-
-
-def _sha256(path: Path) -> str:
-    if not path.is_file():
-        return ""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -13,6 +13,7 @@ from optsim.core.config import Part
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.quantities import Doubles
 from optsim.footage.recording import Says
+from optsim.optics.srgb import srgb_to_linear
 
 # Luminance of linear RGB with the primaries and white of ITU-R BT.709-6, item 3.2.
 REC709_Y = (0.2126, 0.7152, 0.0722)
@@ -197,7 +198,7 @@ class FootageSource(Part):
 
     def _linear(self, signal: Doubles) -> Doubles:
         if self.linearisation == "srgb":
-            return np.where(signal <= 0.04045, signal / 12.92, ((signal + 0.055) / 1.055) ** 2.4)
+            return srgb_to_linear(signal)
         return signal if self.gamma is None else signal**self.gamma
 
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from optsim.core.config import Table
 from optsim.core.errors import ConfigError
+from optsim.core.files import content_hash
 from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
-from optsim.scene.models import FORMATS, inside, read_model, sha256_of
+from optsim.scene.models import FORMATS, inside, read_model
 
 # Size over distance to the camera's target beyond which a model is taken to be in another unit.
 _LARGEST, _SMALLEST = 200.0, 1e-4
@@ -69,7 +70,7 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
         if isinstance(material, Mapping) and "picture" in material and "sha256" not in material:
             stated = cast("Table", material)
             file = inside(folder, str(stated["picture"]), f"{where}: materials.{name}.picture")
-            materials[name] = {**stated, "picture": str(file), "sha256": sha256_of(file)}
+            materials[name] = {**stated, "picture": str(file), "sha256": content_hash(file)}
     for name, mover in movers.items():
         if _kind(mover) == "keyframed" and isinstance(mover.get("objects"), list):
             listed = [part for key in mover["objects"] for part in parts.get(key, [key])]
@@ -123,7 +124,7 @@ def _expanded(
             f"{where}.unit: got none, expected one of {', '.join(UNITS_M)}, as {file.suffix} files have no "
             'unit; cure: unit = "mm", or height_m = 0.3 to scale it to a height'
         )
-    stated |= {"file": str(file), "sha256": sha256_of(file), "up": up}
+    stated |= {"file": str(file), "sha256": content_hash(file), "up": up}
     low, high = upright(model, up)
     height_m = stated.get("height_m")
     # Anything else is refused when the object is built.
@@ -157,9 +158,9 @@ def _hashed(folder: Path, where: str, mover: Mapping[str, Any]) -> Table:
     path = inside(folder, str(mover.get("file", "")), f"{where}.file", or_folder=True)
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in FORMATS)
-        digest = hashlib.sha256("".join(map(sha256_of, files)).encode()).hexdigest()
+        digest = hashlib.sha256("".join(map(content_hash, files)).encode()).hexdigest()
     else:
-        digest = sha256_of(path)
+        digest = content_hash(path)
     steps_of(path, digest)
     return {"file": str(path), "sha256": digest}
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles, Floats
+from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.geometry import Faces, Mesh
 from optsim.scene.node_animation import NodeAnimation, read_animation, world_matrices
 
@@ -96,11 +96,6 @@ class Model:
             for time in times
         )
 
-    def bounds(self) -> tuple[Doubles, Doubles]:
-        """Lowest and highest corner, in the file's unit."""
-        points = np.concatenate([mesh.vertices_m for _, mesh in self.parts])
-        return points.min(axis=0), points.max(axis=0)
-
 
 def read_model(path: Path) -> Model:
     """Read a model; the file is read again only when it has changed.
@@ -134,17 +129,6 @@ def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> P
     if not (path.is_file() or (or_folder and path.is_dir())):
         raise ConfigError(f"{where}: got {name!r}, but there is no such file in {root}")
     return path
-
-
-def sha256_of(path: Path) -> str:
-    """Hash of a file's content; it is read again only when it has changed."""
-    stat = path.stat()
-    return _sha256(path, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=1024)
-def _sha256(path: Path, _mtime_ns: int, _size: int) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @functools.lru_cache(maxsize=64)
@@ -229,7 +213,7 @@ def _surface(geometry: Any) -> Surface:
     if material is None:
         color = np.array([0.5, 0.5, 0.5])
         if getattr(geometry.visual, "kind", None) in ("vertex", "face"):
-            color = _linear(np.asarray(geometry.visual.main_color[:3], np.float64) / 255)
+            color = srgb_to_linear(np.asarray(geometry.visual.main_color[:3], np.float64) / 255)
         return Surface("", float(color @ _LUMINANCE), None, None, 1.0, 1.0, 0.0)
     if not isinstance(material, PBRMaterial):
         material = material.to_pbr()
@@ -241,7 +225,7 @@ def _surface(geometry: Any) -> Surface:
     picture = cutout = None
     if material.baseColorTexture is not None:
         rgba = np.asarray(material.baseColorTexture.convert("RGBA"), np.float64)[::-1] / 255
-        picture = (_linear(rgba[..., :3]) @ _LUMINANCE).astype(np.float32)
+        picture = (srgb_to_linear(rgba[..., :3]) @ _LUMINANCE).astype(np.float32)
         if material.alphaMode in ("MASK", "BLEND") and (rgba[..., 3] < 1).any():
             cutout = rgba[..., 3].astype(np.float32)
             if material.alphaMode == "MASK":
@@ -263,11 +247,6 @@ def _surface(geometry: Any) -> Surface:
         rough * (1.0 if material.roughnessFactor is None else float(material.roughnessFactor)),
         metal * (1.0 if material.metallicFactor is None else float(material.metallicFactor)),
     )
-
-
-def _linear(srgb: Doubles) -> Doubles:
-    """Linear light of sRGB values 0..1 (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def read_picture(path: Path) -> Floats:
@@ -299,4 +278,4 @@ def _picture(path: Path, _mtime_ns: int, _size: int) -> Floats:
 
     with reading(path, "a PNG, JPEG or OpenEXR picture"), Image.open(path) as picture:
         rgb = np.asarray(picture.convert("RGB"), np.float64)[::-1] / 255
-    return (_linear(rgb) @ _LUMINANCE).astype(np.float32)
+    return (srgb_to_linear(rgb) @ _LUMINANCE).astype(np.float32)

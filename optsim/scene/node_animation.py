@@ -76,7 +76,10 @@ class Channel:
             elif self.interpolation == "STEP":
                 value = start
             elif self.path == "rotation":
-                value = _slerp(start, stop, share)
+                # Imported here: it is slow to import, and few scenes need it.
+                from scipy.spatial.transform import Rotation, Slerp
+
+                value = Slerp([0, 1], Rotation.from_quat([start, stop]))(share).as_quat()
             else:
                 value = (1 - share) * start + share * stop
         return value / np.linalg.norm(value) if self.path == "rotation" else value
@@ -178,25 +181,12 @@ def _accessor(header: dict[str, Any], binary: bytes, path: Path, index: int) -> 
     return np.maximum(rows / largest, -1) if largest else rows
 
 
-def _slerp(start: Doubles, stop: Doubles, share: float) -> Doubles:
-    """Quaternion on the shorter way between two."""
-    cosine = float(start @ stop)
-    stop, cosine = (stop, cosine) if cosine >= 0 else (-stop, -cosine)
-    if cosine > 0.9995:
-        return (1 - share) * start + share * stop
-    angle = np.arccos(cosine)
-    return (np.sin((1 - share) * angle) * start + np.sin(share * angle) * stop) / np.sin(angle)
-
-
 def _matrix(node: dict[str, Any]) -> Doubles:
     """Matrix of a node from its translation, rotation and scale."""
+    from scipy.spatial.transform import Rotation
+
     matrix = np.eye(4)
-    x, y, z, w = np.asarray(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    matrix[:3, :3] = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
     matrix[:3, :3] *= np.asarray(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix

@@ -18,7 +18,7 @@ from optsim.core.config import Part, Table, build
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Doubles
 from optsim.scene.fields import Positive, Share, Vector
-from optsim.scene.models import FORMATS
+from optsim.scene.models import FORMATS, inside
 from optsim.scene.solids import SHAPES, Shape, reach, widest
 from optsim.scene.variation import number_of
 
@@ -217,12 +217,9 @@ def _models(population: Population, folder: Path, where: str) -> list[str]:
     """Names of model files, those of folders included."""
     found: list[str] = []
     for name in population.models:
-        path = folder / name
-        if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in FORMATS)
-            if not inside:
-                raise ConfigError(f"{where}: got {name!r}, a folder without models ({', '.join(FORMATS)})")
-            found += [str(p.relative_to(folder)) for p in inside]
-        else:
-            found.append(name)
+        path = inside(folder, name, where, or_folder=True)
+        files = sorted(p.name for p in path.iterdir() if p.suffix.lower() in FORMATS) if path.is_dir() else []
+        if path.is_dir() and not files:
+            raise ConfigError(f"{where}: got {name!r}, a folder without models ({', '.join(FORMATS)})")
+        found += [f"{name}/{file}" for file in files] or [name]
     return found

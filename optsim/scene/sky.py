@@ -16,11 +16,12 @@ from pydantic import Field
 
 from optsim.core.config import Part, Table
 from optsim.core.errors import ConfigError
+from optsim.core.files import content_hash
 from optsim.core.quantities import Doubles, Floats
 from optsim.scene.bands import MONO_NM, PositiveByBand, mono
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.fields import Positive, Share
-from optsim.scene.models import inside, read_picture, sha256_of
+from optsim.scene.models import inside, read_picture
 
 # A texel is a third of the sun's disc.
 _ROWS, _COLS = 1025, 2048
@@ -147,7 +148,7 @@ def with_sky(table: Table, folder: Path, where: str) -> Table:
     stated = cast("Table", sky)
     file = inside(folder, str(stated.get("file", "")), f"{where}: sky.file")
     _check(file, f"{where}: sky.file")
-    return {**table, "sky": {**stated, "file": str(file), "sha256": sha256_of(file)}}
+    return {**table, "sky": {**stated, "file": str(file), "sha256": content_hash(file)}}
 
 
 def _check(path: Path, where: str) -> None:

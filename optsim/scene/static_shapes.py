@@ -5,7 +5,6 @@ Only shapes and surfaces are allowed in the file.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,6 +13,7 @@ from pydantic import Field, field_validator
 
 from optsim.core.config import Part
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.files import content_hash
 from optsim.scene.mesh_files import check_mesh
 
 _MATT = ("diffuse", "twosided", "mask", "bumpmap", "normalmap", "blendbsdf")
@@ -177,4 +177,4 @@ def _hash_of_file(folder: Path, name: str, kinds: set[str]) -> str:
         raise ValueError(f"file {name!r} is not in the scene's folder {folder}; cure: put it there")
     for kind in sorted(kinds) or [""]:
         check_mesh(path, kind)
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return content_hash(path)

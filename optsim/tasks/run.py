@@ -44,6 +44,11 @@ class Outcome:
     failed: dict[str, str]
 
 
+def default_workers() -> int:
+    """Return one process for two cores, since each also has threads of its own."""
+    return max(1, CORES // 2)
+
+
 def run_tasks(
     tasks: Sequence[Task],
     root: Path,
@@ -62,7 +67,7 @@ def run_tasks(
     root : Path
         Folder below which they make theirs; workers of a cluster must see it under the same name.
     workers : int, optional
-        Processes on this machine; by default one for two cores, since each also has threads of its own.
+        Processes on this machine, by default :func:`default_workers`.
     scheduler : str, optional
         Address of a dask scheduler, ``tcp://host:port``, whose workers are used instead.
     shard : tuple of int
@@ -90,7 +95,7 @@ def run_tasks(
     made, failed = list[str](), dict[str, str]()
     progress("tasks", len(found), len(own))
     if open_tasks:
-        with _client(min(workers or max(1, CORES // 2), len(open_tasks)), scheduler) as client:
+        with _client(min(workers or default_workers(), len(open_tasks)), scheduler) as client:
             for name, state, error in _results(client, open_tasks, root):
                 if error:
                     failed[name] = error

@@ -68,6 +68,14 @@ class ExrPart:
         return {name: _owned(values) for name, values in self.stored.items()}
 
 
+def exr_header(path: Path) -> dict[str, Any]:
+    """Read the header of a file's first part, without any pixel; errors as of :func:`exr_parts`."""
+    import OpenEXR
+
+    with reading(path, _WHAT), OpenEXR.File(_source(path), header_only=True) as stream:
+        return dict(cast("Mapping[str, Any]", stream.parts[0].header))
+
+
 def exr_parts(path: Path) -> list[ExrPart]:
     """Read every part of a file.
 
