@@ -19,6 +19,9 @@ Record = dict[str, Any]
 ALL: dict[str, str] = {
     "capture.paper_20_percent": "capture",
     "capture.paper_all_moving": "capture",
+    "dataset.sequence": "dataset",
+    "dataset.two_workers": "dataset",
+    "dataset.plan_error": "dataset",
     "gmm.36x256": "gmm",
     "mask.speed_latency": "mask",
     "omp.k2000": "omp",

@@ -22,7 +22,7 @@ def bench(
 ) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer.
 
-    A NAME is a record or a family of them: capture, gmm, mask, omp, reconstruct, render.
+    A NAME is a record or a family of them: capture, dataset, gmm, mask, omp, reconstruct, render.
     """
     from contextlib import nullcontext
 

@@ -80,7 +80,7 @@ def object_masks(
 def _seen(scene: Scene, pixels: View, times_s: Doubles, backend: str | None, progress: Progress) -> Bools:
     """Pixels that show a mover at any of a frame's times, (frame, slot): array (frame, v, u)."""
     from optsim.render.backend import activate
-    from optsim.render.gbuffer import ObjectIds, camera_to_world, cast, sample_rays
+    from optsim.render.gbuffer import ObjectIds, camera_to_world, first_objects, sample_rays
     from optsim.render.stage import Stage
 
     activate(backend)
@@ -90,7 +90,8 @@ def _seen(scene: Scene, pixels: View, times_s: Doubles, backend: str | None, pro
     for done, ((frame, _), time_s) in enumerate(np.ndenumerate(times_s), start=1):
         pose = scene.camera.at(float(time_s))
         stage.pose(float(time_s))
-        hits = cast(stage, pose, rays @ camera_to_world(pose)[:3, :3].T)
-        found[frame] |= ids.moving[ids.of(hits)]
+        directions = np.einsum("nj,kj->nk", rays, camera_to_world(pose)[:3, :3])
+        _, *place = first_objects(stage, pose, directions)
+        found[frame] |= ids.moving[ids.of(*place)]
         progress("object masks", done, times_s.size)
     return found.reshape(-1, pixels.rows, pixels.cols)

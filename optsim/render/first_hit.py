@@ -65,6 +65,16 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
     return FirstHit(first.t, shape, first.prim_index, first.prim_uv, normal, flat, albedo)
 
 
+def first_place(mi: Any, loaded: Any, ray: Any) -> tuple[Any, Any, Any]:
+    """Find distance, shape and triangle of the first surface, without evaluating it."""
+    first = loaded.ray_intersect_preliminary(ray)
+    hit = first.is_valid()
+    if hit is False:
+        return np.inf, 0, 0
+    shape = first.shape_index if hit is True else _shape_index(mi, loaded, first, hit)
+    return first.t, shape, first.prim_index
+
+
 def _shape_index(mi: Any, loaded: Any, first: Any, hit: Any) -> Any:
     """Index in ``loaded.shapes()``, by comparing shapes: OptiX leaves Embree's ``shape_index`` 0."""
     import drjit as dr

@@ -11,9 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.core.quantities import Bools, Doubles, ObjectPose, Passes, View
+from optsim.core.quantities import Bools, Doubles, Ids, ObjectPose, Passes, View
 from optsim.render.backend import activate
-from optsim.render.gbuffer import Hits, ObjectIds, camera_to_world, cast, intrinsics, sample_rays
+from optsim.render.gbuffer import (
+    Hits,
+    ObjectIds,
+    camera_to_world,
+    cast,
+    first_objects,
+    intrinsics,
+    sample_rays,
+)
 from optsim.render.lens import distorted, radial_k1
 from optsim.render.stage import Stage
 from optsim.scene.camera_pose import CameraPose
@@ -74,16 +82,16 @@ class PassRenderer:
         """Render the passes of one instant; parameters as in :func:`render_passes`."""
         view, ids = self._view, self._ids
         now = self._moment(time_s)
-        directions = self._rays @ now.matrix[:3, :3].T
+        directions = np.einsum("nj,kj->nk", self._rays, now.matrix[:3, :3])
         self._stage.pose(time_s)
         hits = cast(self._stage, now.pose, directions)
-        numbers = ids.of(hits)
+        numbers = ids.of(hits.shape, hits.face)
         points = now.matrix[:3, 3] + hits.distance_m[:, None] * directions
         # Projected instead of taken from the grid, so that points at rest have exactly no flow.
         before = self._places(points, now)
         ends = [self._moment(time_s - step_s), self._moment(time_s + step_s)]
         (back, lost_back), (ahead, lost_ahead) = (
-            self._flow(hits, before, self._reprojected(hits, points, now, end), end) for end in ends
+            self._flow(hits, numbers, before, self._reprojected(hits, points, now, end), end) for end in ends
         )
         moments = (ends[0], now, ends[1])
 
@@ -136,13 +144,17 @@ class PassRenderer:
 
     def _places(self, points: Doubles, moment: _Moment) -> Doubles:
         """Row, column and depth (n, 3) of points; without meaning where the depth isn't positive."""
-        there = (points - moment.matrix[:3, 3]) @ moment.matrix[:3, :3]
+        # Not BLAS, whose threads wait for the next product at full speed.
+        right, down, depth = np.einsum("nj,jk->kn", points - moment.matrix[:3, 3], moment.matrix[:3, :3])
+        (focal_px, _, col_0), (_, _, row_0), _ = intrinsics(self._view)
         with np.errstate(divide="ignore", invalid="ignore"):
-            col, row, _ = intrinsics(self._view) @ (there / there[:, 2:]).T
+            row, col = focal_px * down / depth + row_0, focal_px * right / depth + col_0
             row, col = distorted(row, col, self._view)
-        return np.stack([row, col, there[:, 2]], axis=-1)
+        return np.stack([row, col, depth], axis=-1)
 
-    def _flow(self, hits: Hits, before: Doubles, reprojected: Doubles, end: _Moment) -> tuple[Doubles, Bools]:
+    def _flow(
+        self, hits: Hits, numbers: Ids, before: Doubles, reprojected: Doubles, end: _Moment
+    ) -> tuple[Doubles, Bools]:
         """Flow (n, 2) from places ``before`` to the points' later positions, and the occluded points."""
         after = self._places(reprojected, end)
         row, col, depth = after.T
@@ -153,9 +165,9 @@ class PassRenderer:
         ways = reprojected[lanes] - end.matrix[:3, 3]
         distance = np.linalg.norm(ways, axis=1)
         self._stage.pose(end.time_s)
-        found = cast(self._stage, end.pose, ways / distance[:, None])
-        same = self._ids.of(found) == self._ids.of(hits)[lanes]
-        seen[lanes] = same & (np.abs(found.distance_m - distance) <= SAME_POINT * distance)
+        met, *place = first_objects(self._stage, end.pose, ways / distance[:, None])
+        same = self._ids.of(*place) == numbers[lanes]
+        seen[lanes] = same & (np.abs(met - distance) <= SAME_POINT * distance)
         return flow, ~seen
 
 
