@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup bench claims figure4 imperfections fidelity validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup benchmark bench claims figure4 imperfections fidelity validate lint types architecture requirements clean help
 
 force:
 
@@ -32,8 +32,10 @@ test-all: test test-slow ## both tiers
 docs: setup ## build the manual into site/, strictly; it opens from disk
 	$(BIN)/mkdocs build --strict
 
-bench: setup ## run time against peers, measured now
-	$(BIN)/optsim bench
+benchmark: setup ## run time against peers, measured now
+	$(BIN)/optsim benchmark
+
+bench: benchmark
 
 claims: setup ## the registered claims over seeds and phases of motion; writes reports/claims.md (90 minutes)
 	$(BIN)/python validation/claims.py

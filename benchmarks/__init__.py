@@ -62,10 +62,10 @@ def measure_all(names: Sequence[str], progress: Progress = silent) -> list[Recor
         chosen += family or [name]
     out: list[Record] = []
     for done, name in enumerate(chosen):
-        progress(f"bench {name}", done, len(chosen))
+        progress(f"benchmark {name}", done, len(chosen))
         module = import_module(f"benchmarks.{ALL[name]}")
         out.append(cast("Callable[[str, Progress], Record]", module.measure)(name, progress))
-    progress("bench", len(chosen), len(chosen))
+    progress("benchmark", len(chosen), len(chosen))
     return out
 
 

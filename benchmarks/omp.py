@@ -39,7 +39,7 @@ def measure(name: str, _: Progress = silent) -> dict[str, Any]:
     _ours(matrix, signals[:64], workers)
     rounds: list[Callable[[], Any]] = [lambda: _ours(matrix, signals, workers)]
     unit = matrix
-    note = "the peer is missing; it comes with the extra 'bench': pip install 'optsim[bench]'"
+    note = "the peer is missing; it comes with the extra 'benchmark': pip install 'optsim[benchmark]'"
     exact: Any = None
     try:
         import spams

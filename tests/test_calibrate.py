@@ -280,7 +280,10 @@ def test_effective_weights_predict_a_coded_frame_of_uniform_light(
         (lambda b: {"dots": (replace(b.dots[0], dn=b.darks[:1]),)}, "dots"),
         (lambda b: {"steps": b.steps[:26]}, "lower level"),
         (lambda b: {"steps": tuple(replace(s, dn=b.darks[:1]) for s in b.steps)}, "flash"),
-        (lambda b: {"flats": (replace(b.flats[0], dn=b.saturated.dn), *b.flats[1:])}, "never saturated"),
+        (
+            lambda b: {"flats": (replace(b.flats[0], dn=b.saturated.dn), *b.flats[1:])},
+            "100% of its pixels sat",
+        ),
         (lambda b: {"greys": (replace(b.off, level=128),)}, "level 128"),
     ],
 )

@@ -38,7 +38,9 @@ def test_a_bench_survives_the_disk(folder: Path) -> None:
     bench = Camera(panel=(30, 40), ccd=(110, 140)).bench()
     back = Bench.read(folder)
     for field in fields(Bench):
-        assert same(getattr(bench, field.name), getattr(back, field.name)), field.name
+        if field.name != "files":
+            assert same(getattr(bench, field.name), getattr(back, field.name)), field.name
+    assert back.files["dots[1]"] == tuple(str(folder / f"dots-01-{k:02d}.png") for k in (0, 1))
     assert calibrate_from(back).response == calibrate_from(bench).response
 
 
@@ -55,7 +57,9 @@ def test_any_image_survives_the_disk(
     path = tmp_path_factory.mktemp("any")
     bench.write(path)
     back = Bench.read(path)
-    assert all(same(getattr(bench, f.name), getattr(back, f.name)) for f in fields(Bench))
+    assert all(
+        same(getattr(bench, f.name), getattr(back, f.name)) for f in fields(Bench) if f.name != "files"
+    )
 
 
 def broken(folder: Path, tmp_path: Path, **changes: object) -> Path:

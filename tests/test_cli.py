@@ -61,6 +61,7 @@ def cli(capsys, monkeypatch, tmp_path):
         ),
         (("run", "demo", "--dry-run", "--set", "methods.1.scheme.open_slots=99"), "'normal'"),
         (("list", "scenez"), "scenes"),
+        (("benchmark", "omp.k2"), "omp.k2000"),
         (("bench", "omp.k2"), "omp.k2000"),
         (("init", "demo2"), "demo"),
     ],
@@ -154,7 +155,7 @@ def test_an_output_folder_of_another_run_is_refused(cli, tmp_path: Path) -> None
     assert code == 2
     assert "another experiment" in err
     assert (other / "precious.txt").read_text() == "mine"
-    for command in (["render", "demo"], ["trace", "demo", "--pixel", "1,1"], ["bench"]):
+    for command in (["render", "demo"], ["trace", "demo", "--pixel", "1,1"], ["benchmark"]):
         code, _, err = cli(*command, "--out", str(other))
         assert code == 2
         assert "not an empty folder" in err

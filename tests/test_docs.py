@@ -27,7 +27,7 @@ from optsim.scene import load_scene
 ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", *sorted(p.relative_to(ROOT).as_posix() for p in (ROOT / "docs").rglob("*.md")))
 # Reads a run's files, and is run on some by tests/test_run_calibrations.py.
-OF_A_RUN = "docs/how-to/bench.md"
+OF_A_RUN = "docs/how-to/calibration.md"
 # Reads a data set, and is run on one by tests/test_dataset.py.
 OF_A_DATASET = "docs/how-to/datasets.md"
 COARSE = [

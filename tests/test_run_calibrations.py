@@ -93,7 +93,7 @@ def test_results_name_each_file_with_its_hash(run: Path) -> None:
 
 def manual_lines() -> str:
     """Code blocks of the manual that read a calibration's file by numpy alone."""
-    text = (Path(__file__).parents[1] / "docs" / "how-to" / "bench.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "docs" / "how-to" / "calibration.md").read_text(encoding="utf-8")
     part = text[text.index("## Frames and codes in numpy") :]
     return "\n".join(re.findall(r"```python\n(.*?)```", part, re.DOTALL)[:2])
 

@@ -14,14 +14,16 @@ from typing import Annotated
 import typer
 
 from optsim import __version__
+from optsim.app.calibrate import calibrate, laboratory
 from optsim.app.dataset import dataset_app
 from optsim.app.error_net import guarded
 from optsim.app.groups import cache_app, config_app
-from optsim.app.measure import bench, validate
+from optsim.app.measure import benchmark, validate
 from optsim.app.options import (
     Backend,
     ExperimentName,
     Json,
+    Known,
     Seed,
     Set,
     Tolerance,
@@ -30,7 +32,7 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
-from optsim.app.scene import scene_app
+from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
@@ -73,6 +75,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder; default reports/runs/NAME-TIME.")] = None,
     seed: Seed = None,
     tolerance: Tolerance = None,
+    calibration: Known = None,
     backend: Backend = None,
     as_json: Json = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, render nothing.")] = False,
@@ -90,7 +93,8 @@ def run(
     from optsim.experiment.explain import too_short
     from optsim.experiment.run_folder import finished_run
 
-    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
+    chosen = with_tolerance(assignments, tolerance, calibration)
+    loaded = load_experiment(experiment, chosen, seed=seed)
     if check_skips:
         show_skip_check(loaded, backend, as_json)
         return
@@ -301,34 +305,6 @@ def doctor(as_json: Json = False) -> None:
 
 
 @app.command()
-def check(
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name, or a scene folder.")],
-    variation: Annotated[str, typer.Option(help="Which of its variations, or a number.")] = "main",
-    backend: Backend = None,
-    as_json: Json = False,
-) -> None:
-    """Look for fireflies in a scene with a quick pilot, and name the light paths that make them."""
-    from optsim.core.console import page, progress_bars, table
-    from optsim.render import fireflies
-    from optsim.scene import load_scene
-
-    loaded = load_scene(scene, variation).in_band()
-    with progress_bars(quiet=as_json) as progress:
-        found = fireflies.pilot(loaded, backend=backend, progress=progress)
-    record = fireflies.record(loaded, found)
-    if as_json:
-        print_json(record)
-    else:
-        page.print(fireflies.headline(loaded))
-        for one in found:
-            page.print(one.text())
-            if one.fireflies:
-                page.print(table("", fireflies.COLUMNS, one.by_cause()))
-    if not record["fit"]:
-        raise typer.Exit(1)
-
-
-@app.command()
 def explain(
     experiment: ExperimentName, assignments: Set = None, tolerance: Tolerance = None, as_json: Json = False
 ) -> None:
@@ -350,9 +326,14 @@ def explain(
         raise typer.Exit(2)
 
 
+app.command("check")(check)
+app.command("laboratory")(laboratory)
+app.command("calibrate")(calibrate)
 app.command("reconstruct")(reconstruct_files)
 app.command("train")(train)
-app.command("bench")(bench)
+app.command("benchmark")(benchmark)
+# Its name before that of the images of a bench.
+app.command("bench", hidden=True, deprecated=True)(benchmark)
 app.command("validate")(validate)
 LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")
 

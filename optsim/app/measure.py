@@ -13,7 +13,7 @@ import typer
 from optsim.app.options import Json, Names, print_json
 
 
-def bench(
+def benchmark(
     names: Names = None,
     as_json: Json = False,
     out: Annotated[
@@ -22,7 +22,7 @@ def bench(
 ) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer.
 
-    A NAME is a record or a family of them: capture, dataset, gmm, mask, omp, reconstruct, render.
+    A NAME is a record or a family of them: calibrate, capture, dataset, gmm, mask, omp, reconstruct, render.
     """
     from contextlib import nullcontext
 
@@ -75,8 +75,8 @@ def _benchmarks() -> ModuleType:
     root = Path(__file__).parents[2]
     if not (root / "benchmarks" / "__init__.py").is_file():
         raise StorageError(
-            "bench needs the repository: its benchmarks are not part of the installed package. "
-            "Cure: clone the repository and run 'make bench' there."
+            "benchmark needs the repository: its benchmarks are not part of the installed package. "
+            "Cure: clone the repository and run 'make benchmark' there."
         )
     sys.path.insert(0, str(root))
     return import_module("benchmarks")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,6 +21,13 @@ Tolerance = Annotated[
         help="Error that leaving out may make, rms, relative to a frame's noise; 0 models everything [0.1]."
     ),
 ]
+Known = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        help="Calibration to know the camera by: a file of 'optsim calibrate', a run's folder, or a bench's.",
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")]
 Backend = Annotated[
     str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
@@ -28,9 +36,15 @@ Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on s
 Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
 
 
-def with_tolerance(assignments: list[str] | None, tolerance: float | None) -> list[str]:
-    """Put the tolerance of a command line among its overrides."""
-    return [*(assignments or []), *([] if tolerance is None else [f"tolerance={tolerance!r}"])]
+def with_tolerance(
+    assignments: list[str] | None, tolerance: float | None, calibration: Path | None = None
+) -> list[str]:
+    """Put the tolerance and the calibration of a command line among its overrides."""
+    return [
+        *(assignments or []),
+        *([] if tolerance is None else [f"tolerance={tolerance!r}"]),
+        *([] if calibration is None else [f"calibration={calibration}"]),
+    ]
 
 
 def refuse_without(option: str, cure: str, options: Mapping[str, object]) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, cast
 
 import typer
 
-from optsim.app.options import Json, Set, print_json
+from optsim.app.options import Json, Known, Set, print_json
 from optsim.core.errors import ConfigError
 
 _MANY = 0.25  # of all pixels: saturated ones that are worth a word (no source)
@@ -24,6 +24,7 @@ def reconstruct_files(
         str | None, typer.Option(help="Kind of decoder; default interpolation, or the run's own.")
     ] = None,
     method: Annotated[str | None, typer.Option(help="Of a run: whose frames.")] = None,
+    calibration: Known = None,
     peak: Annotated[
         float | None, typer.Option(help="Peak of the PSNR; default the brightest of the truth.")
     ] = None,
@@ -53,11 +54,13 @@ def reconstruct_files(
         start = {} if decoder else {"decoder": own.model_dump(mode="json")}
         where = "--decoder, --set" if decoder else "--set"
         chosen = build(DecoderChoice, override(start, wanted), where=where).decoder
-        found = read_run(measurement, method)
+        found = read_run(measurement, method, calibration)
     elif method is not None:
         raise ConfigError(f"--method {method}: {measurement} is no folder of a run; drop it")
     else:
-        files = measurement_files(measurement, wanted)
+        # Paths in the file start at its folder, those of the command line here.
+        known = [] if calibration is None else [f"calibration={calibration.expanduser().absolute()}"]
+        files = measurement_files(measurement, [*wanted, *known])
         found, chosen = read_measurement(files), files.decoder
     with (
         output_folder(out, f"reconstruct-{measurement.stem}") as folder,

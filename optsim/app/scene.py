@@ -1,4 +1,4 @@
-"""Commands of scenes: ``optsim scene show``."""
+"""Commands of scenes: ``optsim scene show`` and ``optsim check``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from optsim.app.options import Backend, Json, print_json
 
 scene_app = typer.Typer(no_args_is_help=True, help="Look at scenes and models.")
 
@@ -36,3 +38,30 @@ def show(
         typer.echo(f"{each}: {size} {unit}, middle at {', '.join(f'{x:.3g}' for x in (low + high) / 2)}")
     preview(scene, out, time_s=time_s, samples=samples)
     people.print(f"{out}: written")
+
+
+def check(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name, or a scene folder.")],
+    variation: Annotated[str, typer.Option(help="Which of its variations, or a number.")] = "main",
+    backend: Backend = None,
+    as_json: Json = False,
+) -> None:
+    """Look for fireflies in a scene with a quick pilot, and name the light paths that make them."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.render import fireflies
+    from optsim.scene import load_scene
+
+    loaded = load_scene(scene, variation).in_band()
+    with progress_bars(quiet=as_json) as progress:
+        found = fireflies.pilot(loaded, backend=backend, progress=progress)
+    record = fireflies.record(loaded, found)
+    if as_json:
+        print_json(record)
+    else:
+        page.print(fireflies.headline(loaded))
+        for one in found:
+            page.print(one.text())
+            if one.fireflies:
+                page.print(table("", fireflies.COLUMNS, one.by_cause()))
+    if not record["fit"]:
+        raise typer.Exit(1)

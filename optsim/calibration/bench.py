@@ -1,8 +1,9 @@
-"""Bench files: the raw images of a calibration bench and the settings they were taken with.
+"""Bench: the raw images that a camera's calibration is made from, and the settings they were taken with.
 
-A folder of 16-bit greyscale PNG files with a ``bench.json`` is the whole interface to a real bench. This
-module defines it. ``bench.json`` holds the fields of :class:`Bench`. A field of images lists their file
-names, relative to the folder. All images are of the whole CCD, not scaled.
+A folder of 16-bit greyscale PNG files with a manifest, ``bench.json``, is the whole interface to a
+laboratory, virtual or real. This module defines it. The manifest holds the fields of :class:`Bench`. A field
+of images lists their file names, relative to the folder. All images are of the whole CCD, not scaled, and
+stored as read: rows first, in DN.
 
 Procedure, with the camera's normal timing (its period, its slots, overlapped or not):
 
@@ -31,99 +32,36 @@ fields        a flash as long as a slot, in each of six successive slots in turn
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from optsim.calibration.record import RECORD, Table
-from optsim.core.errors import BenchError, StorageError
-from optsim.core.files import read_json, write_json, write_png16
+from optsim.calibration.bench_images import (
+    Flat,
+    Group,
+    Patches,
+    Step,
+    read_flat,
+    read_patches,
+    read_step,
+    write_group,
+    write_images,
+)
+from optsim.calibration.orientation import DIRECTIONS, Orientation
+from optsim.calibration.record import RECORD, Table, read_record
+from optsim.core.errors import BenchError
+from optsim.core.files import write_json
 from optsim.core.folder_claims import claimed
-from optsim.core.quantities import Bytes, Words, checked
+from optsim.core.quantities import Words, checked
 
-_FORMAT = "optsim bench 3"
-
-
-@dataclass(frozen=True, eq=False)
-class Flat:
-    """Frames of the uniform source with the whole panel held at one level.
-
-    Parameters
-    ----------
-    level : int
-        Drive level, 0..255.
-    irradiance_w_m2 : float
-        Modulator irradiance on axis (before the splitter), W m^-2: from the source's calibrated radiance.
-    dn : ndarray of shape (frame, y, x), uint16
-        Raw images.
-    """
-
-    level: int
-    irradiance_w_m2: float
-    dn: Words
-
-
-@dataclass(frozen=True, eq=False)
-class Patches:
-    """Frames of the uniform source with a lattice of bright square patches held on black.
-
-    Parameters
-    ----------
-    rows, cols : tuple of int
-        First panel row, column of the patches; the lattice is their product.
-    size : int
-        Edge of a patch, panel pixels.
-    irradiance_w_m2 : float
-        As in :class:`Flat`.
-    dn : ndarray of shape (frame, y, x), uint16
-        Raw images.
-    """
-
-    rows: tuple[int, ...]
-    cols: tuple[int, ...]
-    size: int
-    irradiance_w_m2: float
-    dn: Words
-
-    def levels(self, panel_shape: tuple[int, int]) -> Bytes:
-        """Drive levels of the pattern: array of shape (v, u), uint8."""
-        levels = np.zeros(panel_shape, np.uint8)
-        for row in self.rows:
-            for col in self.cols:
-                levels[row : row + self.size, col : col + self.size] = 255
-        return levels
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Frames lit by one flash each, around a change of the whole panel from one held level to another.
-
-    With both levels the same there is no change; the delay then counts from the frame's first field sync.
-
-    Parameters
-    ----------
-    before, after : int
-        Drive levels.
-    delay_s : float
-        Start of the flash after the field sync at which the level changes, s; may be negative.
-    flash_s : float
-        Duration of the flash, s; the same flash energy in all steps.
-    dn : ndarray of shape (frame, y, x), uint16
-        Raw images.
-    """
-
-    before: int
-    after: int
-    delay_s: float
-    flash_s: float
-    dn: Words
-
-
-_Group = Flat | Patches | Step
+FORMAT = "optsim bench 3"
+# What the numbers of the images are. A manifest that says something else is refused.
+_FIXED = {"unit": "DN", "axes": "y, x", "irradiance": "W m^-2 on the modulator, on axis"}
+_SAME_TIME = 1e-3  # relative: of stated exposures
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +84,16 @@ class Bench:
         Retardance of level 255 in the bench's light, rad. It is pi times the data sheet's half-wave
         wavelength over the light's wavelength. Its error goes into the grey curve's exponent and the time
         constants.
+    orientation : tuple of str or None
+        Directions on the CCD's image in which panel rows and panel columns count up: ("down", "right") if
+        upright, ("down", "left") if mirrored, ("right", "down") if transposed. None: unknown, any is taken.
+    about : mapping
+        Whatever the laboratory notes: who, when, with which program.
+    files : mapping
+        Files of each set, such as "darks" or "dots[2]", for messages; empty if not read from a folder.
     """
 
-    FILES: ClassVar[tuple[str, ...]] = (
+    SETS: ClassVar[tuple[str, ...]] = (
         "flats",
         "off",
         "greys",
@@ -174,38 +119,79 @@ class Bench:
     steps: tuple[Step, ...]
     fields: tuple[Step, ...] = ()
     white_rad: float = math.pi
+    orientation: Orientation | None = None
+    about: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
     def __post_init__(self) -> None:
         ccd = self.darks.shape[1:]
-        for name, dn in (("darks", self.darks), *((n, g.dn) for n, g in self._named())):
-            checked(f"bench {name}", dn, axes=("frame", "y", "x"), dtype=np.uint16, unit="DN")
+        for name, dn in (("darks", self.darks), *((n, g.dn) for n, g in self.groups())):
+            checked(self.where(name), dn, axes=("frame", "y", "x"), dtype=np.uint16, unit="DN")
             if dn.shape[1:] != ccd:
                 raise BenchError(
-                    f"bench {name}: got images of {dn.shape[1:]} pixels, expected {ccd} as the darks have; "
-                    "take all images with the same full CCD frame"
+                    f"{self.where(name)}: got images of {dn.shape[1:]} pixels, expected {ccd} as the darks "
+                    "have; cure: take all images with the same full CCD frame"
                 )
-        if not 0 < self.white_rad < 2 * math.pi:
-            raise BenchError(
-                f"bench white_rad: got {self.white_rad:g}, expected more than 0 and less than 2 pi"
-            )
+        for fine, key, got, expected in (
+            (0 < self.white_rad < 2 * math.pi, "white_rad", self.white_rad, "more than 0, less than 2 pi"),
+            (self.slot_s > 0, "slot_s", self.slot_s, "more than 0"),
+            (
+                1 <= self.coded_slots <= self.slots_per_frame,
+                "coded_slots",
+                self.coded_slots,
+                f"1 to slots_per_frame, {self.slots_per_frame}",
+            ),
+            (min(self.panel_shape) > 0, "panel_shape", self.panel_shape, "rows and columns"),
+        ):
+            if not fine:
+                raise BenchError(f"bench {key}: got {got}, expected {expected}; cure: correct {RECORD}")
         for name, least in (("darks", 2), ("off", 1), ("saturated", 2)):
             group = self.darks if name == "darks" else cast("Flat", getattr(self, name)).dn
-            _enough(name, len(group), least, "frames")
-        _enough("flats", len(self.flats), 1, "irradiances")
-        for flat in self.flats:
-            _enough("flats", len(flat.dn), 2, "frames at each irradiance (photon transfer needs pairs)")
-        _enough("anchors", len(self.anchors), 3, "patches")
-        _enough("dots", len(self.dots), 1, "lattices")
+            _enough(self.where(name), len(group), least, "frames")
+        _enough("bench flats", len(self.flats), 1, "irradiances")
+        for number, flat in enumerate(self.flats):
+            where = self.where(f"flats[{number}]")
+            _enough(where, len(flat.dn), 2, "frames at each irradiance (photon transfer needs pairs)")
+        _enough("bench anchors", len(self.anchors), 3, "patches")
+        _enough("bench dots", len(self.dots), 1, "lattices")
+        for name, group in self.groups():
+            if isinstance(group, Patches):
+                _inside(self.where(name), group, self.panel_shape)
 
-    def _named(self) -> list[tuple[str, _Group]]:
-        groups: list[tuple[str, _Group]] = []
-        for name in self.FILES:
-            field = cast("_Group | tuple[_Group, ...]", getattr(self, name))
-            groups += [(name, group) for group in (field if isinstance(field, tuple) else (field,))]
-        return groups
+    def groups(self) -> list[tuple[str, Group]]:
+        """List the images but the darks by set: names such as "off" and "dots[2]"."""
+        named: list[tuple[str, Group]] = []
+        for name in self.SETS:
+            held = cast("Group | tuple[Group, ...]", getattr(self, name))
+            if isinstance(held, tuple):
+                named += [(f"{name}[{index}]", group) for index, group in enumerate(held)]
+            else:
+                named.append((name, held))
+        return named
+
+    def where(self, name: str, frame: int | None = None) -> str:
+        """Name a set, such as "dots[2]", or a frame of it for a message, with its files if they are known."""
+        files = self.files.get(name, ())
+        shown = files if frame is None else files[frame : frame + 1]
+        if not shown:
+            return f"bench {name}" + ("" if frame is None else f", frame {frame}")
+        return f"{shown[0]}{', ...' if len(shown) > 1 else ''} ({name})"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything but the images, as the manifest holds it."""
+        return {
+            "slot_s": self.slot_s,
+            "slots_per_frame": self.slots_per_frame,
+            "coded_slots": self.coded_slots,
+            "panel_shape": self.panel_shape,
+            "white_rad": self.white_rad,
+            "orientation": self.orientation,
+            "about": self.about,
+        }
 
     def write(self, folder: Path) -> None:
-        """Write the images and ``bench.json`` into a folder, which is made if need be.
+        """Write the images and the manifest into a folder, which is made if need be.
 
         Raises
         ------
@@ -213,22 +199,14 @@ class Bench:
             When the disk refuses, or another process writes into the folder.
         """
         with claimed(folder):
-            record: dict[str, Any] = {
-                "format": _FORMAT,
-                "slot_s": self.slot_s,
-                "slots_per_frame": self.slots_per_frame,
-                "coded_slots": self.coded_slots,
-                "panel_shape": list(self.panel_shape),
-                "white_rad": self.white_rad,
-                "darks": _write_images(folder, "dark", self.darks),
-            }
-            for name in self.FILES:
-                field = cast("_Group | tuple[_Group, ...]", getattr(self, name))
-                if isinstance(field, tuple):
-                    record[name] = [_as_table(folder, f"{name}-{i:02d}", g) for i, g in enumerate(field)]
+            tables: dict[str, Any] = {"darks": write_images(folder, "dark", self.darks)}
+            for name in self.SETS:
+                held = cast("Group | tuple[Group, ...]", getattr(self, name))
+                if isinstance(held, tuple):
+                    tables[name] = [write_group(folder, f"{name}-{i:02d}", g) for i, g in enumerate(held)]
                 else:
-                    record[name] = _as_table(folder, name, field)
-            write_json(folder / RECORD, record)
+                    tables[name] = write_group(folder, name, held)
+            write_json(folder / RECORD, manifest(self.settings, tables))
 
     @classmethod
     def read(cls, folder: Path) -> Bench:
@@ -239,61 +217,75 @@ class Bench:
         BenchError
             When a file or key is missing or of the wrong kind; it names the file and the cure.
         """
-        path = folder / RECORD
-        try:
-            record = cast("object", read_json(path))
-        except StorageError as error:
-            raise BenchError(f"{error}; a bench folder needs {RECORD} beside its images") from None
-        if not isinstance(record, dict) or cast("dict[str, Any]", record).get("format") != _FORMAT:
-            raise BenchError(f'{path}: expected a JSON object with "format": {json.dumps(_FORMAT)}')
-        table = Table(path, "", cast("dict[str, Any]", record))
+        table = read_record(folder, FORMAT)
+        table.only((*_FIXED, "format", "exposure_s", *(each.name for each in fields(cls))))
+        for key, value in _FIXED.items():
+            table.stated(key, value)
+        slot_s, coded_slots = table.positive("slot_s"), int(table.positive("coded_slots"))
+        if "exposure_s" in table.items:
+            exposure_s = table.positive("exposure_s")
+            if abs(exposure_s / (slot_s * coded_slots) - 1) > _SAME_TIME:
+                raise table.wrong("exposure_s", f"coded_slots x slot_s, {slot_s * coded_slots:g} s")
         return cls(
-            slot_s=table.number("slot_s"),
-            slots_per_frame=int(table.number("slots_per_frame")),
-            coded_slots=int(table.number("coded_slots")),
+            slot_s=slot_s,
+            slots_per_frame=int(table.positive("slots_per_frame")),
+            coded_slots=coded_slots,
             panel_shape=cast("tuple[int, int]", table.integers("panel_shape", length=2)),
             darks=table.images("darks"),
-            flats=tuple(_flat(t) for t in table.tables("flats")),
-            off=_flat(table.table("off")),
-            greys=tuple(_flat(t) for t in table.tables("greys")),
-            saturated=_flat(table.table("saturated")),
-            anchors=tuple(_patches(t) for t in table.tables("anchors")),
-            dots=tuple(_patches(t) for t in table.tables("dots")),
-            glare=tuple(_patches(t) for t in table.tables("glare")),
-            steps=tuple(_step(t) for t in table.tables("steps")),
-            fields=tuple(_step(t) for t in table.tables("fields")),
-            white_rad=table.number("white_rad"),
+            flats=tuple(read_flat(t) for t in table.tables("flats")),
+            off=read_flat(table.table("off")),
+            greys=tuple(read_flat(t) for t in table.tables("greys")),
+            saturated=read_flat(table.table("saturated")),
+            anchors=tuple(read_patches(t) for t in table.tables("anchors")),
+            dots=tuple(read_patches(t) for t in table.tables("dots")),
+            glare=tuple(read_patches(t) for t in table.tables("glare")),
+            steps=tuple(read_step(t) for t in table.tables("steps")),
+            fields=tuple(read_step(t) for t in table.tables("fields")),
+            white_rad=table.positive("white_rad"),
+            orientation=_orientation(table),
+            about=table.table("about").items if "about" in table.items else {},
+            files=_files(table, cls.SETS),
         )
 
 
-def _enough(name: str, got: int, least: int, of: str) -> None:
+def manifest(settings: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Join what ``bench.json`` holds: :attr:`Bench.settings`, and the tables of its images by set."""
+    said = {key: value for key, value in settings.items() if value is not None}
+    exposure_s = settings["slot_s"] * settings["coded_slots"]
+    return {"format": FORMAT, **_FIXED, **said, "exposure_s": exposure_s, **tables}
+
+
+def _orientation(table: Table) -> Orientation | None:
+    if "orientation" not in table.items:
+        return None
+    said: object = table.items["orientation"]
+    found = tuple(cast("list[object]", said)) if isinstance(said, list) else ()
+    if found not in DIRECTIONS:
+        raise table.wrong("orientation", f"one of {', '.join(str(list(each)) for each in DIRECTIONS)}")
+    return cast("Orientation", found)
+
+
+def _files(table: Table, sets: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Files of each set, by its name in messages."""
+    files = {"darks": table.files("darks")}
+    for name in sets:
+        if isinstance(table.items[name], list):
+            files |= {f"{name}[{i}]": each.files("files") for i, each in enumerate(table.tables(name))}
+        else:
+            files[name] = table.table(name).files("files")
+    return files
+
+
+def _enough(where: str, got: int, least: int, of: str) -> None:
     if got < least:
-        raise BenchError(f"bench {name}: got {got}, expected at least {least} {of}")
+        raise BenchError(f"{where}: got {got}, expected at least {least} {of}; cure: take them")
 
 
-def _write_images(folder: Path, stem: str, dn: Words) -> list[str]:
-    names = [f"{stem}-{i:02d}.png" for i in range(len(dn))]
-    for name, image in zip(names, dn, strict=True):
-        write_png16(folder / name, image)
-    return names
-
-
-def _as_table(folder: Path, stem: str, group: _Group) -> dict[str, Any]:
-    table: dict[str, Any] = {key: value for key, value in vars(group).items() if key != "dn"}
-    return {**table, "files": _write_images(folder, stem, group.dn)}
-
-
-def _flat(table: Table) -> Flat:
-    return Flat(int(table.number("level")), table.number("irradiance_w_m2"), table.images("files"))
-
-
-def _patches(table: Table) -> Patches:
-    rows, cols = table.integers("rows"), table.integers("cols")
-    return Patches(
-        rows, cols, int(table.number("size")), table.number("irradiance_w_m2"), table.images("files")
-    )
-
-
-def _step(table: Table) -> Step:
-    before, after = int(table.number("before")), int(table.number("after"))
-    return Step(before, after, table.number("delay_s"), table.number("flash_s"), table.images("files"))
+def _inside(where: str, patches: Patches, panel_shape: tuple[int, int]) -> None:
+    """Refuse patches that reach beyond the panel: a pattern counted from 1, or of another panel."""
+    for key, first, size in zip(("rows", "cols"), (patches.rows, patches.cols), panel_shape, strict=True):
+        if min(first) < 0 or max(first) + patches.size > size:
+            raise BenchError(
+                f"{where}: {key}: got patches at {min(first)} to {max(first) + patches.size - 1}, expected "
+                f"0 to {size - 1}, as panel_shape says; cure: count from 0, or correct panel_shape"
+            )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import ClassVar, Literal
 
@@ -91,6 +92,9 @@ class Calibration:
         Shares of the light that land beyond the kernel: PSF tails, a ghost, veiling glare.
     reading_px : int
         Side of the readout window, CCD pixels, odd.
+    standard_errors : mapping
+        Standard errors of single numbers by their names in the calibration's file, in the same unit, and
+        ``map_px`` of the pixel map, panel pixels; of measured ones only.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -113,6 +117,7 @@ class Calibration:
     map_residual_px: float
     glare: Glare = NO_GLARE
     reading_px: int = 1
+    standard_errors: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (

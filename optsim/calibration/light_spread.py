@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import cast
 
 import numpy as np
 
-from optsim.calibration.bench import Patches
+from optsim.calibration.bench import Bench, Patches
 from optsim.calibration.glare import NO_GLARE, RINGS_PX, Glare, tails_blur
 from optsim.calibration.shading import PixelReader, Shading
 from optsim.core.errors import BenchError
@@ -25,9 +26,25 @@ _GHOST_BLURS_PX, _BLUR_STEP = (4.0, 100.0), 0.02
 _WIDEST_RING = 1 / 2
 # A larger share cannot be distinguished from direct light.
 _MOST = 0.5
+# A patch is where the bench says if it is this many times as bright as the rest.
+_BRIGHTER = 2.0
+# Share of the light with the panel off that dark places have at least: they have its leak, and glare.
+_DARKER = 0.8
 
 
-def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shading) -> Glare:
+@dataclass(frozen=True)
+class GlareFit:
+    """Glare with the standard errors of its veil and ghost.
+
+    They are by noise, by what the patterns disagree, and of a ghost too weak to count by what it might be.
+    """
+
+    glare: Glare
+    veil_error: float
+    ghost_error: float
+
+
+def measured_glare(bench: Bench, reader: PixelReader, flat: Shading) -> GlareFit:
     """Estimate glare from the light of a bright patch in dark places; none without images.
 
     The light there beyond the panel's leak is :meth:`Glare.light` of the pattern. It is linear in all shares,
@@ -36,13 +53,14 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
     Raises
     ------
     BenchError
-        When no valid pixel is far enough from a patch.
+        When no valid pixel is far enough from a patch, or a patch is not where the bench says.
     """
+    patterns = bench.glare
     if not patterns:
-        return NO_GLARE
+        return GlareFit(NO_GLARE, 0.0, 0.0)
     from scipy.optimize import fminbound, nnls
 
-    lights, places, excess, sigma = _dark_places(patterns, reader, flat)
+    lights, places, excess, sigma = _dark_places(bench, reader, flat)
     shape = (flat.valid.shape[0], flat.valid.shape[1])
 
     def term(arriving: Callable[[Doubles], Doubles]) -> Doubles:
@@ -74,11 +92,33 @@ def measured_glare(patterns: Sequence[Patches], reader: PixelReader, flat: Shadi
     if left - left_with > _GHOST_SIGMAS**2:
         veil, tails, ghost, blur_px = veil_with, tails_with, ghost_with, float(np.exp(log_blur))
     tails += [0.0] * (len(RINGS_PX) - 1 - n_rings)
-    return Glare(veil, ghost, blur_px, tuple(tails))
+    found = Glare(veil, ghost, blur_px, tuple(tails))
+    terms = [*plain, *([term(partial(mirrored, sigma_px=blur_px))] if ghost else [])]
+    shares = np.array([veil, *found.wings[:n_rings], *([ghost] if ghost else [])])
+    errors = _share_errors(np.stack(terms, axis=1), shares, excess / sigma, [far.sum() for far in places])
+    if ghost:
+        return GlareFit(found, errors[0], errors[-1])
+    return GlareFit(found, float(np.hypot(errors[0], veil_with - veil)), ghost_with)
+
+
+def _share_errors(terms: Doubles, shares: Doubles, seen: Doubles, counts: Sequence[int]) -> list[float]:
+    """Give standard errors of shares: by noise, and by the spread of fits to each pattern alone."""
+    lit = shares > 0
+    if not lit.any():
+        return [0.0] * len(shares)
+    inverse = np.linalg.pinv(terms[:, lit].T @ terms[:, lit])
+    errors = np.zeros(len(shares))
+    errors[lit] = np.sqrt(np.diag(inverse))
+    if len(counts) > 1:
+        ends = np.cumsum(counts)[:-1]
+        parts = zip(np.split(terms, ends), np.split(seen, ends), strict=True)
+        alone = np.array([np.linalg.lstsq(each[:, lit], part)[0] for each, part in parts])
+        errors[lit] = np.hypot(errors[lit], alone.std(axis=0, ddof=1) / np.sqrt(len(counts)))
+    return errors.tolist()
 
 
 def _dark_places(
-    patterns: Sequence[Patches], reader: PixelReader, flat: Shading
+    bench: Bench, reader: PixelReader, flat: Shading
 ) -> tuple[list[Doubles], list[Bools], Doubles, Doubles]:
     """For each pattern: its light, the places beyond its kernel, the light there, and its standard error.
 
@@ -89,15 +129,28 @@ def _dark_places(
     kernel = np.ones((2 * REACH + 1, 2 * REACH + 1))
     lights, places = list[Doubles](), list[Bools]()
     excess, sigma = list[Doubles](), list[Doubles]()
-    for pattern in patterns:
+    for number, pattern in enumerate(bench.glare):
+        where = bench.where(f"glare[{number}]")
         lit = pattern.levels((flat.valid.shape[0], flat.valid.shape[1])) > 0
         far = flat.valid & ~np.asarray(binary_dilation(lit, kernel), np.bool_)
         if not far.any():
             raise BenchError(
-                f"bench glare: no panel pixel is more than {REACH} pixels from the patch; use a smaller "
-                "patch, or leave the list empty on a panel too small for it"
+                f"{where}: no panel pixel is more than {REACH} pixels from the patch, expected some; cure: a "
+                "smaller patch, or an empty list on a panel too small for it"
             )
         rate, variance = reader.rate((pattern,))
+        bright, dark = float(rate[lit & flat.valid].mean()), float(rate[far].mean())
+        if bright < _BRIGHTER * dark:
+            raise BenchError(
+                f"{where}: got {bright / max(dark, 1e-30):.2g} times the light of the dark rest in its "
+                f"patch, expected more than {_BRIGHTER:g}; cure: correct rows and cols, or exchange the file"
+            )
+        leak = float(flat.off_dn[far].mean())
+        if dark < _DARKER * leak:
+            raise BenchError(
+                f"{bench.where('off')}: got {leak / max(dark, 1e-30):.2g} times the light of the dark rest "
+                f"of {where}, expected no more; cure: exchange the file, or correct irradiance_w_m2"
+            )
         lights.append(np.where(lit, flat.responsivity_dn - flat.off_dn, 0))
         places.append(far)
         excess.append((rate - flat.off_dn)[far])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.calibration.bench import Bench, Patches
+from optsim.calibration.orientation import Orientation, in_words, orientation_of
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 
@@ -20,6 +21,9 @@ _ORDER = 3
 # A dot counts if its light exceeds this share of the median dot's: less is a dead pixel or the CCD's edge.
 _DIM = 0.3
 _OUTLIER_SIGMAS = 5.0
+# No source, sensible defaults: a lattice of which fewer dots agree shows another pattern; so does an anchor
+# farther from where the dots have it, panel pixels.
+_LEAST_AGREEING, _MOST_APART_PX = 0.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,20 +40,61 @@ class PixelMap:
         Rms distance between the map and the dots, corrected for the degrees of freedom, panel pixels.
     ccd_per_panel_px : float
         Mean scale.
+    covariance : ndarray of shape (10, 10), float64
+        Of the coefficients along one axis, CCD pixels squared, by the scatter of the dots.
+    dots_px : ndarray of shape (n, 2), float64
+        Panel coordinates of the dots that the map is fitted to.
+    off_ccd_px : ndarray of shape (n, 2), float64
+        Where they were seen minus where the map has them, (y, x), CCD pixels.
     """
 
     coefficients: Doubles
     panel_shape: tuple[int, int]
     residual_px: float
     ccd_per_panel_px: float
+    covariance: Doubles
+    dots_px: Doubles
+    off_ccd_px: Doubles
 
     def on_ccd(self, panel: Doubles) -> Doubles:
         """CCD coordinates (y, x) of panel points (v, u): arrays of shape (n, 2), float64."""
         return _terms(panel, self.panel_shape, _ORDER) @ self.coefficients
 
+    @property
+    def slope(self) -> Doubles:
+        """CCD pixels (y, x) a panel pixel along v and along u in the panel's middle: array (2, 2)."""
+        middle = np.array([self.panel_shape]) / 2
+        steps = [(self.on_ccd(middle + step) - self.on_ccd(middle - step))[0] for step in np.eye(2) / 2]
+        return np.stack(steps)
+
+    @property
+    def orientation(self) -> Orientation:
+        """Orientation of the panel's image."""
+        return orientation_of(self.slope)
+
+    def on_panel(self, ccd: Doubles) -> Doubles:
+        """Convert distances on the CCD (y, x) to distances along v and u in the panel's middle: (n, 2)."""
+        return np.linalg.solve(self.slope.T, ccd.T).T.astype(np.float64)
+
+    def error_px(self) -> Doubles:
+        """Give the map's standard error at each panel pixel along either axis, panel pixels: array (v, u)."""
+        terms = _terms(self._centres(), self.panel_shape, _ORDER)
+        variance = np.einsum("nt,ts,ns->n", terms, self.covariance, terms, optimize=True)
+        return (np.sqrt(variance) / self.ccd_per_panel_px).reshape(self.panel_shape)
+
+    def beyond_dots(self) -> Bools:
+        """Panel pixels outside of the dots' rectangle, where the map is extrapolated: array (v, u)."""
+        centres = self._centres()
+        outside = (centres < self.dots_px.min(axis=0)) | (centres > self.dots_px.max(axis=0))
+        return outside.any(axis=1).reshape(self.panel_shape)
+
+    def _centres(self) -> Doubles:
+        centres: Doubles = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
+        return centres
+
     def ccd_pixels(self) -> tuple[Ints, Ints]:
         """CCD row and column containing each panel pixel's centre: two arrays (v, u); may be off the CCD."""
-        centres = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
+        centres = self._centres()
         pick: Ints = np.floor(self.on_ccd(centres)).astype(np.int64)
         return pick[:, 0].reshape(self.panel_shape), pick[:, 1].reshape(self.panel_shape)
 
@@ -58,7 +103,7 @@ class PixelMap:
 
         In panel pixels, by the inverse of the map's local slope: right for mirrored and rotated cameras too.
         """
-        centres = np.indices(self.panel_shape, np.float64).reshape(2, -1).T + 0.5
+        centres = self._centres()
         apart = np.stack([row.ravel() + 0.5, col.ravel() + 0.5], axis=1) - self.on_ccd(centres)
         slopes = [self.on_ccd(centres + step) - self.on_ccd(centres - step) for step in np.eye(2) / 2]
         offsets = np.linalg.solve(np.stack(slopes, axis=-1), apart[..., None])
@@ -78,7 +123,8 @@ def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
     Raises
     ------
     BenchError
-        When an anchor is not seen, or too few dots are.
+        When an anchor is not seen, too few dots are, or a pattern or the image's orientation is not as the
+        bench says.
     """
     off = bench.off.dn.mean(axis=0, dtype=np.float32) - black_dn
     pictures = [
@@ -91,10 +137,54 @@ def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
         for p in (*bench.anchors, *bench.dots)
     ]
     n = len(bench.anchors)
-    affine = _affine(pictures[:n], bench.panel_shape)
+    anchors, on_ccd = _anchors(bench, pictures[:n])
+    affine = np.linalg.lstsq(_terms(anchors, bench.panel_shape, 1), on_ccd)[0].astype(np.float64)
     scale = float(np.sqrt(abs(np.linalg.det(affine[1:])))) / np.sqrt(np.prod(bench.panel_shape) / 4)
-    panel, ccd = _dots(pictures[n:], affine, scale, bench.panel_shape)
-    return _fit(panel, ccd, scale, bench.panel_shape)
+    panel, ccd, lattice = _dots(pictures[n:], affine, scale, bench.panel_shape)
+    found, kept = _fit(bench, panel, ccd, scale)
+    ccd_shape = black_dn.shape[0], black_dn.shape[1]
+    _check_lattices(bench, found, ccd_shape, np.bincount(lattice[kept], minlength=len(bench.dots)))
+    _check_anchors(bench, found, anchors, on_ccd)
+    if bench.orientation is not None and found.orientation != bench.orientation:
+        raise BenchError(
+            f"{bench.where('anchors[0]')}: orientation: got an image that is {in_words(found.orientation)}, "
+            f"expected {in_words(bench.orientation)}; cure: correct orientation if the optics or the readout "
+            "turn the image, or take the patterns as they are said to be"
+        )
+    return found
+
+
+def _check_lattices(bench: Bench, found: PixelMap, ccd_shape: tuple[int, int], agreeing: Ints) -> None:
+    """Refuse a lattice whose dots are not where the other lattices' map has them."""
+    margin = 2 * found.ccd_per_panel_px
+    for number, (pattern, n_kept) in enumerate(zip(bench.dots, agreeing, strict=True)):
+        places = found.on_ccd(_places(pattern))
+        inside = ((places > margin) & (places < np.array(ccd_shape) - margin)).all(axis=1)
+        n_there = int(np.count_nonzero(inside))
+        if n_kept < _LEAST_AGREEING * n_there:
+            raise BenchError(
+                f"{bench.where(f'dots[{number}]')}: got {n_kept} of {n_there} dots where the map of all "
+                "dots has them, expected most; cure: it shows another pattern than rows and cols say: "
+                "exchange the file or correct them"
+            )
+
+
+def _check_anchors(bench: Bench, found: PixelMap, panel: Doubles, on_ccd: Doubles) -> None:
+    """Refuse an anchor that is not where the dots' map has it."""
+    for number, (down, right) in enumerate(found.on_panel(on_ccd - found.on_ccd(panel))):
+        if np.hypot(down, right) > _MOST_APART_PX:
+            raise BenchError(
+                f"{bench.where(f'anchors[{number}]')}: got its patch {down:+.2f} rows and {right:+.2f} "
+                f"columns of the panel from where the dots' map has it, expected less than "
+                f"{_MOST_APART_PX:g}; cure: anchors or dots were shown elsewhere than rows and cols say, or "
+                "files are exchanged"
+            )
+
+
+def _places(pattern: Patches) -> Doubles:
+    """Panel coordinates of the centres of a lattice's patches: array of shape (n, 2)."""
+    rows, cols = np.meshgrid(pattern.rows, pattern.cols, indexing="ij")
+    return np.stack([rows.ravel(), cols.ravel()], axis=-1) + np.float64(pattern.size / 2)
 
 
 def _terms(panel: Doubles, panel_shape: tuple[int, int], order: int) -> Doubles:
@@ -104,50 +194,49 @@ def _terms(panel: Doubles, panel_shape: tuple[int, int], order: int) -> Doubles:
     return np.stack(terms, axis=-1)
 
 
-def _affine(pictures: Sequence[tuple[Patches, Floats]], panel_shape: tuple[int, int]) -> Doubles:
-    """Affine map from the brightest spot of each anchor: array of shape (3, 2)."""
-    panel: list[list[float]] = []
+def _anchors(bench: Bench, pictures: Sequence[tuple[Patches, Floats]]) -> tuple[Doubles, Doubles]:
+    """Panel centre and CCD centroid of the brightest spot of each anchor: two arrays of shape (n, 2)."""
     ccd: list[Doubles] = []
     for number, (anchor, picture) in enumerate(pictures):
         # A 3 x 3 mean, so that a hot pixel is not taken for the patch.
         smooth = sum(np.roll(picture, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / np.float32(9)
         peak = np.array(np.unravel_index(int(np.argmax(smooth)), smooth.shape))
         noise = 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
-        if float(smooth.max()) < 20 * max(noise, 1.0):
-            raise BenchError(
-                f"bench anchors[{number}]: no bright patch seen (peak {smooth.max():.1f} DN); check that "
-                "the panel showed it and that it falls on the CCD"
-            )
         centre = _centroids(picture, peak[None].astype(np.float64) + 0.5, radius=3 * anchor.size)[0][0]
-        panel.append([anchor.rows[0] + anchor.size / 2, anchor.cols[0] + anchor.size / 2])
+        if float(smooth.max()) < 20 * max(noise, 1.0) or not np.isfinite(centre).all():
+            raise BenchError(
+                f"{bench.where(f'anchors[{number}]')}: no bright patch seen (peak {smooth.max():.1f} DN), "
+                "expected one inside the picture; cure: check that the panel showed it and that it falls "
+                "on the CCD, well inside"
+            )
         ccd.append(centre)
-    terms = _terms(np.array(panel), panel_shape, 1)
-    if np.linalg.cond(terms) > 100:
-        raise BenchError("bench anchors: they are almost in one line; spread them over the panel")
-    return np.linalg.lstsq(terms, np.array(ccd))[0].astype(np.float64)
+    panel = np.concatenate([_places(anchor)[:1] for anchor, _ in pictures])
+    if np.linalg.cond(_terms(panel, bench.panel_shape, 1)) > 100:
+        raise BenchError("bench anchors: they are almost in one line; cure: spread them over the panel")
+    return panel, np.stack(ccd)
 
 
 def _dots(
     pictures: Sequence[tuple[Patches, Floats]], affine: Doubles, scale: float, panel_shape: tuple[int, int]
-) -> tuple[Doubles, Doubles]:
-    """Panel centres and CCD centroids of all dots seen well: two arrays of shape (n, 2)."""
+) -> tuple[Doubles, Doubles, Ints]:
+    """Panel centres and CCD centroids of all dots seen well, (n, 2), and the number of their lattice, (n)."""
     found: list[tuple[Doubles, Doubles, Doubles]] = []
     for pattern, picture in pictures:
-        rows, cols = np.meshgrid(pattern.rows, pattern.cols, indexing="ij")
-        panel = np.stack([rows.ravel(), cols.ravel()], axis=-1) + np.float64(pattern.size / 2)
-        gap = float(min(np.diff(rows[:, 0]).min(initial=99), np.diff(cols[0]).min(initial=99)))
+        panel = _places(pattern)
+        gaps = [np.diff(sorted(places)).min(initial=99) for places in (pattern.rows, pattern.cols)]
         guess = (_terms(panel, panel_shape, 1) @ affine).astype(np.float64)
         # The first window reaches halfway to the next dot, since the affine guess ignores distortion.
-        near, _ = _centroids(picture, guess, radius=max(2, round(0.45 * gap * scale)))
+        near, _ = _centroids(picture, guess, radius=max(2, round(0.45 * float(min(gaps)) * scale)))
         centres, light = _centroids(picture, near, radius=max(2, round((1.5 + pattern.size / 2) * scale)))
         found.append((panel, centres, light))
     panel = np.concatenate([dots[0] for dots in found])
     ccd = np.concatenate([dots[1] for dots in found])
     light = np.concatenate([dots[2] for dots in found])
+    lattice: Ints = np.repeat(np.arange(len(found)), [len(dots[0]) for dots in found])
     seen = np.isfinite(ccd[:, 0]) & np.isfinite(ccd[:, 1])
     if seen.any():
         seen &= light > _DIM * float(np.median(light[seen]))
-    return panel[seen], ccd[seen]
+    return panel[seen], ccd[seen], lattice[seen]
 
 
 def _centroids(picture: Floats, centres: Doubles, radius: int) -> tuple[Doubles, Doubles]:
@@ -179,21 +268,27 @@ def _centroids(picture: Floats, centres: Doubles, radius: int) -> tuple[Doubles,
     return result, np.nan_to_num(light)
 
 
-def _fit(panel: Doubles, ccd: Doubles, scale: float, panel_shape: tuple[int, int]) -> PixelMap:
+def _fit(bench: Bench, panel: Doubles, ccd: Doubles, scale: float) -> tuple[PixelMap, Bools]:
+    """Fit the map to the dots that agree; also return which those are."""
     kept = np.ones(len(panel), np.bool_)
-    terms = _terms(panel, panel_shape, _ORDER)
-    coefficients, residual = np.zeros((terms.shape[1], 2)), 0.0
+    terms = _terms(panel, bench.panel_shape, _ORDER)
+    coefficients, residual, fitted = np.zeros((terms.shape[1], 2)), 0.0, kept
     for _ in range(3):
         n_kept, n_terms = int(np.count_nonzero(kept)), int(terms.shape[1])
         if n_kept < 2 * n_terms:
             raise BenchError(
-                f"bench dots: only {n_kept} of {len(panel)} dots seen well agree on a map, expected at least "
-                f"{2 * n_terms}; brighten them, or spread a denser lattice over the panel"
+                f"{bench.where('dots[0]')}: only {n_kept} of {len(panel)} dots seen well agree on a map, "
+                f"expected at least {2 * n_terms}; cure: brighten them, spread a denser lattice over the "
+                "panel, or check that rows and cols are those shown"
             )
         coefficients = np.linalg.lstsq(terms[kept], ccd[kept])[0].astype(np.float64)
         distance = np.linalg.norm(ccd - terms @ coefficients, axis=1)
         # For a two-dimensional Gaussian the median distance is 1.18 standard deviations of an axis.
         limit = _OUTLIER_SIGMAS * float(np.median(distance[kept])) / 1.18 + 0.02
         residual = float(np.sqrt(np.sum(distance[kept] ** 2) / (n_kept - n_terms))) / scale
-        kept = distance < limit
-    return PixelMap(coefficients, panel_shape, residual, scale)
+        kept, fitted = distance < limit, kept
+    # The residual is of both axes together.
+    covariance = np.linalg.inv(terms[fitted].T @ terms[fitted]) * (residual * scale) ** 2 / 2
+    off_ccd_px: Doubles = (ccd - terms @ coefficients)[fitted].astype(np.float64)
+    found = PixelMap(coefficients, bench.panel_shape, residual, scale, covariance, panel[fitted], off_ccd_px)
+    return found, fitted

@@ -14,7 +14,7 @@ import numpy as np
 
 from optsim.calibration.bench import Bench
 from optsim.core.errors import BenchError
-from optsim.core.quantities import Bools, Floats, Words
+from optsim.core.quantities import Bools, Doubles, Floats, Words
 
 # One clipped reading in 30 000 (Gaussian) falls below the threshold and counts as measured.
 _SATURATION_SIGMAS = 4.0
@@ -33,14 +33,24 @@ class SensorNoise:
         Temporal noise in the dark, quantisation included, DN.
     dn_per_e : float
         System gain, DN per electron.
+    read_noise_error_dn, dn_per_e_error : float
+        Their standard errors. That of the gain includes its change with the light, up to that of the flats.
     """
 
     read_noise_dn: float
     dn_per_e: float
+    read_noise_error_dn: float = 0.0
+    dn_per_e_error: float = 0.0
 
     def of_mean(self, n_pixels: int) -> SensorNoise:
         """Noise of the mean of some pixels, treated as one pixel that collects the sum of their electrons."""
-        return SensorNoise(self.read_noise_dn / np.sqrt(n_pixels), self.dn_per_e / n_pixels)
+        side = np.sqrt(n_pixels)
+        return SensorNoise(
+            self.read_noise_dn / side,
+            self.dn_per_e / n_pixels,
+            self.read_noise_error_dn / side,
+            self.dn_per_e_error / n_pixels,
+        )
 
 
 def temporal_variance(frames: Words) -> float:
@@ -67,21 +77,47 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
         When the flats are too dim to show photon noise.
     """
     read_variance = temporal_variance(bench.darks)
-    signal = excess = 0.0
+    read_error = read_variance * _relative_error(bench.darks)
+    signals, excesses, errors = list[float](), list[float](), list[float]()
     for flat in bench.flats:
         frames = flat.dn[:, *lit]
-        signal += float(np.mean(frames, dtype=np.float64) - np.mean(black_dn[lit], dtype=np.float64))
-        excess += temporal_variance(frames) - read_variance
+        signals.append(float(np.mean(frames, dtype=np.float64) - np.mean(black_dn[lit], dtype=np.float64)))
+        variance = temporal_variance(frames)
+        excesses.append(variance - read_variance)
+        errors.append(variance * _relative_error(frames))
+    signal, excess = sum(signals), sum(excesses)
     if signal <= 0 or excess <= 0.1 * read_variance:
         raise BenchError(
-            f"bench flats: their temporal variance exceeds that of the darks by {excess:.3g} DN^2 only, so "
-            "the gain cannot be measured; take flats up to half of full well"
+            f"{bench.where('flats[0]')}: got a temporal variance that exceeds that of the darks by "
+            f"{excess:.3g} DN^2 only, expected photon noise, or the gain cannot be measured; cure: take "
+            "flats up to half of full well"
         )
+    gain = excess / signal
+    by_noise = float(np.hypot(np.linalg.norm(errors), len(errors) * read_error)) / signal
+    in_dim_light = towards_zero(np.array(signals), np.array(excesses) / np.array(signals))
     # Identical darks still have rounding noise.
-    return SensorNoise(float(np.sqrt(max(read_variance, 1 / 12))), excess / signal)
+    read_noise = float(np.sqrt(max(read_variance, 1 / 12)))
+    return SensorNoise(
+        read_noise, gain, read_error / (2 * read_noise), float(np.hypot(by_noise, in_dim_light - gain))
+    )
 
 
-def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise) -> Floats:
+def towards_zero(light: Doubles, values: Doubles) -> float:
+    """Extrapolate what should not depend on light to none of it, by a line; of one value itself."""
+    if len(light) < 2 or np.ptp(light) == 0:
+        return float(values.mean())
+    return float(np.polynomial.Polynomial.fit(light, values, 1)(0.0))
+
+
+def _relative_error(frames: Words) -> float:
+    """Relative standard error of :func:`temporal_variance` (J. von Neumann et al., 1941)."""
+    n, pixels = len(frames), frames[0].size
+    return float(np.sqrt((3 * n - 4) / ((n - 1) ** 2 * pixels)))
+
+
+def saturation_threshold(
+    clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise, where: str = "bench saturated"
+) -> Floats:
     """Raw DN from which a pixel is saturated: its mean clip level minus four standard deviations.
 
     A thousandth of it is subtracted too, for smear.
@@ -96,6 +132,8 @@ def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise:
         Pixels that were lit.
     noise : SensorNoise
         Gain and read noise.
+    where : str
+        Name of the frames for messages.
 
     Raises
     ------
@@ -107,8 +145,8 @@ def saturation_threshold(clipped: Words, black_dn: Floats, inside: Bools, noise:
     signal = float((mean - black_dn)[inside].mean())
     if variance > noise.read_noise_dn**2 + 0.5 * noise.dn_per_e * signal:
         raise BenchError(
-            f"bench saturated: their temporal noise of {np.sqrt(variance):.1f} DN is that of light, not of "
-            "a clip; take them with at least three times the light that fills the wells"
+            f"{where}: got a temporal noise of {np.sqrt(variance):.1f} DN, that of light, expected that of a "
+            "clip; cure: take them with at least three times the light that fills the wells"
         )
     sigma = max(float(np.sqrt(variance)), noise.read_noise_dn)
     margin = _SATURATION_SIGMAS * sigma + _SMEAR_MARGIN * np.maximum(mean - black_dn, 0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.calibration.bench import Bench, Flat, Patches
-from optsim.calibration.sensor_noise import SensorNoise
+from optsim.calibration.sensor_noise import SensorNoise, towards_zero
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.optics.panel import PanelResponse, slot_weights
@@ -23,6 +23,9 @@ from optsim.optics.readings import brightest, mean_reading
 # No source, sensible defaults. A pixel is dead below this share of the median around it: stuck off, it still
 # reads 0.2 to 0.4 from its neighbours. It is stuck on if this share of its light remains when commanded off.
 _DEAD, _STUCK = 0.5, 0.5
+# Shares above which a flat, or its light, is another than the bench says.
+_MOST_CLIPPED, _MOST_UNEVEN = 0.2, 0.1
+_MOST_UNLIKE = 1.5  # ratio of the exponents that greys give: beyond, they are exchanged
 # Search range of the grey curve's exponent.
 _EXPONENTS = (0.02, 50.0)
 
@@ -93,6 +96,9 @@ class Shading:
     leak, leak_uncertainty : float
         Off over on, and its relative uncertainty. The uncertainty includes the spread over the field, since
         the leak is a single number.
+    leak_error : float
+        Standard error of the leak itself, the mean over the field: by noise, and by what flats in different
+        light disagree.
     """
 
     responsivity_dn: Doubles
@@ -101,6 +107,7 @@ class Shading:
     gain_uncertainty: float
     leak: float
     leak_uncertainty: float
+    leak_error: float
 
 
 def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
@@ -113,6 +120,13 @@ def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
     """
     from scipy.ndimage import binary_dilation, median_filter
 
+    for number, shot in enumerate(bench.flats):
+        clipped = float(np.mean(reader.clipped((shot,))[inside])) if inside.any() else 0.0
+        if clipped > _MOST_CLIPPED:
+            raise BenchError(
+                f"{bench.where(f'flats[{number}]')}: got {clipped:.0%} of its pixels saturated, expected "
+                "none; cure: take flats below half of full well, or exchange the file"
+            )
     on, on_variance = reader.rate(bench.flats)
     off, off_variance = reader.rate((bench.off,))
     typical = float(np.median(on[inside])) if inside.any() else 0.0
@@ -124,10 +138,20 @@ def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
         & ~reader.clipped((*bench.flats, bench.off))
     )
     if typical <= 0 or not valid.any():
+        dark = float(np.median(off[inside])) if inside.any() else 0.0
         raise BenchError(
-            f"bench flats, off: no pixel is lit (median {typical:.3g} DN per W m^-2 and slot), darker when "
-            "off, and never saturated; check the levels shown, and take the flats below half of full well"
+            f"{bench.where('off')}, {bench.where('flats[0]')}: got {dark:.3g} DN per W m^-2 and slot with "
+            f"the panel off and {typical:.3g} in the flats, expected pixels that are lit, darker when off, "
+            "and never saturated; cure: check the levels shown and the darks, and take the flats below half "
+            "of full well"
         )
+    rates = np.array([float(reader.rate((shot,))[0][valid].mean()) for shot in bench.flats])
+    for number, rate in enumerate(rates / np.median(rates)):
+        if abs(rate - 1) > _MOST_UNEVEN:
+            raise BenchError(
+                f"{bench.where(f'flats[{number}]')}: got {rate:.2f} times the light of the other flats for "
+                "its irradiance, expected as much; cure: correct irradiance_w_m2, or exchange the files"
+            )
     gain_uncertainty = float(np.sqrt(np.mean(on_variance[valid] / on[valid] ** 2)))
     # Light from a pixel stuck on exceeds its neighbours' leak.
     suspect = np.asarray(binary_dilation(inside & ~valid, np.ones((3, 3), np.bool_)), np.bool_)
@@ -137,16 +161,25 @@ def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
     noise = off_variance[clean] / on[clean] ** 2 + (ratio * gain_uncertainty) ** 2
     spread = max(float(np.mean((ratio - leak) ** 2 - noise)), 0.0)
     error = float(np.sqrt(spread + np.mean(noise) / ratio.size))
-    return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error))
+    light = np.array([shot.irradiance_w_m2 for shot in bench.flats])
+    pooled = float(on[valid].mean())
+    uneven = leak * (towards_zero(light, rates) / pooled - 1)
+    leak_error = float(np.hypot(np.sqrt(np.mean(noise) / ratio.size), uneven))
+    return Shading(on, off, valid, gain_uncertainty, leak, error / max(leak, error), leak_error)
 
 
 def drive_exponent(
-    greys: Sequence[Flat], reader: PixelReader, flat: Shading, response: PanelResponse, slot_s: float
-) -> float | None:
+    bench: Bench, reader: PixelReader, flat: Shading, response: PanelResponse
+) -> tuple[float, float] | None:
     """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
 
     Flats are means over slots whose fields may be driven differently: a held level follows them with the
-    response's lag.
+    response's lag. Also returned is its standard error, by noise and by what the levels disagree.
+
+    Raises
+    ------
+    BenchError
+        When a level is none in between, or the levels disagree.
     """
     from scipy.optimize import root_scalar
 
@@ -155,28 +188,43 @@ def drive_exponent(
     def opened(exponent: float, level: int) -> float:
         guess = response.model_copy(update={"drive_exponent": exponent, "leak": 0.0})
         levels = np.stack([np.full(len(held), level, np.uint8), held], axis=1)[:, None, :]
-        weights, _ = slot_weights(levels, None, guess, slot_s)
+        weights, _ = slot_weights(levels, None, guess, bench.slot_s)
         seen, full = weights[-len(response.field_drive) :, 0].mean(axis=0, dtype=np.float64)
         return float(seen / full)
 
-    exponents: list[float] = []
+    exponents, errors = list[float](), list[float]()
     on = float(flat.responsivity_dn[flat.valid].sum())
-    for grey in greys:
-        rate, _ = reader.rate((grey,))
+    for number, grey in enumerate(bench.greys):
+        where = bench.where(f"greys[{number}]")
+        rate, variance = reader.rate((grey,))
         open_share = (float(rate[flat.valid].sum()) / on - flat.leak) / (1 - flat.leak)
         past_a_half_wave = response.white_rad > np.pi
         if not (0 < grey.level < 255 and open_share > 0 and (open_share < 1 or past_a_half_wave)):
             raise BenchError(
-                f"bench greys: level {grey.level} lets {open_share:.3g} of the light through, expected a "
-                "level and a share strictly between off and on"
+                f"{where}: got level {grey.level} that lets {open_share:.3g} of the light through, expected "
+                "a level and a share strictly between off and on; cure: correct level, or exchange the file"
             )
 
         if open_share >= 1:
             # Above a half wave some greys exceed white, and each transmission occurs at two retardances.
             continue
 
-        def off(exponent: float, level: int = grey.level, seen: float = open_share) -> float:
-            return opened(exponent, level) - seen
+        def solved(share: float, level: int = grey.level) -> float:
+            def off(exponent: float) -> float:
+                return opened(exponent, level) - share
 
-        exponents.append(float(root_scalar(off, bracket=_EXPONENTS).root))
-    return float(np.mean(exponents)) if exponents else None
+            return float(root_scalar(off, bracket=_EXPONENTS).root)
+
+        exponents.append(solved(open_share))
+        noise = float(np.sqrt(variance[flat.valid].sum())) / on + flat.leak_error
+        errors.append(abs(solved(min(open_share + noise, 1 - 1e-6)) - exponents[-1]))
+        if max(exponents) > _MOST_UNLIKE * min(exponents):
+            raise BenchError(
+                f"{where}: got a grey curve of exponent {exponents[-1]:.2f}, expected about "
+                f"{exponents[0]:.2f} as of the greys before; cure: correct level, or exchange the files"
+            )
+    if not exponents:
+        return None
+    n = len(exponents)
+    spread = float(np.std(exponents, ddof=1)) if n > 1 else 0.0
+    return float(np.mean(exponents)), float(np.hypot(np.linalg.norm(errors) / n, spread / np.sqrt(n)))

@@ -10,10 +10,11 @@ fitted separately.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from optsim.calibration.bench import Step
+from optsim.calibration.bench import Bench, Step
 from optsim.calibration.shading import PixelReader
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bools, Bytes, Doubles, Ints
@@ -33,6 +34,27 @@ _LIT = 0.5
 _BANDS = 48
 _LEAST_SPAN = 0.25
 _INSTANTLY_S = 1e-12
+# Of full light: a flash that is farther off the fit is another one than the bench says.
+_MOST_OFF = 0.1
+
+
+@dataclass(frozen=True)
+class StepFit:
+    """The panel's response by its flashes.
+
+    Parameters
+    ----------
+    response : PanelResponse
+        With the estimated delays and time constants.
+    errors_s : dict
+        Standard errors of ``tau_on_s``, ``tau_off_s``, ``delay_s`` and ``scan_s``, by the fit's own scatter.
+    misfit : float
+        Root mean square of its deviations over their noise: 1 for a panel that follows the model.
+    """
+
+    response: PanelResponse
+    errors_s: dict[str, float]
+    misfit: float
 
 
 def step_weights(
@@ -74,9 +96,7 @@ def step_weights(
     return response.leak + (1 - response.leak) / response.white * light / flash_s
 
 
-def response_times(
-    steps: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, known: PanelResponse
-) -> PanelResponse:
+def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: PanelResponse) -> StepFit:
     """Fit time constants and row delays to the signals of bands of rows, by least squares.
 
     The flash's energy is free in each band, so its light need not be uniform nor cover all bands. If it
@@ -84,31 +104,27 @@ def response_times(
 
     Parameters
     ----------
-    steps : tuple of Step
-        Flashes around changes in both directions.
+    bench : Bench
+        Its steps, flashes around changes in both directions.
     reader : PixelReader
         Reads the frames.
     valid : ndarray of shape (v, u), bool
         Panel pixels to average over.
-    slot_s : float
-        Duration of a slot, s.
     known : PanelResponse
         Its leak, grey curve and fields are kept.
-
-    Returns
-    -------
-    PanelResponse
-        With the estimated delays and time constants.
 
     Raises
     ------
     BenchError
-        When a direction is missing, or no light is seen.
+        When a direction is missing, no light is seen, or a flash is not as the bench says.
     """
     from scipy.optimize import least_squares
 
+    steps, slot_s = bench.steps, bench.slot_s
     if not any(s.after > s.before for s in steps) or not any(s.after < s.before for s in steps):
-        raise BenchError("bench steps: expected steps to a higher and to a lower level; take both")
+        raise BenchError(
+            "bench steps: got one direction, expected steps to a higher and to a lower level; cure: take both"
+        )
     lit = _lit(steps, reader, valid)
     rows = len(valid)
     bands = np.minimum(np.nonzero(lit)[0] * _BANDS // rows, _BANDS - 1)
@@ -134,7 +150,20 @@ def response_times(
         return ((energy * weights - signal) / sigma).ravel()
 
     start, low = [_FIRST, _FIRST, 0.01, 0.01], [_LEAST, _LEAST, -_EARLIEST, 0.0]
-    return response(least_squares(misfit, start, bounds=(low, [_MOST, _MOST, 0.5, 0.49]), x_scale="jac").x)
+    fit = least_squares(misfit, start, bounds=(low, [_MOST, _MOST, 0.5, 0.49]), x_scale="jac")
+    off = (fit.fun.reshape(sigma.shape) * sigma).mean(axis=1)
+    worst = int(np.abs(off).argmax())
+    if abs(off[worst]) > _MOST_OFF:
+        raise BenchError(
+            f"{bench.where(f'steps[{worst}]')}: got {-off[worst]:+.0%} of full light beside what the other "
+            "flashes tell, expected the same; cure: correct before, after and delay_s, or exchange the file"
+        )
+    # Beside the parameters, each band's energy is fitted.
+    freedom = max(fit.fun.size - sigma.shape[1] - len(start), 1)
+    scatter = float(np.sqrt(np.sum(fit.fun**2) / freedom))
+    errors = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))) * max(scatter, 1.0) * slot_s
+    names = ("tau_on_s", "tau_off_s", "delay_s", "scan_s")
+    return StepFit(response(fit.x), dict(zip(names, errors.tolist(), strict=True)), scatter)
 
 
 def field_drive(

@@ -91,6 +91,7 @@ def calibration_arrays(calibration: Calibration) -> dict[str, NDArray[Any]]:
         "format": _FORMAT,
         "optsim": __version__,
         "source": calibration.source,
+        "standard_errors": dict(calibration.standard_errors),
         "arrays": {n: {"axes": a, "unit": u, "meaning": m} for n, (a, u, m) in _MEANING.items()},
     }
     held: dict[str, Any] = {
@@ -135,6 +136,7 @@ def calibration_of(arrays: Mapping[str, NDArray[Any]], where: object) -> Calibra
     try:
         found = Calibration(
             source=about["source"],
+            standard_errors=_standard_errors(about, where),
             response=PanelResponse.model_validate({n: _value(arrays, n) for n in PanelResponse.model_fields}),
             glare=Glare(**{name.removeprefix(_GLARE): _value(arrays, name) for name in glare}),
             **{name: _value(arrays, name) for name in _own_names()},
@@ -195,6 +197,19 @@ def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
         got = repr(said["format"]) if "format" in said else f"a file of {there}"
         raise StorageError(f"{where}: got {got}, expected {_FORMAT!r}; cure: {_CURE}")
     return said
+
+
+def _standard_errors(about: Mapping[str, Any], where: object) -> dict[str, float]:
+    """Read the standard errors of single numbers; older files have none."""
+    said: object = about.get("standard_errors", {})
+    errors = cast("dict[str, Any]", said if isinstance(said, dict) else {"": said})
+    for name, error in errors.items():
+        if not isinstance(error, int | float) or not 0 <= error < np.inf:
+            raise StorageError(
+                f"{where}: standard_errors.{name}: got {error!r}, expected a number of at least 0; "
+                f"cure: {_CURE}"
+            )
+    return errors
 
 
 def _own_names() -> list[str]:

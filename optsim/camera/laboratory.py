@@ -13,15 +13,19 @@ retardance of white. It comes from the data sheet (``modulator.stated_half_wave_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
 from optsim.calibration import Bench, Flat, Patches, Step
+from optsim.calibration.orientation import UPRIGHT
 from optsim.camera.camera import CodedCamera
 from optsim.core.errors import ConfigError
+from optsim.core.progress import Progress, silent
 from optsim.core.quantities import (
     Block,
     Bytes,
@@ -41,12 +45,9 @@ _FLAT_SHARES = (0.15, 0.3, 0.45)
 _FLASH_SHARE = 0.45
 _SATURATED_SHARE = 4.0
 _OFF_BOOST = 10.0
-_DARK_FRAMES, _FLAT_FRAMES, _OFF_FRAMES, _DOT_FRAMES, _GLARE_FRAMES, _SATURATED_FRAMES = 16, 8, 4, 2, 8, 4
 _GREYS = (96, 160, 208)
 _DOT_SPACING = 10
 _FLASHES_PER_SLOT = 10
-# Delays of the flash from half a slot before the step to two slots after, in flash lengths.
-_DELAYS = range(-5, 20)
 _STEP_SLOTS = 4
 _FIELDS, _FIELD_LEVEL = 6, 128
 _STRIP_PX = 16
@@ -55,7 +56,40 @@ LEAST_PANEL_PX = 24
 """Panel pixels each way below which the dots are too few for a map."""
 
 
-def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
+@dataclass(frozen=True)
+class Frames:
+    """How many images the laboratory takes.
+
+    Parameters
+    ----------
+    darks, flats, off, greys, saturated, patches, glare : int
+        Frames of each setting; ``patches`` are the anchors and dots.
+    delays : sequence of int
+        Delays of the flash, from half a slot before the step to two slots after, in flash lengths.
+    """
+
+    darks: int
+    flats: int
+    off: int
+    greys: int
+    saturated: int
+    patches: int
+    glare: int
+    delays: Sequence[int]
+
+
+ALL_FRAMES = Frames(16, 8, 4, 2, 4, 2, 8, range(-5, 20))
+FEW_FRAMES = Frames(6, 2, 2, 1, 2, 1, 2, (-5, -2, 0, 1, 2, 4, 7, 11, 16))
+"""Sixty images: what an operator has time for at the full frame."""
+
+Group = Flat | Patches | Step
+PlannedShot = tuple[str, Callable[[], Group]]
+"""Set of the bench that a group of images belongs to, and what takes them."""
+
+
+def measure_bench(
+    camera: CodedCamera, rng: Generator, frames: Frames = ALL_FRAMES, progress: Progress = silent
+) -> Bench:
     """Take all images that a camera's calibration needs.
 
     Parameters
@@ -64,46 +98,85 @@ def measure_bench(camera: CodedCamera, rng: Generator) -> Bench:
         The camera, with its true parameters; at least LEAST_PANEL_PX panel pixels each way.
     rng : Generator
         Generator of all shot and read noise on the bench.
+    frames : Frames
+        How many images.
+    progress : Progress
+        Told after each setting.
 
     Returns
     -------
     Bench
         Images and stated settings; no true parameter is in it.
     """
+    planned = planned_shots(camera, rng, frames)
+    taken: dict[str, list[Any]] = {name: [] for name, _ in planned}
+    for done, (name, take) in enumerate(planned):
+        taken[name].append(take())
+        progress("bench", done + 1, len(planned))
+    sets: dict[str, Any] = {name: tuple(taken.get(name, ())) for name in Bench.SETS}
+    sets |= {name: taken[name][0] for name in ("off", "saturated")}
+    return Bench(**bench_settings(camera), darks=taken["darks"][0].dn, **sets)
+
+
+def bench_settings(camera: CodedCamera) -> dict[str, Any]:
+    """Return what a laboratory knows of a camera without images: timing, panel, data sheet."""
+    return {
+        "slot_s": camera.slot_s,
+        "slots_per_frame": camera.slots_per_frame,
+        "coded_slots": camera.coded_slots,
+        "panel_shape": (camera.panel_rows, camera.panel_cols),
+        "white_rad": camera.modulator.stated_white_rad(camera.wavelength_m),
+        "orientation": UPRIGHT,
+    }
+
+
+def planned_shots(
+    camera: CodedCamera, rng: Generator, frames: Frames = ALL_FRAMES, done: int = 0
+) -> list[PlannedShot]:
+    """Plan the images of a bench, in the order of taking them.
+
+    Parameters
+    ----------
+    camera, rng, frames
+        As of :func:`measure_bench`.
+    done : int
+        Shots at the start of the plan that were taken before; the first to be taken comes after them.
+    """
     check_panel(camera)
-    lab = _Laboratory(camera, rng)
+    lab = _Laboratory(camera, rng, done)
     brightest = lab.irradiance(_FLAT_SHARES[-1])
     rows, cols = lab.panel
     corners = ((rows // 4, cols // 4), (rows // 4, 3 * cols // 4), (3 * rows // 4, cols // 4))
     shifts = (3, 3 + _DOT_SPACING // 2)
     half = min(rows, cols) // 2
-    return Bench(
-        slot_s=camera.slot_s,
-        slots_per_frame=camera.slots_per_frame,
-        coded_slots=camera.coded_slots,
-        panel_shape=lab.panel,
-        darks=lab.flat(0, 0.0, _DARK_FRAMES).dn,
-        flats=tuple(lab.flat(255, lab.irradiance(share), _FLAT_FRAMES) for share in _FLAT_SHARES),
-        off=lab.flat(0, _OFF_BOOST * brightest, _OFF_FRAMES),
-        greys=tuple(lab.flat(level, brightest, _DOT_FRAMES) for level in _GREYS),
-        saturated=lab.flat(255, lab.irradiance(_SATURATED_SHARE), _SATURATED_FRAMES),
-        anchors=tuple(lab.patches((v,), (u,), 3, brightest) for v, u in corners),
-        dots=tuple(
-            lab.patches(range(v, rows - 3, _DOT_SPACING), range(u, cols - 3, _DOT_SPACING), 1, brightest)
-            for v in shifts
-            for u in shifts
-        ),
-        # On a small panel no place is far enough from a patch to separate veiling glare from blur.
-        glare=tuple(
-            lab.patches((v,), (u,), half, brightest, _GLARE_FRAMES)
-            for v, u in ((0, 0), (rows - half, cols - half))
-        )
-        if half >= _LEAST_GLARE_PX
-        else (),
-        steps=tuple(lab.step(*ends, delay) for ends in ((0, 255), (255, 0)) for delay in _DELAYS),
-        white_rad=camera.modulator.stated_white_rad(camera.wavelength_m),
-        fields=tuple(lab.field(level, slot) for level in (_FIELD_LEVEL, 255) for slot in range(_FIELDS)),
-    )
+    planned: list[PlannedShot] = []
+
+    def plan(name: str, take: Callable[..., Group], *settings: Any) -> None:
+        planned.append((name, partial(take, *settings)))
+
+    plan("darks", lab.flat, 0, 0.0, frames.darks)
+    for share in _FLAT_SHARES:
+        plan("flats", lab.flat, 255, lab.irradiance(share), frames.flats)
+    plan("off", lab.flat, 0, _OFF_BOOST * brightest, frames.off)
+    for level in _GREYS:
+        plan("greys", lab.flat, level, brightest, frames.greys)
+    plan("saturated", lab.flat, 255, lab.irradiance(_SATURATED_SHARE), frames.saturated)
+    for v, u in corners:
+        plan("anchors", lab.patches, (v,), (u,), 3, brightest, frames.patches)
+    for v in shifts:
+        for u in shifts:
+            lattice = range(v, rows - 3, _DOT_SPACING), range(u, cols - 3, _DOT_SPACING)
+            plan("dots", lab.patches, *lattice, 1, brightest, frames.patches)
+    # On a small panel no place is far enough from a patch to separate veiling glare from blur.
+    for v, u in ((0, 0), (rows - half, cols - half)) if half >= _LEAST_GLARE_PX else ():
+        plan("glare", lab.patches, (v,), (u,), half, brightest, frames.glare)
+    for ends in ((0, 255), (255, 0)):
+        for delay in frames.delays:
+            plan("steps", lab.step, *ends, delay)
+    for level in (_FIELD_LEVEL, 255):
+        for slot in range(_FIELDS):
+            plan("fields", lab.field, level, slot)
+    return planned
 
 
 def check_panel(camera: CodedCamera) -> None:
@@ -125,9 +198,9 @@ def check_panel(camera: CodedCamera) -> None:
 class _Laboratory:
     """A camera, its light sources and its noise."""
 
-    def __init__(self, camera: CodedCamera, rng: Generator) -> None:
+    def __init__(self, camera: CodedCamera, rng: Generator, done: int) -> None:
         self.camera, self.rng = camera, rng
-        self.shown = 0  # slots before the next image: whole rounds of the panel's fields
+        self.shown = done * _FIELDS  # slots before the next image: whole rounds of the panel's fields
         self.panel = (camera.panel_rows, camera.panel_cols)
         sensor = camera.sensor
         well_e = sensor.most_e
@@ -150,7 +223,7 @@ class _Laboratory:
         cols: Sequence[int],
         size: int,
         irradiance_w_m2: float,
-        n_frames: int = _DOT_FRAMES,
+        n_frames: int,
     ) -> Patches:
         """Sphere on, bright patches held on black."""
         levels = np.zeros(self.panel, np.uint8)

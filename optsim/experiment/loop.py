@@ -86,6 +86,11 @@ def planned(experiment: Experiment) -> tuple[Experiment, Skipping]:
     return experiment.model_copy(update={"camera": skipping.camera}), skipping
 
 
+def bench_noise(experiment: Experiment) -> Generator:
+    """Return the stream of the bench's noise, at its start."""
+    return stream(experiment.seed, "laboratory")
+
+
 def set_light(
     experiment: Experiment, radiance: RadianceVideo, calibration: Calibration
 ) -> tuple[CodedCamera, LightLevel]:
@@ -145,7 +150,7 @@ def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -
 
     @cache
     def bench() -> Bench:
-        return measure_bench(camera, stream(experiment.seed, "laboratory"))
+        return measure_bench(camera, bench_noise(experiment))
 
     def make(known: CalibrationChoice) -> Calibration:
         if known.file is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from optsim.core.errors import StorageError
 from optsim.core.files import write_text
@@ -13,6 +13,9 @@ from optsim.metrics.claims import measured
 from optsim.metrics.records import Series
 from optsim.report import headline, plots, words
 from optsim.report.schema import LegendEntry, Picture, Results, Section, check_results
+
+if TYPE_CHECKING:
+    import jinja2
 
 TEMPLATES = Path(__file__).parent / "template"
 
@@ -39,8 +42,6 @@ def write_report(folder: Path, results: object) -> Path:
     StorageError
         When an image is missing.
     """
-    import jinja2
-
     record = check_results(results)
     for picture in record.pictures:
         for file in (picture.file, picture.still or picture.file):
@@ -49,6 +50,16 @@ def write_report(folder: Path, results: object) -> Path:
                     f"report: picture {folder / file} is missing; "
                     "cure: run the experiment again into this folder"
                 )
+    page = page_environment().get_template("report.html.j2").render(**_context(record))
+    path = folder / "report.html"
+    write_text(path, page)
+    return path
+
+
+def page_environment() -> jinja2.Environment:
+    """Return the templates of pages, with the filters for numbers and words."""
+    import jinja2
+
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -66,10 +77,7 @@ def write_report(folder: Path, results: object) -> Path:
         sentence=words.sentence,
         with_unit=words.metric,
     )
-    page = environment.get_template("report.html.j2").render(**_context(record))
-    path = folder / "report.html"
-    write_text(path, page)
-    return path
+    return environment
 
 
 def _context(results: Results) -> dict[str, object]:

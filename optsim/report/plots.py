@@ -8,8 +8,10 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from markupsafe import Markup, escape
 
+from optsim.core.quantities import Doubles, Floats
 from optsim.report.schema import ColourScale
 
 if TYPE_CHECKING:
@@ -136,6 +138,61 @@ def bar_plot(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
     axes.set_xlim(0, max(values) or 1)
     axes.set_xticks([])
     axes.invert_yaxis()
+    return _inline(figure, title)
+
+
+def arrow_plot(places: Doubles, arrows: Doubles, *, shape: tuple[int, int], title: str, label: str) -> Markup:
+    """Draw arrows over a field, with a scale: the longest is as long as the field allows.
+
+    Parameters
+    ----------
+    places : ndarray of shape (n, 2), float64
+        Row and column of each.
+    arrows : ndarray of shape (n, 2), float64
+        Along rows and columns, in the unit of ``label``.
+    shape : tuple of int
+        Rows and columns of the field.
+    title : str
+        Text for screen readers.
+    label : str
+        What the arrow of the scale means: its length and unit are put before it.
+    """
+    if not len(places):
+        return _NOTHING
+    height = 44 + (_WIDTH - 68) * shape[0] / shape[1]
+    figure, axes = _axes(_WIDTH, height + 30, left=50, right=18, top=34, bottom=40)
+    length = float(np.percentile(np.hypot(*arrows.T), 95)) or 1.0
+    gap = float(np.sqrt(shape[0] * shape[1] / len(places)))
+    drawn = axes.quiver(
+        places[:, 1],
+        places[:, 0],
+        arrows[:, 1],
+        arrows[:, 0],
+        angles="xy",
+        scale_units="xy",
+        scale=length / max(1.2 * gap, shape[1] / 40),
+        color=COLOURS["s0"],
+        width=0.0022,
+    )
+    axes.quiverkey(drawn, 0.02, 1.05, length, f"{length:.2g} {label}", labelpos="E", color=COLOURS["s1"])
+    axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")
+    axes.set(xlabel="panel column", ylabel="panel row")
+    axes.patch.set_facecolor(COLOURS["sunk"])
+    return _inline(figure, title)
+
+
+def field_plot(image: Floats, *, title: str, unit: str) -> Markup:
+    """Draw an image over the panel in shades of one colour, with its range; NaN stays empty."""
+    height = (_WIDTH - 150) * image.shape[0] / image.shape[1]
+    figure, axes = _axes(_WIDTH, height + 50, left=50, right=100, top=10, bottom=40)
+    step = max(1, image.shape[1] // 320)
+    rows, cols = image.shape
+    drawn = axes.imshow(image[::step, ::step], cmap="viridis", extent=(0, cols, rows, 0), aspect="equal")
+    axes.set(xlabel="panel column", ylabel="panel row")
+    bar = figure.colorbar(drawn, ax=axes, fraction=0.035, pad=0.02)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=0, labelsize=13, labelcolor=COLOURS["soft"])
+    bar.set_label(unit, color=COLOURS["soft"])
     return _inline(figure, title)
 
 

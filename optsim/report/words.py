@@ -9,6 +9,7 @@ from typing import cast
 _DECIMALS = {"dB": 2, "stops": 3}
 # Suffix of a key -> unit, and whether a metric prefix may be put before it.
 _SUFFIXES: tuple[tuple[str, str, bool], ...] = (
+    ("_per_e", "DN/e⁻", False),
     ("_w_m2_sr", "W m⁻² sr⁻¹", False),
     ("_cd_m2", "cd/m²", False),
     ("_w_m2", "W/m²", False),

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.calibration import read_calibration
+from optsim.calibration.choice import CalibrationChoice
+from optsim.camera.true_calibration import kept_calibration
 from optsim.core.config import Table, build
 from optsim.core.errors import ConfigError, StorageError, unknown_name
 from optsim.core.files import read_record
@@ -30,8 +32,8 @@ def decoder_of_run(folder: Path, method: str | None) -> Decoder:
     return _method_of_run(folder, method)[1].decoder
 
 
-def read_run(folder: Path, method: str | None) -> Measurement:
-    """Read the frames of one of a run's methods, with its calibration.
+def read_run(folder: Path, method: str | None, calibration: Path | None = None) -> Measurement:
+    """Read the frames of one of a run's methods, with its calibration or another one.
 
     A run without a stored calibration, as of earlier versions, is calibrated anew.
 
@@ -41,6 +43,8 @@ def read_run(folder: Path, method: str | None) -> Measurement:
         Folder of ``optsim run``.
     method : str or None
         Name of the method; None where there is only one.
+    calibration : Path or None
+        Calibration to use instead of the run's own.
 
     Raises
     ------
@@ -53,16 +57,20 @@ def read_run(folder: Path, method: str | None) -> Measurement:
     code = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
     frames = read_frames(folder, chosen.name, experiment.n_frames, ccd, code)
     known = experiment.choice_of(chosen)
-    kept = folder / calibration_names(experiment)[known]
-    _check_written(folder, [kept], "a calibration")
-    calibration = read_calibration(kept) if kept.is_file() else calibrate(planned(experiment)[0], known)
+    if calibration is None:
+        kept = folder / calibration_names(experiment)[known]
+        _check_written(folder, [kept], "a calibration")
+        found = read_calibration(kept) if kept.is_file() else calibrate(planned(experiment)[0], known)
+    else:
+        known = CalibrationChoice(str(calibration), known.reading_px)
+        found = kept_calibration(known, camera)
     origin = {
         "run": str(folder),
         "method": chosen.name,
         "fingerprint": experiment.fingerprint(),
         "calibration": str(known),
     }
-    return Measurement(tuple(frames), calibration, (), "W m^-2 on the modulator", 0.0, origin)
+    return Measurement(tuple(frames), found, (), "W m^-2 on the modulator", 0.0, origin)
 
 
 def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method]:
