@@ -32,7 +32,7 @@ from optsim.app.options import (
 from optsim.app.reconstruct import reconstruct_files
 from optsim.app.scene import scene_app
 from optsim.app.skips import show_skip_check
-from optsim.app.study import sweep
+from optsim.app.study import sweep, tolerance
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
@@ -354,6 +354,7 @@ def explain(
 app.command("reconstruct")(reconstruct_files)
 app.command("train")(train)
 app.command("sweep")(sweep)
+app.command("tolerance")(tolerance)
 app.command("bench")(bench)
 app.command("validate")(validate)
 LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")

@@ -64,7 +64,7 @@ def sweep(
     from optsim.study.sweep_page import lead, write_sweep_page
 
     base = _base(experiment, assignments, methods)
-    chosen = [name.strip() for name in curves.split(",")]
+    chosen = _names(curves)
     for name in chosen:
         if name not in MODES:
             raise unknown_name("curve", name, MODES)
@@ -102,12 +102,83 @@ def sweep(
     _fail(record)
 
 
+def tolerance(
+    experiment: ExperimentName,
+    loss: Annotated[str, typer.Option(metavar="DB", help="Loss that is allowed, for example 1dB.")] = "1dB",
+    parameters: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Parameters of the sheet; default all.")
+    ] = None,
+    regions: Annotated[
+        str, typer.Option(metavar="NAME,NAME", help="Regions whose scores decide.")
+    ] = "all,moving,static",
+    drift_only: Annotated[
+        bool,
+        typer.Option("--drift-only", help="Leave out cameras that are calibrated with it: benches."),
+    ] = False,
+    draws: Annotated[int, typer.Option(min=0, max=10_000, help="Cameras of the Monte-Carlo budget.")] = 8,
+    no_pairs: Annotated[bool, typer.Option("--no-pairs", help="Leave out pairs of the worst five.")] = False,
+    assignments: Set = None,
+    methods: Methods = None,
+    frames: Frames = 1,
+    seeds: SeedRange = "2:4",
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Write the tolerance sheet: the largest change of each parameter that costs at most a loss."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.core.folder_claims import output_folder
+    from optsim.study.parameters import ALL
+    from optsim.study.tolerance import TolerancePlan
+    from optsim.study.tolerance import tolerance as measure
+    from optsim.study.tolerance_page import HEADS, MODES, lead, notes, sheet, write_tolerance_page
+
+    base, loss_db = _base(experiment, assignments, methods), _decibels(loss)
+    plan = TolerancePlan(
+        loss_db=loss_db,
+        names=_names(parameters) or tuple(ALL),
+        regions=_names(regions),
+        known=not drift_only,
+        draws=draws,
+        interactions=not no_pairs,
+        frames=frames,
+        # An interval of a tenth of the loss.
+        seeds=_seeds(seeds, loss_db / 10),
+    )
+    with output_folder(out, f"tolerance-{base.name}") as folder:
+        with progress_bars(quiet=as_json) as progress:
+            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
+        write_tolerance_page(folder, record)
+        if as_json:
+            print_json(record)
+        else:
+            for mode, title in MODES.items():
+                if lines := sheet(record["rows"], mode):
+                    page.print(table(f"{title}: {loss_db:g} dB", HEADS, lines))
+            for said in (*notes(record["rows"]), lead(record)):
+                page.print(said)
+            _close(folder, record)
+    _fail(record)
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",")) if text else ()
+
+
+def _decibels(text: str) -> float:
+    try:
+        return float(text.strip().removesuffix("dB").removesuffix("db"))
+    except ValueError:
+        raise ConfigError(f"--loss: got {text!r}, expected a number of dB, for example 1dB") from None
+
+
 def _base(experiment: str, assignments: list[str] | None, methods: str | None) -> Experiment:
     from optsim.experiment.experiment import load_experiment
     from optsim.study.folder import chosen_methods
 
     loaded = load_experiment(experiment, assignments or [])
-    return chosen_methods(loaded, [name.strip() for name in methods.split(",")] if methods else [])
+    return chosen_methods(loaded, _names(methods))
 
 
 def _seeds(text: str, precision: float) -> Seeds:

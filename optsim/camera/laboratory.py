@@ -122,28 +122,6 @@ def check_panel(camera: CodedCamera) -> None:
         )
 
 
-def photograph_dots(camera: CodedCamera, rng: Generator) -> Patches:
-    """Take one frame of a lattice of bright dots on black, of two panel pixels each way."""
-    check_panel(camera)
-    lab = _Laboratory(camera, rng)
-    rows, cols = lab.panel
-    first = _DOT_SPACING // 2
-    lattice = range(first, rows - first, _DOT_SPACING), range(first, cols - first, _DOT_SPACING)
-    return lab.patches(*lattice, 2, lab.irradiance(_FLAT_SHARES[-1]), 1)
-
-
-def photograph_flat(
-    camera: CodedCamera, rng: Generator, irradiance_w_m2: float | None = None
-) -> tuple[Flat, Flat]:
-    """Take dark frames, and frames of the uniform source with the whole panel bright.
-
-    The source is as bright as stated, by default so that it nearly half fills the wells.
-    """
-    lab = _Laboratory(camera, rng)
-    light = lab.irradiance(_FLAT_SHARES[-1]) if irradiance_w_m2 is None else irradiance_w_m2
-    return lab.flat(0, 0.0, _FLAT_FRAMES), lab.flat(255, light, _FLAT_FRAMES)
-
-
 class _Laboratory:
     """A camera, its light sources and its noise."""
 

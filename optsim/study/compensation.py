@@ -15,15 +15,18 @@ from typing import cast
 import numpy as np
 from numpy.random import Generator
 
-from optsim.calibration import Calibration, Patches
+from optsim.calibration import Calibration
 from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.camera import CodedCamera
-from optsim.camera.laboratory import photograph_dots, photograph_flat
 from optsim.core.errors import BenchError
-from optsim.core.quantities import Doubles, Floats
+from optsim.core.quantities import Bytes, Doubles, ExposureCode, Floats, IrradianceVideo, Segment
 from optsim.experiment.loop import Calibrations
+from optsim.optics.panel import settled_panel
 from optsim.optics.readings import mean_reading
 
+# Dots of two panel pixels each way, so far apart; a white pixel reaches this share of saturation.
+_SPACING_PX, _SIZE_PX, _SHARE = 10, 2, 0.45
+_FLAT_FRAMES = 8
 # Half of a window around a dot, in spacings of the dots: the next one stays outside.
 _HALF_WINDOW = 0.4
 # A dot counts from this share of the median dot's light.
@@ -82,9 +85,9 @@ def _registered(
     camera: CodedCamera, now: CodedCamera, known: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Undo the shift and the rotation between two frames of the same dots."""
-    before, after = (
-        photograph_dots(each, stream(word)) for each, word in ((camera, "dots before"), (now, "dots after"))
-    )
+    levels, light = _dots(camera), _light(known)
+    before = _photograph(camera, levels, light, 1, stream("dots before"))
+    after = _photograph(now, levels, light, 1, stream("dots after"))
     shift_y, shift_x, turn = moved(before, after, camera)
     relay = now.relay
     undone = relay.model_copy(
@@ -98,21 +101,20 @@ def _registered(
     return now.model_copy(update={"relay": undone}), known, found
 
 
-def moved(before: Patches, after: Patches, camera: CodedCamera) -> tuple[float, float, float]:
-    """Shift (y, x), CCD pixels, and rotation, rad, of a lattice of dots between two images.
+def moved(before: Doubles, after: Doubles, camera: CodedCamera) -> tuple[float, float, float]:
+    """Shift (y, x), CCD pixels, and rotation, rad, of the dots between two images.
 
     Raises
     ------
     BenchError
         When too few dots are in both images.
     """
-    rows, cols = np.meshgrid(before.rows, before.cols, indexing="ij")
-    v, u = (each.ravel() + before.size / 2 for each in (rows, cols))
+    v, u = (each.ravel() + _SIZE_PX / 2 for each in np.meshgrid(*_places(camera), indexing="ij"))
     step = camera.view.samples_per_pitch
     y, x = camera.relay_geometry(step).place(v * step, u * step)
-    spacing = float(np.diff(before.rows[:2])[0]) * camera.ratio
+    spacing = _SPACING_PX * camera.ratio
     half = max(2, round(_HALF_WINDOW * spacing))
-    (one, light), (two, also) = (_centroids(each.dn.mean(axis=0), y, x, half) for each in (before, after))
+    (one, light), (two, also) = (_centroids(each, y, x, half) for each in (before, after))
     seen = (light > _DIM * np.nanmedian(light)) & (also > _DIM * np.nanmedian(also))
     if np.count_nonzero(seen) < _FEWEST_DOTS:
         raise BenchError(
@@ -127,6 +129,57 @@ def moved(before: Patches, after: Patches, camera: CodedCamera) -> tuple[float, 
     terms = np.concatenate([np.stack([unit, zero, rx], 1), np.stack([zero, unit, -ry], 1)])
     fit = np.linalg.lstsq(terms, np.concatenate([apart[:, 0], apart[:, 1]]))[0]
     return float(fit[0]), float(fit[1]), float(fit[2])
+
+
+def _places(camera: CodedCamera) -> tuple[Doubles, Doubles]:
+    """First panel rows and columns of the dots."""
+    first = _SPACING_PX // 2
+    rows, cols = (
+        np.arange(first, side - first, _SPACING_PX, dtype=np.float64)
+        for side in (camera.panel_rows, camera.panel_cols)
+    )
+    return rows, cols
+
+
+def _dots(camera: CodedCamera) -> Bytes:
+    levels = np.zeros((camera.panel_rows, camera.panel_cols), np.uint8)
+    rows, cols = (each.astype(int) for each in _places(camera))
+    for down in range(_SIZE_PX):
+        for right in range(_SIZE_PX):
+            levels[np.ix_(rows + down, cols + right)] = 255
+    return levels
+
+
+def _light(known: Calibrations) -> float:
+    """Irradiance on the panel at which white is as bright as wanted, by the calibration, W m^-2."""
+    each = next(iter(known.values()))
+    range_dn = float(np.median((each.saturation_dn - each.black_dn)[each.valid]))
+    return _SHARE * range_dn / (float(np.median(each.responsivity_dn[each.valid])) * each.coded_slots)
+
+
+def _photograph(
+    camera: CodedCamera, levels: Bytes, irradiance_w_m2: float, n_frames: int, rng: Generator
+) -> Doubles:
+    """Mean of frames, with their noise, of a panel that is held at some levels in even light, (y, x), DN."""
+    view, slots = camera.view, camera.slots_per_frame
+    image = np.full((view.rows, view.cols), irradiance_w_m2, np.float32)
+    light = IrradianceVideo(
+        rows=view.rows,
+        cols=view.cols,
+        samples_per_pitch=view.samples_per_pitch,
+        slot_s=camera.slot_s,
+        instants_per_slot=1,
+        slots_per_segment=slots,
+        n_slots=slots,
+        load=lambda _: Segment(image, image, (), slots),
+    )
+    code = ExposureCode(np.repeat(levels[None], slots, axis=0), np.zeros(levels.shape, np.bool_))
+    expected_e, _ = camera.expected_electrons(light, 0, code, settled_panel(levels, camera.panel_response))
+    taken = [
+        camera.sensor.digitise(expected_e, camera.exposure_s, camera.serial_number, rng)[0]
+        for _ in range(n_frames)
+    ]
+    return np.stack(taken).mean(axis=0, dtype=np.float64)
 
 
 def _centroids(picture: Doubles | Floats, y: Doubles, x: Doubles, half: int) -> tuple[Doubles, Doubles]:
@@ -156,13 +209,15 @@ def _refocused(
     """Turn the focus until dots are sharpest."""
     from scipy.optimize import fminbound
 
+    levels, light = _dots(camera), _light(known)
+
     def at(turned_m: float) -> CodedCamera:
         relay = now.relay.model_copy(update={"defocus_m": now.relay.defocus_m + turned_m})
         return now.model_copy(update={"relay": relay})
 
     def unsharp(turned_m: float) -> float:
         # The same noise at every setting: else it would decide between settings that are nearly alike.
-        dn = photograph_dots(at(turned_m), stream("focus")).dn.astype(np.float64)
+        dn = _photograph(at(turned_m), levels, light, 1, stream("focus"))
         return -float(((dn - np.median(dn)) ** 2).sum())
 
     ends = -_FOCUS_RANGE_M, _FOCUS_RANGE_M
@@ -174,9 +229,11 @@ def _new_black_and_gain(
     camera: CodedCamera, now: CodedCamera, known: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Take dark frames and flats anew; the pixel map stays."""
-    before = photograph_flat(camera, stream("flats before"))
-    after = photograph_flat(now, stream("flats after"), before[1].irradiance_w_m2)
-    pairs = [[each.dn.mean(axis=0, dtype=np.float64) for each in pair] for pair in (before, after)]
+    white, light = np.full((camera.panel_rows, camera.panel_cols), 255, np.uint8), _light(known)
+    pairs = [
+        [_photograph(of, white, each, _FLAT_FRAMES, stream(f"{word} {each > 0}")) for each in (0.0, light)]
+        for of, word in ((camera, "flats before"), (now, "flats after"))
+    ]
     changed: dict[CalibrationChoice, Calibration] = {}
     values: Values = {}
     for choice, each in known.items():
