@@ -34,6 +34,7 @@ from optsim.app.options import (
 from optsim.app.reconstruct import reconstruct_files
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
+from optsim.app.study import sweep, tolerance
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
@@ -331,6 +332,8 @@ app.command("laboratory")(laboratory)
 app.command("calibrate")(calibrate)
 app.command("reconstruct")(reconstruct_files)
 app.command("train")(train)
+app.command("sweep")(sweep)
+app.command("tolerance")(tolerance)
 app.command("benchmark")(benchmark)
 # Its name before that of the images of a bench.
 app.command("bench", hidden=True, deprecated=True)(benchmark)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, cast
@@ -40,6 +40,7 @@ from optsim.experiment.truth import given
 from optsim.optics.integrate import cell_means
 
 Frames = dict[str, tuple[CodedFrame, ...]]
+Expose = Callable[..., tuple[CodedFrame, PanelState]]  # as CodedCamera.expose
 Calibrations = Mapping[CalibrationChoice, Calibration]
 
 
@@ -187,6 +188,7 @@ def shots(
     truth: IrradianceVideo,
     calibration: Calibration,
     kept: Cache | None = None,
+    expose: Expose | None = None,
 ) -> Iterator[Shot]:
     """Take the coded frames of one method, each on demand; arguments as in :func:`capture`."""
     # One stream for all: different tiles shift scores by more than the registered margin, and claims compare
@@ -199,7 +201,7 @@ def shots(
         arrived = frames[: max(0, index - camera.latency_frames + 1)]
         code, state = method.scheme.next(index, arrived, state)
         photons = stream(experiment.seed, "shot", method.name, index)
-        take = partial(camera.expose, truth, index, code, before, photons)
+        take = partial(expose or camera.expose, truth, index, code, before, photons)
         frame, panel = kept_shot(kept, method.name, index, code, take)
         frames.append(frame)
         yield Shot(frame, before)
@@ -212,6 +214,7 @@ def capture(
     calibrations: Calibrations,
     progress: Progress = silent,
     kept: Cache | None = None,
+    expose: Expose | None = None,
 ) -> Frames:
     """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
 
@@ -229,6 +232,8 @@ def capture(
         Called after each coded frame.
     kept : Cache, optional
         Cache of an earlier stopped run of the same experiment; each frame is stored there.
+    expose : callable, optional
+        Takes each frame instead of the camera, with the same result.
 
     Returns
     -------
@@ -236,7 +241,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], kept)
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], kept, expose)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}

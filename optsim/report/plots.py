@@ -6,11 +6,13 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup, escape
 
+from optsim.core.files import atomic
 from optsim.core.quantities import Doubles, Floats
 from optsim.report.schema import ColourScale
 
@@ -56,10 +58,19 @@ Line = tuple[str, str, Sequence[float], Sequence[float | None]]
 """Label, CSS variable of its colour, x, y; a None breaks the line."""
 Band = tuple[float, float, str]
 """Start and stop of a shaded stretch of the horizontal axis, and its label."""
+Spread = Sequence[tuple[float, float] | None]
+"""Low and high end at each x of a line; None where none is known."""
 
 
 def line_plot(
-    lines: Sequence[Line], *, title: str, x_label: str, y_label: str, bands: Sequence[Band] = ()
+    lines: Sequence[Line],
+    *,
+    title: str,
+    x_label: str,
+    y_label: str,
+    bands: Sequence[Band] = (),
+    spreads: Sequence[Spread] = (),
+    whole_x: bool = True,
 ) -> Markup:
     """Draw lines, with a legend in the order of their last values.
 
@@ -73,15 +84,54 @@ def line_plot(
         Axis labels with units.
     bands : sequence of Band
         Shaded and labelled intervals.
+    spreads : sequence of Spread, optional
+        Intervals around the lines, in the same order, shaded.
+    whole_x : bool
+        Whether x counts something, so that its ticks are whole numbers.
     """
+    figure = _line_figure(lines, x_label, y_label, bands, spreads, whole_x)
+    return _NOTHING if figure is None else _inline(figure, title)
+
+
+def write_line_plot(
+    path: Path, lines: Sequence[Line], *, x_label: str, y_label: str, spreads: Sequence[Spread] = ()
+) -> None:
+    """Write such a plot, with numbers along x, as a file of its own: SVG or PNG by its suffix."""
+    from matplotlib.style import context
+
+    figure = _line_figure(lines, x_label, y_label, (), spreads, False)
+    if figure is None:
+        return
+    with context(SVG), atomic(path) as temporary:
+        metadata = {"Date": None} if path.suffix == ".svg" else None
+        figure.savefig(
+            temporary,
+            format=path.suffix[1:],
+            dpi=200,
+            facecolor="white",
+            bbox_inches="tight",
+            metadata=metadata,
+        )
+
+
+def _line_figure(
+    lines: Sequence[Line],
+    x_label: str,
+    y_label: str,
+    bands: Sequence[Band],
+    spreads: Sequence[Spread],
+    whole_x: bool,
+) -> Figure | None:
     from matplotlib.ticker import MaxNLocator
 
-    drawn = [line for line in lines if any(y is not None for y in line[3])]
+    around = dict(enumerate(spreads))
+    drawn = [(line, around.get(n)) for n, line in enumerate(lines) if any(y is not None for y in line[3])]
     if not drawn:
-        return _NOTHING
+        return None
     figure, axes = _axes(_WIDTH, _HEIGHT, left=60, right=108, top=24, bottom=42)
-    xs = [x for line in drawn for x in line[2]]
-    low, high = min(xs) - 0.5, max(xs) + 0.5
+    xs = [x for line, _ in drawn for x in line[2]]
+    beyond = 0.5 if whole_x else 0.03 * (max(xs) - min(xs)) or 0.5
+    low, high = min(xs) - beyond, max(xs) + beyond
     for place, (start, stop, label) in enumerate(bands):
         first, last = max(start, low), min(stop, high)
         if last <= first:
@@ -98,8 +148,12 @@ def line_plot(
             ha="center",
             color=COLOURS["soft"],
         )
-    for label, style, x, y in sorted(drawn, key=_last_value, reverse=True):
+    for (label, style, x, y), spread in sorted(drawn, key=lambda each: _last_value(each[0]), reverse=True):
         dashed = style == "noise"
+        if spread is not None:
+            below, above = ([float("nan") if e is None else e[end] for e in spread] for end in (0, 1))
+            colour = COLOURS.get(style, COLOURS["ink"])
+            axes.fill_between(x, below, above, color=colour, alpha=0.18, linewidth=0)
         axes.plot(
             x,
             [float("nan") if value is None else value for value in y],
@@ -111,7 +165,8 @@ def line_plot(
             markersize=5,
         )
     axes.set(xlim=(low, high), xlabel=x_label, ylabel=y_label)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if whole_x:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="y", color=COLOURS["rule"], linewidth=1)
     legend = axes.legend(
         loc="center left",
@@ -123,7 +178,7 @@ def line_plot(
     )
     for text in legend.get_texts():
         text.set_fontweight("bold")
-    return _inline(figure, title)
+    return figure
 
 
 def bar_plot(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:

@@ -1,0 +1,216 @@
+"""Commands of studies: ``optsim sweep``, ``tolerance``, ``waterfall`` and ``yield``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from optsim.app.options import ExperimentName, Json, Set, print_json
+from optsim.core.errors import ConfigError, unknown_name
+
+if TYPE_CHECKING:
+    from optsim.experiment.experiment import Experiment
+    from optsim.study.comparison import Seeds
+    from optsim.study.folder import Workplace
+
+Out = Annotated[Path | None, typer.Option(help="Folder [reports/runs/STUDY-NAME-TIME]; the same goes on.")]
+Methods = Annotated[
+    str | None, typer.Option(metavar="NAME,NAME", help="Methods of the experiment to compare; default all.")
+]
+Frames = Annotated[int, typer.Option(min=1, max=100, help="Coded frames of the steady phase to score.")]
+SeedRange = Annotated[
+    str, typer.Option("--seeds", metavar="LEAST:MOST", help="Seeds of codes and photons, and the cap.")
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes [half the cores].")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
+]
+
+
+def sweep(
+    experiment: ExperimentName,
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            metavar="KEY=FIRST:LAST:COUNT",
+            help="A parameter and its values, or KEY=VALUE,VALUE; twice for a pair.",
+        ),
+    ],
+    curves: Annotated[
+        str, typer.Option(metavar="MODE,MODE", help="Some of known, unknown and compensated.")
+    ] = "known,unknown,compensated",
+    mark: Annotated[list[float] | None, typer.Option(help="Show pictures at this value; repeatable.")] = None,
+    assignments: Set = None,
+    methods: Methods = None,
+    frames: Frames = 1,
+    seeds: SeedRange = "2:4",
+    precision: Annotated[
+        float, typer.Option(min=1e-3, help="Half of an interval, dB, at which no seed is added.")
+    ] = 0.1,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Vary one or two parameters: loss when calibrated, when drifted, and after a quick registration."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.core.folder_claims import output_folder
+    from optsim.study.point import MODES, parse_axis
+    from optsim.study.sweep import SweepPlan
+    from optsim.study.sweep import sweep as measure
+    from optsim.study.sweep_page import lead, write_sweep_page
+
+    base = _base(experiment, assignments, methods)
+    chosen = _names(curves)
+    for name in chosen:
+        if name not in MODES:
+            raise unknown_name("curve", name, MODES)
+    plan = SweepPlan(
+        axes=tuple(parse_axis(base, each) for each in vary),
+        modes=tuple(mode for mode in MODES if mode in chosen),
+        frames=frames,
+        seeds=_seeds(seeds, precision),
+        marks=tuple(mark or ()),
+    )
+    with output_folder(out, f"sweep-{base.name}") as folder:
+        with progress_bars(quiet=as_json) as progress:
+            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
+        write_sweep_page(folder, record)
+        if as_json:
+            print_json(record)
+        else:
+            names = [axis.label for axis in plan.axes]
+            heads = (*names, "curve", "method", "dB", "change, dB", "±")
+            rows = [
+                [
+                    *(row[n] for n in names),
+                    row["mode"],
+                    row["method"],
+                    row["db"],
+                    row["change_db"],
+                    row["change_half"],
+                ]
+                for row in record["rows"]
+                if row.get("region") == "all"
+            ]
+            page.print(table("", heads, rows))
+            page.print(lead(record))
+            _close(folder, record)
+    _fail(record)
+
+
+def tolerance(
+    experiment: ExperimentName,
+    loss: Annotated[str, typer.Option(metavar="DB", help="Loss that is allowed, for example 1dB.")] = "1dB",
+    parameters: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Parameters of the sheet; default all.")
+    ] = None,
+    regions: Annotated[
+        str, typer.Option(metavar="NAME,NAME", help="Regions whose scores decide.")
+    ] = "all,moving,static",
+    drift_only: Annotated[
+        bool,
+        typer.Option("--drift-only", help="Leave out cameras that are calibrated with it: benches."),
+    ] = False,
+    draws: Annotated[int, typer.Option(min=0, max=10_000, help="Cameras of the Monte-Carlo budget.")] = 8,
+    no_pairs: Annotated[bool, typer.Option("--no-pairs", help="Leave out pairs of the worst five.")] = False,
+    assignments: Set = None,
+    methods: Methods = None,
+    frames: Frames = 1,
+    seeds: SeedRange = "2:4",
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Write the tolerance sheet: the largest change of each parameter that costs at most a loss."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.core.folder_claims import output_folder
+    from optsim.study.parameters import ALL
+    from optsim.study.tolerance import TolerancePlan
+    from optsim.study.tolerance import tolerance as measure
+    from optsim.study.tolerance_page import HEADS, MODES, lead, notes, sheet, write_tolerance_page
+
+    base, loss_db = _base(experiment, assignments, methods), _decibels(loss)
+    plan = TolerancePlan(
+        loss_db=loss_db,
+        names=_names(parameters) or tuple(ALL),
+        regions=_names(regions),
+        known=not drift_only,
+        draws=draws,
+        interactions=not no_pairs,
+        frames=frames,
+        # An interval of a tenth of the loss.
+        seeds=_seeds(seeds, loss_db / 10),
+    )
+    with output_folder(out, f"tolerance-{base.name}") as folder:
+        with progress_bars(quiet=as_json) as progress:
+            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
+        write_tolerance_page(folder, record)
+        if as_json:
+            print_json(record)
+        else:
+            for mode, title in MODES.items():
+                if lines := sheet(record["rows"], mode):
+                    page.print(table(f"{title}: {loss_db:g} dB", HEADS, lines))
+            for said in (*notes(record["rows"]), lead(record)):
+                page.print(said)
+            _close(folder, record)
+    _fail(record)
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",")) if text else ()
+
+
+def _decibels(text: str) -> float:
+    try:
+        return float(text.strip().removesuffix("dB").removesuffix("db"))
+    except ValueError:
+        raise ConfigError(f"--loss: got {text!r}, expected a number of dB, for example 1dB") from None
+
+
+def _base(experiment: str, assignments: list[str] | None, methods: str | None) -> Experiment:
+    from optsim.experiment.experiment import load_experiment
+    from optsim.study.folder import chosen_methods
+
+    loaded = load_experiment(experiment, assignments or [])
+    return chosen_methods(loaded, _names(methods))
+
+
+def _seeds(text: str, precision: float) -> Seeds:
+    from optsim.study.comparison import Seeds
+
+    least, _, most = text.partition(":")
+    numbers = [int(each) if each.strip().isdecimal() else 0 for each in (least, most or least)]
+    if not 1 <= numbers[0] <= numbers[1] <= 1000:
+        raise ConfigError(f"--seeds: got {text!r}, expected LEAST:MOST, for example 2:4")
+    return Seeds(numbers[0], numbers[1], precision)
+
+
+def _workplace(folder: Path, workers: int | None, scheduler: str | None) -> Workplace:
+    from optsim.study.folder import Workplace
+
+    return Workplace(folder, workers, scheduler, " ".join(["optsim", *sys.argv[1:]]))
+
+
+def _close(folder: Path, record: dict[str, Any]) -> None:
+    """Say how often what was refused, and where the page is."""
+    from optsim.core.console import page
+    from optsim.study.folder import PAGE
+
+    refused = [row for row in record["rows"] if row.get("refused")]
+    if refused:
+        page.print(f"{len(refused)} points refused; the first: {refused[0]['refused']}")
+    page.print(f"Page: {folder / PAGE}")
+
+
+def _fail(record: dict[str, Any]) -> None:
+    """Name what was put aside, and end with exit code 1; nothing when all is well."""
+    for name, why in record["put_aside"].items():
+        typer.echo(f"{name}: {why}", err=True)
+    if record["put_aside"]:
+        raise typer.Exit(1)

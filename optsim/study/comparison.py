@@ -1,0 +1,198 @@
+"""Points against the unchanged camera, over paired seeds: each change of a score with its interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.study.measurement import Key, Measured, measured
+from optsim.study.point import Point
+from optsim.study.stage import Stage
+
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """How many seeds a point gets.
+
+    Parameters
+    ----------
+    least, most : int
+        Seeds that are always measured, and the cap.
+    wanted_db : float
+        Half width of the interval at which no more are added, dB.
+    """
+
+    least: int = 2
+    most: int = 4
+    wanted_db: float = 0.1
+
+
+FEW = Seeds()
+"""Seeds by default."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over seeds and half of its 95 % interval by Student; None for a single seed."""
+
+    mean: float
+    half: float | None
+    n: int
+
+    @property
+    def ends(self) -> tuple[float | None, float | None]:
+        """Both ends of the interval."""
+        return (None, None) if self.half is None else (self.mean - self.half, self.mean + self.half)
+
+    @property
+    def below_noise(self) -> bool:
+        """Whether the seeds cannot tell the mean from zero."""
+        return self.half is None or abs(self.mean) <= self.half
+
+
+def student(values: Sequence[float]) -> Estimate:
+    """Mean of independent values and half of its 95 % interval."""
+    from scipy import special  # type: ignore[import-untyped]
+
+    n, mean = len(values), float(np.mean(values))
+    if n < 2:
+        return Estimate(mean, None, n)
+    times = float(cast("float", special.stdtrit(n - 1, (1 + _CONFIDENCE) / 2)))
+    return Estimate(mean, times * float(np.std(values, ddof=1)) / math.sqrt(n), n)
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A point over its seeds.
+
+    Parameters
+    ----------
+    point : Point
+        Without its seed.
+    db, change_db : dict
+        (method, region) -> its score, and the change against the unchanged camera at the same seed.
+    stops : dict
+        (method, region) -> error of the logarithm, stops, mean over the seeds.
+    first : Measured
+        Of the experiment's own seed.
+    refused : str
+        Why the point cannot be; empty for one that can.
+    work : dict
+        Counts of what was computed.
+    """
+
+    point: Point
+    db: dict[Key, Estimate]
+    change_db: dict[Key, Estimate]
+    stops: dict[Key, float]
+    first: Measured
+    refused: str
+    work: dict[str, int] = field(default_factory=dict[str, int])
+
+    def worst(self, keys: Iterable[Key]) -> Key | None:
+        """Score that loses most."""
+        known = [key for key in keys if key in self.change_db]
+        return min(known, key=lambda key: self.change_db[key].mean, default=None)
+
+
+Decides = Callable[[dict[Key, Estimate]], Iterable[Key]]
+"""From the changes so far: scores whose interval decides whether more seeds are added."""
+
+
+def compare(stage: Stage, point: Point, seeds: Seeds, decides: Decides = list) -> Compared:
+    """Measure a point and the unchanged camera over paired seeds, until the interval is small enough."""
+    measurements: list[tuple[Measured, Measured]] = []
+    work: dict[str, int] = {}
+    while True:
+        seed = stage.base.seed + len(measurements)
+        pair = (
+            measured(stage, Point(seed=seed)),
+            measured(stage, replace(point, seed=seed)),
+        )
+        for each in pair if point.changes else pair[:1]:
+            add_work(work, each.work)
+        refused = pair[0].refused or pair[1].refused
+        if refused:
+            return Compared(point, {}, {}, {}, pair[1], refused, work)
+        measurements.append(pair)
+        changes = {
+            key: student(values)
+            for key, values in _by_key(measurements, lambda base, here: _difference(base, here)).items()
+        }
+        if len(measurements) < seeds.least:
+            continue
+        halves = [changes[key].half for key in decides(changes) if key in changes]
+        if len(measurements) >= seeds.most or all(
+            half is not None and half <= seeds.wanted_db for half in halves
+        ):
+            break
+    levels = _by_key(measurements, lambda base, here: here.db)
+    stops = _by_key(measurements, lambda base, here: here.stops)
+    return Compared(
+        replace(point, seed=stage.base.seed),
+        {key: student(values) for key, values in levels.items()},
+        changes,
+        {key: float(np.mean(values)) for key, values in stops.items()},
+        measurements[0][1],
+        "",
+        work,
+    )
+
+
+def add_work(total: dict[str, int], more: dict[str, int]) -> None:
+    """Add counts to counts."""
+    for name, count in more.items():
+        total[name] = total.get(name, 0) + count
+
+
+def rows_of(compared: Compared, **about: Any) -> list[dict[str, Any]]:
+    """One row a method and region, tidy; a refused point has a single row that says why."""
+    head = {**about, "mode": compared.point.mode, "compensators": " ".join(compared.point.compensators)}
+    if compared.refused:
+        return [{**head, "refused": compared.refused}]
+    rows: list[dict[str, Any]] = []
+    for key, level in compared.db.items():
+        change = compared.change_db[key]
+        rows.append(
+            {
+                **head,
+                "method": key[0],
+                "region": key[1],
+                "db": level.mean,
+                "db_half": level.half,
+                "change_db": change.mean,
+                "change_half": change.half,
+                "seeds": change.n,
+                "below_noise": change.below_noise,
+                "stops": compared.stops.get(key),
+                "covered": compared.first.covered,
+                "map_residual_px": compared.first.map_residual_px,
+                "refused": "",
+            }
+        )
+    return rows
+
+
+def _difference(base: Measured, here: Measured) -> dict[Key, float | None]:
+    """Change of every score that both have."""
+    found: dict[Key, float | None] = {}
+    for key, value in here.db.items():
+        before = base.db.get(key)
+        found[key] = None if value is None or before is None else value - before
+    return found
+
+
+def _by_key(
+    pairs: Sequence[tuple[Measured, Measured]],
+    read: Callable[[Measured, Measured], dict[Key, float | None]],
+) -> dict[Key, list[float]]:
+    """Values over the seeds, of the scores that all of them have."""
+    records = [read(*pair) for pair in pairs]
+    keys = [key for key in records[0] if all(record.get(key) is not None for record in records)]
+    return {key: [value for record in records if (value := record[key]) is not None] for key in keys}

@@ -1,0 +1,372 @@
+"""The tolerance sheet: how much of each misalignment may be, what compensators win, and all together."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.progress import Progress, silent
+from optsim.experiment.experiment import Experiment
+from optsim.experiment.loop import stream
+from optsim.metrics.records import REGIONS
+from optsim.study.comparison import FEW, Compared, Estimate, Seeds, add_work, compare
+from optsim.study.compensation import COMPENSATORS
+from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
+from optsim.study.measurement import Key
+from optsim.study.parameters import ALL
+from optsim.study.point import Mode, Point, changed_only
+from optsim.study.search import Limit, largest_change
+from optsim.study.stage import Stage, stage_of
+
+WHOLE_BENCH = "whole bench"
+_WORST = 5
+# Where the bench knows the change, a search goes as far as this, in a bad specimen's changes.
+_BAD_SPECIMENS = 3.0
+_SIGNS = (1, -1)
+
+
+@dataclass(frozen=True)
+class TolerancePlan:
+    """A tolerance sheet.
+
+    Parameters
+    ----------
+    loss_db : float
+        Largest loss of any decisive score.
+    names : tuple of str
+        Parameters out of :data:`optsim.study.parameters.ALL`.
+    regions : tuple of str
+        Regions whose scores decide.
+    known : bool
+        Whether cameras built with a change and then calibrated are searched too; each needs a bench.
+    draws : int
+        Cameras of the Monte-Carlo budget.
+    interactions : bool
+        Whether the worst five are measured in pairs.
+    frames, seeds
+        As of a sweep.
+    """
+
+    loss_db: float = 1.0
+    names: tuple[str, ...] = tuple(ALL)
+    regions: tuple[str, ...] = REGIONS
+    known: bool = True
+    draws: int = 8
+    interactions: bool = True
+    frames: int = 1
+    seeds: Seeds = FEW
+
+
+def tolerance(
+    base: Experiment, plan: TolerancePlan, place: Workplace, progress: Progress = silent
+) -> dict[str, Any]:
+    """Measure a tolerance sheet into a folder.
+
+    Parameters
+    ----------
+    base : Experiment
+        The unchanged experiment.
+    plan : TolerancePlan
+        The loss and what may cost it.
+    place : Workplace
+        Folder and workers; the same folder goes on.
+    progress : Progress
+        Told of each task.
+
+    Returns
+    -------
+    dict
+        The content of study.json.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown parameter, or a loss that is not above 0.
+    """
+    for name in plan.names:
+        if name not in ALL:
+            raise unknown_name("parameter", name, ALL)
+    for region in plan.regions:
+        if region not in REGIONS:
+            raise unknown_name("region", region, REGIONS)
+    if not plan.names or not math.isfinite(plan.loss_db) or plan.loss_db <= 0:
+        raise ConfigError(f"--loss: got {plan.loss_db:g} dB, expected more than 0")
+    said = asdict(plan)
+    common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
+    modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)
+    pieces = [
+        Piece(f"limits/{name}-{mode}", _find_limits, (*common, name, mode))
+        for mode in modes
+        for name in plan.names
+    ]
+    record = compute("tolerance", base, said, pieces, place, progress)
+    rows = sorted_rows([row for result in record["results"].values() for row in result["rows"]])
+    drifts = limits_of(rows)
+    pieces += _together(base, plan, rows, drifts, common)
+    record = compute("tolerance", base, said, pieces, place, progress)
+    found = {
+        **record,
+        "compensators": [row for result in record["results"].values() for row in result.get("won", ())],
+        "interactions": [
+            result["pair"] for result in record["results"].values() if result.get("pair") is not None
+        ],
+        "budget": budget(rows, record["results"], plan.loss_db),
+        "refusals": [row for result in record["results"].values() for row in result.get("refusals", ())],
+    }
+    write_table(place.folder, found, rows)
+    return {**found, "rows": rows}
+
+
+def limits_of(rows: Sequence[dict[str, Any]], mode: str = "unknown") -> dict[str, tuple[float, float]]:
+    """Return the largest changes downwards and upwards by parameter, of one mode, in the keys' units."""
+    found: dict[str, dict[int, float]] = {}
+    for row in rows:
+        if row["mode"] == mode:
+            found.setdefault(row["parameter"], {})[row["sign"]] = row["change"]
+    return {name: (ends.get(-1, 0.0), ends.get(1, 0.0)) for name, ends in found.items()}
+
+
+def sorted_rows(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Sort by mode, then the worst offenders first: least room over a bad specimen's change."""
+    held = list(rows)
+    room: dict[tuple[str, str], float] = {}
+    for row in held:
+        key = row["mode"], row["parameter"]
+        room[key] = min(room.get(key, math.inf), row["room"])
+    return sorted(held, key=lambda r: (r["mode"] == "known", room[r["mode"], r["parameter"]], r["parameter"]))
+
+
+def worst_loss(found: Compared, regions: Sequence[str]) -> tuple[Key, Estimate] | None:
+    """Decisive score of a point: the one that loses most."""
+    key = found.worst(key for key in found.change_db if key[1] in regions)
+    return None if key is None else (key, found.change_db[key])
+
+
+def deciding(regions: Sequence[str]) -> Callable[[dict[Key, Estimate]], list[Key]]:
+    """Return what picks the score whose interval decides on more seeds: the one that loses most."""
+
+    def pick(changes: dict[Key, Estimate]) -> list[Key]:
+        known = [key for key in changes if key[1] in regions]
+        return [min(known, key=lambda key: changes[key].mean)] if known else []
+
+    return pick
+
+
+def _together(
+    base: Experiment,
+    plan: TolerancePlan,
+    rows: Sequence[dict[str, Any]],
+    drifts: dict[str, tuple[float, float]],
+    common: tuple[Any, ...],
+) -> list[Piece]:
+    """List the tasks of several parameters at once: pairs of the worst, and cameras of the budget."""
+    frames, _, regions, seeds = common
+    pieces: list[Piece] = []
+    worst = list(dict.fromkeys(row["parameter"] for row in rows if row["mode"] == "unknown"))[:_WORST]
+    if plan.interactions:
+        for one, two in itertools.combinations(worst, 2):
+            # Each towards the side with less room.
+            at = {name: _nearer(drifts[name]) for name in (one, two)}
+            pieces.append(Piece(f"pairs/{one}-{two}", _measure_pair, (frames, regions, seeds, at)))
+    rng = stream(base.seed, "budget")
+    for number in range(plan.draws):
+        drawn = {name: float(rng.uniform(-down, up)) for name, (down, up) in drifts.items()}
+        pieces.append(Piece(f"budget/{number:03d}", _measure_draw, (frames, regions, drawn)))
+    return pieces
+
+
+def _nearer(ends: tuple[float, float]) -> float:
+    down, up = ends
+    return up if up <= down else -down
+
+
+def point_at(stage: Stage, changes: dict[str, float], mode: Mode, compensators: Sequence[str] = ()) -> Point:
+    """Return the point of some parameters' changes."""
+    keys: dict[str, Any] = {}
+    for name, change in changes.items():
+        keys |= ALL[name].changes(stage.base, change)
+    return Point(changed_only(stage.base, keys), mode, tuple(compensators), stage.base.seed)
+
+
+def _find_limits(
+    folder: Path,
+    text: str,
+    frames: int,
+    loss_db: float,
+    regions: Sequence[str],
+    seeds: dict[str, Any],
+    name: str,
+    mode: Mode,
+) -> None:
+    """Search both signs of a parameter in one mode; what drifted is then compensated. In a worker."""
+    stage, parameter, pick = stage_of(text, frames), ALL[name], deciding(regions)
+    work: dict[str, int] = {}
+    rows: list[dict[str, Any]] = []
+    won: list[dict[str, Any]] = []
+    refusals: list[dict[str, Any]] = []
+    for sign in _SIGNS:
+        seen: dict[float, Compared] = {}
+
+        def loss(change: float, sign: int = sign, seen: dict[float, Compared] = seen) -> Any:
+            found = compare(stage, point_at(stage, {name: sign * change}, mode), Seeds(**seeds), pick)
+            add_work(work, found.work)
+            if found.refused:
+                refusals.append({"parameter": name, "change": sign * change, "message": found.refused})
+                return None
+            seen[change] = found
+            worst = worst_loss(found, regions)
+            return (0.0, None) if worst is None else (-worst[1].mean, worst[1].half)
+
+        first, most = parameter.first, parameter.most
+        if mode == "known":
+            first, most = parameter.usual, _BAD_SPECIMENS * parameter.usual
+        limit = largest_change(loss, loss_db, first, most)
+        rows.append(_row(name, mode, sign, limit, seen, regions))
+        if mode == "unknown" and limit.value > 0:
+            won += _compensate(stage, name, sign * limit.value, regions, Seeds(**seeds), work)
+    write_result(folder, work, rows=rows, won=won, refusals=refusals)
+
+
+def _row(
+    name: str, mode: str, sign: int, limit: Limit, seen: dict[float, Compared], regions: Sequence[str]
+) -> dict[str, Any]:
+    parameter = ALL[name]
+    nearest = min(seen, key=lambda change: abs(change - limit.value), default=None)
+    worst = None if nearest is None else worst_loss(seen[nearest], regions)
+    return {
+        "parameter": name,
+        "mode": mode,
+        "sign": sign,
+        "value": parameter.shown(limit.value),
+        "value_half": None if limit.half is None else parameter.shown(limit.half),
+        "unit": parameter.unit,
+        "status": limit.status,
+        "loss_db": limit.loss,
+        "method": worst[0][0] if worst else "",
+        "region": worst[0][1] if worst else "",
+        "seeds": worst[1].n if worst else 0,
+        "below_noise": worst[1].below_noise if worst else True,
+        "db_per_unit": None if limit.slope is None else limit.slope * parameter.per_unit,
+        "room": limit.value / parameter.usual,
+        "change": limit.value,
+        "keys": " ".join(parameter.keys),
+        "measurements": limit.steps,
+    }
+
+
+def _compensate(
+    stage: Stage, name: str, change: float, regions: Sequence[str], seeds: Seeds, work: dict[str, int]
+) -> list[dict[str, Any]]:
+    """Measure what each compensator wins back of a drift."""
+    pick = deciding(regions)
+    before = compare(stage, point_at(stage, {name: change}, "unknown"), seeds, pick)
+    add_work(work, before.work)
+    worst = worst_loss(before, regions)
+    if worst is None:
+        return []
+    rows: list[dict[str, Any]] = []
+    for compensator in (*COMPENSATORS, WHOLE_BENCH):
+        if compensator == WHOLE_BENCH:
+            point = point_at(stage, {name: change}, "known")
+        else:
+            point = point_at(stage, {name: change}, "compensated", (compensator,))
+        after = compare(stage, point, seeds, pick)
+        add_work(work, after.work)
+        left = after.change_db.get(worst[0])
+        rows.append(
+            {
+                "parameter": name,
+                "change": ALL[name].shown(change),
+                "unit": ALL[name].unit,
+                "compensator": compensator,
+                "set_to": after.first.values,
+                "method": worst[0][0],
+                "region": worst[0][1],
+                "before_db": worst[1].mean,
+                "before_half": worst[1].half,
+                "after_db": left.mean if left else None,
+                "after_half": left.half if left else None,
+                "refused": after.refused,
+            }
+        )
+    return rows
+
+
+def _measure_pair(
+    folder: Path,
+    text: str,
+    frames: int,
+    regions: Sequence[str],
+    seeds: dict[str, Any],
+    at: dict[str, float],
+) -> None:
+    """Measure two parameters alone and together, in a worker."""
+    stage, pick = stage_of(text, frames), deciding(regions)
+    work: dict[str, int] = {}
+    losses = [
+        compare(stage, point_at(stage, {name: at[name]}, "unknown"), Seeds(**seeds), pick).change_db
+        for name in at
+    ]
+    both = compare(stage, point_at(stage, at, "unknown"), Seeds(**seeds), pick)
+    add_work(work, both.work)
+    worst = worst_loss(both, regions)
+    pair: dict[str, Any] = {"names": list(at), "refused": both.refused}
+    if worst and all(worst[0] in each for each in losses):
+        alone = [-each[worst[0]].mean for each in losses]
+        pair |= {
+            "method": worst[0][0],
+            "region": worst[0][1],
+            "alone_db": alone,
+            "together_db": -worst[1].mean,
+            "half": worst[1].half,
+            "interaction_db": -worst[1].mean - sum(alone),
+        }
+    write_result(folder, work, rows=[], pair=pair)
+
+
+def _measure_draw(
+    folder: Path, text: str, frames: int, regions: Sequence[str], drawn: dict[str, float]
+) -> None:
+    """Measure a camera that drifted by all parameters at once, in a worker."""
+    stage = stage_of(text, frames)
+    found = compare(stage, point_at(stage, drawn, "unknown"), Seeds(1, 1))
+    worst = worst_loss(found, regions)
+    write_result(
+        folder,
+        found.work,
+        rows=[],
+        drawn={name: ALL[name].shown(change) for name, change in drawn.items()},
+        loss_db=-worst[1].mean if worst else None,
+        refused=found.refused,
+    )
+
+
+def budget(rows: Sequence[dict[str, Any]], results: dict[str, Any], loss_db: float) -> dict[str, Any]:
+    """Return the loss of all tolerances at once: by root sum of squares, and by Monte Carlo.
+
+    The first is that of OpticStudio: squares of both ends are averaged, and summed over the tolerances.
+    """
+    ends: dict[str, list[float]] = {}
+    for row in rows:
+        if row["mode"] == "unknown":
+            ends.setdefault(row["parameter"], []).append(max(row["loss_db"], 0.0))
+    squares = [float(np.mean(np.square(losses))) for losses in ends.values()]
+    drawn = [r for name, r in results.items() if name.startswith("budget/")]
+    losses = sorted(r["loss_db"] for r in drawn if r["loss_db"] is not None)
+    return {
+        "rss_db": math.sqrt(sum(squares)),
+        "draws": len(losses),
+        "refused": sum(1 for r in drawn if r["refused"]),
+        "mean_db": float(np.mean(losses)) if losses else None,
+        "p90_db": float(np.percentile(losses, 90)) if losses else None,
+        "worst_db": losses[-1] if losses else None,
+        "within_loss": sum(loss <= loss_db for loss in losses),
+        "losses_db": losses,
+    }

@@ -1,0 +1,62 @@
+"""What all pages of studies say in the same words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from markupsafe import Markup
+
+from optsim.report.page import table
+from optsim.report.words import seconds
+
+_COUNTS = {
+    "points_measured": "points measured now, a seed each",
+    "points_found": "points found in the cache",
+    "points_refused": "points refused",
+    "benches": "benches measured and calibrated",
+    "exposures": "exposures computed from the panel on",
+    "exposures_of_known_panel_light": "exposures computed from the relay on",
+    "truths": "truths and light levels of other lenses or scenes",
+    "tasks_done_before": "tasks that were done before",
+}
+
+
+def signed(value: float | None, half: float | None = None) -> str:
+    """Write a change in dB with its interval."""
+    if value is None:
+        return "–"
+    text = f"{value:+.2f}".replace("-", "−")
+    return text if half is None else f"{text} ± {half:.2f}"
+
+
+def shown(value: object) -> str:
+    """Write a parameter's value."""
+    return f"{value:.4g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def assumptions(record: dict[str, Any]) -> list[str]:
+    """Say what the figures of a study rest on."""
+    plan, experiment = record["plan"], record["experiment"]
+    seeds = plan["seeds"]
+    said = [
+        f"Scores are PU21-PSNR of {plan['frames']} coded frame{'s' if plan['frames'] > 1 else ''} of the "
+        "steady phase, on the pixels that all methods hold valid, against the light on the panel.",
+        f"A change is the mean over {seeds['least']} to {seeds['most']} seeds of codes and photons, each "
+        "against the unchanged camera at the same seed. Seeds are added until half of its 95 % interval is "
+        f"{seeds['wanted_db']:g} dB.",
+        f"The bench has one seed, {experiment['seed']}: intervals leave its noise out.",
+        "The light level is that of the unchanged camera, unless the lens or the scene changes.",
+    ]
+    if experiment["n_frames"] < 5 + experiment["camera"]["latency_frames"]:
+        said.append("The experiment is too short to reach the steady phase.")
+    return said
+
+
+def work_done(record: dict[str, Any]) -> Markup:
+    """Tabulate what was computed, and what was not because it was known."""
+    work = record["work"]
+    rows: list[tuple[str, object]] = [
+        (words, work[name]) for name, words in _COUNTS.items() if work.get(name)
+    ]
+    rows.append(("time of this call", seconds(record["seconds"])))
+    return table(("work", "count"), rows, "The truth was rendered, or found, once.")

@@ -1,0 +1,124 @@
+"""Tolerance sheets: the search for a limit, and a sheet of a small camera."""
+
+import math
+
+import pytest
+from small_study import load, without_workers, write_experiment  # noqa: F401  a fixture
+from test_cli import cli  # noqa: F401  a fixture
+
+from optsim.core.errors import ConfigError
+from optsim.study.comparison import Seeds, compare
+from optsim.study.folder import Workplace
+from optsim.study.parameters import ALL
+from optsim.study.search import largest_change
+from optsim.study.stage import frames_to_score, make_stage
+from optsim.study.tolerance import TolerancePlan, budget, deciding, point_at, tolerance, worst_loss
+from optsim.study.tolerance_page import lead, sheet, write_tolerance_page
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+@pytest.mark.parametrize("scale", [1e-3, 1, 300])
+def test_a_limit_is_found_in_few_measurements(power, scale):
+    asked: list[float] = []
+
+    def loss(change):
+        asked.append(change)
+        return 2 * (change / scale) ** power, 0.02
+
+    found = largest_change(loss, 1.0, 0.1 * scale, 20 * scale)
+    assert found.status == "found"
+    assert found.value == pytest.approx(scale / 2 ** (1 / power), rel=0.03)
+    assert found.steps == len(asked) <= 6
+    # 0.02 dB over the slope there.
+    true_half = 0.02 / (2 * power / scale * (found.value / scale) ** (power - 1))
+    assert found.half == pytest.approx(true_half, rel=0.5)
+
+
+def test_a_limit_that_cannot_be_reached_or_built_is_no_limit():
+    flat = largest_change(lambda change: (0.01 * change, 0.1), 1.0, 0.1, 20.0)
+    assert (flat.status, flat.value, flat.half) == ("not reached", 20.0, None)
+    walled = largest_change(lambda x: None if x > 1.3 else (0.2 * x * x, 0.01), 1.0, 0.2, 20.0)
+    assert walled.status == "refused beyond"
+    assert 1.1 < walled.value <= 1.3
+    gain = largest_change(lambda change: (-0.1, 0.2), 1.0, 0.1, 20.0)
+    assert (gain.status, gain.value) == ("not reached", 20.0)
+    assert largest_change(lambda change: None, 1.0, 0.1, 20.0).value == 0
+
+
+def test_all_together_by_root_sum_of_squares():
+    rows = [
+        {"parameter": name, "mode": mode, "loss_db": loss}
+        for name, mode, loss in (
+            ("a", "unknown", 3.0),
+            ("a", "unknown", 1.0),
+            ("b", "unknown", 2.0),
+            ("b", "known", 9.0),
+        )
+    ]
+    drawn = {f"budget/{n}": {"loss_db": loss, "refused": ""} for n, loss in enumerate((0.5, 1.5))}
+    found = budget(rows, drawn, 1.0)
+    assert found["rss_db"] == pytest.approx(math.sqrt((9 + 1) / 2 + 4))
+    assert (found["mean_db"], found["within_loss"], found["draws"]) == (1.0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    return load(write_experiment(tmp_path_factory.mktemp("study")), "hdr_mosaic")
+
+
+def test_every_parameter_changes_the_camera(base):
+    for parameter in ALL.values():
+        changes = parameter.changes(base, parameter.usual)
+        assert set(changes) == set(parameter.keys)
+    response = ALL["response"].changes(base, 0.5)
+    modulator = base.camera.modulator
+    assert list(response.values()) == [1.5 * modulator.tau_on_s, 1.5 * modulator.tau_off_s]
+    assert ALL["rotation"].shown(2e-3) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("without_workers")
+def test_a_tolerance_put_back_in_costs_the_stated_loss(base, tmp_path):
+    plan = TolerancePlan(
+        loss_db=2.0,
+        names=("shift_x",),
+        regions=("static",),
+        known=False,
+        draws=1,
+        interactions=False,
+        seeds=Seeds(1, 1),
+    )
+    record = tolerance(base, plan, Workplace(tmp_path))
+    write_tolerance_page(tmp_path, record)
+    stage = make_stage(base, frames_to_score(base, 1))
+    for row in record["rows"]:
+        assert row["status"] == "found"
+        point = point_at(stage, {"shift_x": row["sign"] * row["change"]}, "unknown")
+        worst = worst_loss(compare(stage, point, Seeds(1, 1), deciding(plan.regions)), plan.regions)
+        assert worst is not None
+        assert -worst[1].mean == pytest.approx(2.0, rel=0.1)
+    won = {row["compensator"]: row["after_db"] for row in record["compensators"]}
+    assert won["registration"] > won["black_gain"]
+    assert record["budget"]["draws"] == 1
+    (line,) = sheet(record["rows"], "unknown")
+    assert line[0] == "shift_x"
+    assert line[3] == "CCD px"
+    assert "shift_x" in lead(record)
+    assert "whole bench" in (tmp_path / "study.html").read_text()
+
+
+def test_a_sheet_of_nothing_is_refused(base, tmp_path):
+    for plan, said in (
+        (TolerancePlan(names=("shft_x",)), "did you mean 'shift_x'"),
+        (TolerancePlan(loss_db=0.0), "more than 0"),
+        (TolerancePlan(regions=("middle",)), "unknown region"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            tolerance(base, plan, Workplace(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_loss_that_is_no_number_is_refused(cli):  # noqa: F811
+    code, _, shown = cli("tolerance", "demo", "--loss", "much")
+    assert code == 2
+    assert "expected a number of dB" in shown
