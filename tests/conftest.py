@@ -10,7 +10,7 @@ import pytest
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from optsim.experiment import loop
+from optsim.experiment import calibrations
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -25,5 +25,5 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory):
 def _true_calibrations_once():
     """True calibrations follow from the camera alone, and take seconds on the small panels of tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "true_calibration", lru_cache(maxsize=16)(loop.true_calibration))
+        patch.setattr(calibrations, "true_calibration", lru_cache(maxsize=16)(calibrations.true_calibration))
         yield

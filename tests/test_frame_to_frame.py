@@ -12,14 +12,15 @@ from optsim.calibration import Calibration
 from optsim.camera.camera import CodedCamera
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
 from optsim.decoding import HdrMerge, SparseCoding, Union
-from optsim.experiment import loop
+from optsim.experiment import calibrations, loop
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import Frames, calibrate_all, capture, set_light
+from optsim.experiment.loop import Frames, capture, set_light
 
 FRAMES = 3
 
 
-def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, loop.Calibrations]:
+def taken(experiment: Experiment) -> tuple[Frames, CodedCamera, calibrations.Calibrations]:
     """Frames of even light, with the camera and all that is known of it."""
     radiance = flat(experiment, 0.2)
     known = calibrate_all(experiment)
@@ -74,13 +75,14 @@ def test_every_draw_has_its_own_numbers_and_another_seed_others(monkeypatch: pyt
         drawn.append(given(*purpose).random())
         return given(*purpose)
 
-    monkeypatch.setattr(loop, "stream", noted)
-    monkeypatch.setattr(loop, "measure_bench", lambda _, rng: rng.random())
-    monkeypatch.setattr(loop, "bench_calibration", lambda *given: given[-1]())
+    for drawing in (loop, calibrations):
+        monkeypatch.setattr(drawing, "stream", noted)
+    monkeypatch.setattr(calibrations, "measure_bench", lambda _, rng: rng.random())
+    monkeypatch.setattr(calibrations, "bench_calibration", lambda *given: given[-1]())
     runs = []
     for seed in (1, 2, 1):
         experiment = small("camera.effects.all=ideal", f"seed={seed}", n_frames=FRAMES)
-        bench = loop.calibrate(experiment, experiment.calibration_choice._replace(operator="bench"))
+        bench = calibrations.calibrate(experiment, experiment.calibration_choice._replace(operator="bench"))
         still = tuple(method for method in experiment.methods if method.name in ("normal", "random"))
         frames, *_ = taken(experiment.model_copy(update={"methods": still}))
         arrays = [bench, frames["random"][0].code.levels, *(f.dn for name in frames for f in frames[name])]

@@ -13,8 +13,9 @@ from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import read_exr, read_json, read_png16
 from optsim.decoding import GaussianMixture, SparseCoding, Union
 from optsim.experiment import job
+from optsim.experiment.calibrations import calibrate
 from optsim.experiment.experiment import Experiment, load_experiment
-from optsim.experiment.loop import calibrate, planned
+from optsim.experiment.loop import planned
 from optsim.experiment.measurement import decode_measurement
 from optsim.experiment.measurement.runs import decoder_of_run, read_run
 from optsim.experiment.object_masks import object_masks

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from optsim.core.errors import ConfigError, GeometryError
+from optsim.core.random_streams import stream
 from optsim.experiment.experiment import load_experiment
-from optsim.experiment.loop import Result, run, stream
+from optsim.experiment.loop import Result, run
 from optsim.experiment.scoring import score
 from optsim.footage.made import footage
 from optsim.metrics import Scores

@@ -11,9 +11,10 @@ from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.true_calibration import ideal_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import RadianceVideo, Reconstruction
-from optsim.experiment import job, loop, trace
+from optsim.experiment import calibrations, job, trace
+from optsim.experiment.calibrations import calibrate
 from optsim.experiment.experiment import Experiment, load_experiment
-from optsim.experiment.loop import Result, calibrate, planned, run, set_light
+from optsim.experiment.loop import Result, planned, run, set_light
 from optsim.experiment.scoring import Scorer, no_rivals, score
 from optsim.footage.made import still
 
@@ -110,8 +111,8 @@ def test_each_calibration_is_made_once_and_before_the_render(
 
     experiment = small(*OWN, "methods.random.calibration=true", calibration="bench")
     for name in ("true", "ideal"):
-        monkeypatch.setattr(loop, f"{name}_calibration", noted(name))
-    monkeypatch.setattr(loop, "bench_calibration", noted("bench"))
+        monkeypatch.setattr(calibrations, f"{name}_calibration", noted(name))
+    monkeypatch.setattr(calibrations, "bench_calibration", noted("bench"))
     monkeypatch.setattr(job, "render_truth", rendering)
     with pytest.raises(InterruptedError):
         job.execute(experiment, tmp_path)

@@ -5,8 +5,9 @@ import pytest
 from small_experiment import COLS, ROWS, moving_bar
 
 from optsim.core.quantities import Bools, CodedFrame, ExposureCode
+from optsim.experiment.calibrations import calibrate
 from optsim.experiment.experiment import Experiment, load_experiment
-from optsim.experiment.loop import calibrate, run
+from optsim.experiment.loop import run
 from optsim.experiment.scoring import Scorer, score
 from optsim.footage.made import footage
 from optsim.study.own_f_number import THIRD_STOPS, OwnLight, at_f_number, compare, open_share, own_f_number

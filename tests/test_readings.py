@@ -20,7 +20,7 @@ from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import HdrMerge, hdr_merge
-from optsim.experiment import loop
+from optsim.experiment import calibrations, loop
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.measurement.files import measurement_files, read_measurement
 from optsim.experiment.scoring import Scorer, no_rivals
@@ -185,10 +185,11 @@ def test_each_method_reads_as_it_says_and_claims_leave_it_out() -> None:
 
 def test_the_bench_is_measured_once_for_all_readings(monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[int] = []
-    monkeypatch.setattr(loop, "measure_bench", lambda *_: measured.append(1))
-    monkeypatch.setattr(loop, "bench_calibration", lambda _, __, side, measure: (measure(), side)[1])
+    monkeypatch.setattr(calibrations, "measure_bench", lambda *_: measured.append(1))
+    monkeypatch.setattr(calibrations, "bench_calibration", lambda _, __, side, measure: (measure(), side)[1])
     chosen = experiment("calibration=bench", "methods.random.reading_px=3")
-    assert loop.calibrate_all(chosen) == {CalibrationChoice("bench", 1): 1, CalibrationChoice("bench", 3): 3}
+    known = {CalibrationChoice("bench", 1): 1, CalibrationChoice("bench", 3): 3}
+    assert calibrations.calibrate_all(chosen) == known
     assert len(measured) == 1
 
 

@@ -12,7 +12,7 @@ from optsim.calibration import read_calibration
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import read_exr, read_json
 from optsim.decoding import Interpolation
-from optsim.experiment import job, loop
+from optsim.experiment import calibrations, job
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.measurement import decode_measurement, read_measurement
 from optsim.experiment.measurement.files import measurement_files
@@ -134,7 +134,7 @@ def test_a_run_is_decoded_by_what_it_kept(run: Path, tmp_path: Path, monkeypatch
     def anew(*_: object) -> None:
         pytest.fail("calibrated anew")
 
-    monkeypatch.setattr(loop, "true_calibration", anew)
+    monkeypatch.setattr(calibrations, "true_calibration", anew)
     found = read_run(run, "random")
     kept = read_calibration(run / "calibration.npz")
     np.testing.assert_array_equal(found.calibration.crosstalk, kept.crosstalk)
@@ -183,8 +183,8 @@ def test_an_experiment_takes_a_calibration_from_a_path(
     else:
         chosen = load_experiment(str(lab), [f"calibration={path}", f"methods.plain.calibration={path}"])
     job.check(chosen, None, None)
-    monkeypatch.setattr(loop, "true_calibration", lambda *_: pytest.fail("calibrated anew"))
-    kept = loop.calibrate_all(chosen)[chosen.calibration_choice]
+    monkeypatch.setattr(calibrations, "true_calibration", lambda *_: pytest.fail("calibrated anew"))
+    kept = calibrations.calibrate_all(chosen)[chosen.calibration_choice]
     np.testing.assert_array_equal(
         kept.responsivity_dn, read_calibration(run / "calibration.npz").responsivity_dn
     )

@@ -9,7 +9,7 @@ from test_footage_run import COLS, FOOTAGE, PITCH, ROWS, SMALL
 
 from optsim import render_truth
 from optsim.core.files import read_exr, read_png16
-from optsim.experiment import job, loop
+from optsim.experiment import calibrations, job, loop
 from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
 from optsim.experiment.figures import Figures
 
@@ -66,7 +66,7 @@ def folder(
 
 def test_frames_codes_and_masks_are_those_that_were_taken(folder: Path, experiment: Experiment) -> None:
     modelled, _ = loop.planned(experiment)
-    known = loop.calibrate_all(modelled)
+    known = calibrations.calibrate_all(modelled)
     radiance = render_truth(experiment)
     camera, _ = loop.set_light(modelled, radiance, known[experiment.calibration_choice])
     taken = loop.capture(modelled, camera, camera.form_image(radiance), known)

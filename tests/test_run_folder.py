@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from optsim.app import cli
 from optsim.calibration.stored import calibration_arrays
 from optsim.camera import bench_calibration
-from optsim.experiment import job, loop, run_folder
+from optsim.experiment import calibrations, job, run_folder
 from optsim.experiment.experiment import experiment_path, load_experiment
 
 QUICK = [*SMALL, "n_frames=1", "calibration=ideal", "save_reconstructions=[]"]
@@ -85,26 +85,26 @@ def test_a_calibration_is_kept_to_the_bit_and_made_anew_where_it_is_damaged(
     experiment = load_experiment("demo", [f"camera.{each}" for each in size])
     benches: list[int] = []
     # The same images every time: what is asked is how often, and what is made of them.
-    bench = loop.measure_bench(experiment.camera.with_nd(1.0), np.random.default_rng(1))
+    bench = calibrations.measure_bench(experiment.camera.with_nd(1.0), np.random.default_rng(1))
 
     def counted(*_: object) -> object:
         benches.append(1)
         return bench
 
-    monkeypatch.setattr(loop, "measure_bench", counted)
-    fresh, kept = (calibration_arrays(loop.calibrate(experiment)) for _ in range(2))
+    monkeypatch.setattr(calibrations, "measure_bench", counted)
+    fresh, kept = (calibration_arrays(calibrations.calibrate(experiment)) for _ in range(2))
     assert len(benches) == 1
     assert fresh.keys() == kept.keys()
     for name, array in fresh.items():
         np.testing.assert_array_equal(kept[name], array)
         assert np.asarray(kept[name]).dtype == np.asarray(array).dtype
-    loop.calibrate(experiment.model_copy(update={"seed": experiment.seed + 1}))
+    calibrations.calibrate(experiment.model_copy(update={"seed": experiment.seed + 1}))
     assert len(benches) == 2
     with monkeypatch.context() as patched:
         patched.setattr(bench_calibration, "version", lambda _: "0.1")
-        loop.calibrate(experiment)
+        calibrations.calibrate(experiment)
     assert len(benches) == 3
     for path in tmp_path.glob("entries/*/*/responsivity_dn.npy"):
         path.write_bytes(path.read_bytes()[:-4] + b"\0\0\0\0")
-    loop.calibrate(experiment)
+    calibrations.calibrate(experiment)
     assert len(benches) == 4

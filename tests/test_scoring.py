@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from optsim.core.quantities import ExposureCode, PanelState, RadianceVideo, Reconstruction
+from optsim.core.random_streams import stream
 from optsim.decoding import HdrMerge
+from optsim.experiment.calibrations import calibrate, calibrate_all
 from optsim.experiment.experiment import Experiment, load_experiment
-from optsim.experiment.loop import calibrate, calibrate_all, capture, set_light, stream
+from optsim.experiment.loop import capture, set_light
 from optsim.experiment.scoring import Scorer, no_rivals
 from optsim.footage.made import footage, still
 from optsim.metrics import PairTally, luminous_efficacy_lm_w

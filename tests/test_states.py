@@ -16,7 +16,8 @@ from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, mot
 from optsim.core.quantities import ExposureCode, PanelState
 from optsim.decoding import HdrMerge, SparseCoding, Union
 from optsim.decoding.partial import Partial
-from optsim.experiment.loop import calibrate_all, capture, set_light
+from optsim.experiment.calibrations import calibrate_all
+from optsim.experiment.loop import capture, set_light
 
 V, U = 24, 24
 

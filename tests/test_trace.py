@@ -14,7 +14,8 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import with_effects
 from optsim.core.files import read_json, read_png16
 from optsim.core.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment, made_radiance
-from optsim.experiment import job, loop, trace
+from optsim.core.random_streams import stream
+from optsim.experiment import calibrations, job, loop, trace
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.loop import Shot
 from optsim.experiment.signal_breakdown import ORIGINS, read_out
@@ -79,7 +80,7 @@ def traced(experiment: Experiment, traced: TracedPixel) -> tuple[Trace, CodedCam
     radiance = made_scene(camera)
     light = camera.form_image(radiance)
     method = next(m for m in experiment.methods if m.name == traced.method)
-    taken = loop.shots(experiment, method, camera, light, loop.calibrate(experiment))
+    taken = loop.shots(experiment, method, camera, light, calibrations.calibrate(experiment))
     shot = [next(taken) for _ in range(traced.frame + 1)][-1]
     expected, _ = camera.expected_electrons(light, traced.frame, shot.frame.code, shot.before)
     return trace_pixel(experiment, camera, radiance, light, shot, traced), camera, expected, shot
@@ -386,7 +387,7 @@ def test_a_shot_says_how_the_panel_was_when_its_frame_began(experiment) -> None:
     """Taken again from there, with the method's own photons, the frame is the same to the last number."""
     _, camera, _, shot = traced(experiment, TracedPixel(41, 50, 2, "hdr_mosaic"))
     light = camera.form_image(made_scene(camera))
-    photons = loop.stream(experiment.seed, "shot", "hdr_mosaic", 2)
+    photons = stream(experiment.seed, "shot", "hdr_mosaic", 2)
     again, _ = camera.expose(light, 2, shot.frame.code, shot.before, photons)
     np.testing.assert_array_equal(again.dn, shot.frame.dn)
 

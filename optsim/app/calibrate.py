@@ -39,8 +39,8 @@ def laboratory(
     from optsim.camera.laboratory import ALL_FRAMES, FEW_FRAMES
     from optsim.core.console import people, progress_bars
     from optsim.experiment.calibration_record import bench_camera
+    from optsim.experiment.calibrations import bench_noise
     from optsim.experiment.experiment import load_experiment
-    from optsim.experiment.loop import bench_noise
 
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     with progress_bars() as progress:

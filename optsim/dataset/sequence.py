@@ -18,8 +18,9 @@ from optsim.core.config import Table, build
 from optsim.core.files import write_json
 from optsim.dataset.export import export_passes
 from optsim.dataset.spec import DatasetSpec, SequencePlan
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import calibrate_all, capture, decode, planned, set_light
+from optsim.experiment.loop import capture, decode, planned, set_light
 from optsim.experiment.run_folder import (
     write_calibrations,
     write_checksums,

@@ -8,8 +8,9 @@ from typing import TypedDict
 import numpy as np
 
 from optsim.core.progress import Progress, silent
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import calibrate_all, capture, planned, set_light
+from optsim.experiment.loop import capture, planned, set_light
 from optsim.experiment.truth import render_truth
 
 

@@ -24,10 +24,11 @@ from optsim.core.progress import Progress, silent
 from optsim.core.quantities import RadianceVideo
 from optsim.core.stopwatch import Stopwatch
 from optsim.experiment import evidence
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.explain import MID_GREY, plan_record
 from optsim.experiment.figures import MOVING_FRAMES, Figures
-from optsim.experiment.loop import LightLevel, calibrate_all, capture, decode, planned, set_light
+from optsim.experiment.loop import LightLevel, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
 from optsim.experiment.resume import UNFINISHED, keep_scores, kept_scores, n_shots, unfinished
 from optsim.experiment.run_folder import (

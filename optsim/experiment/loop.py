@@ -7,22 +7,16 @@ photons, and may have its own calibration.
 from __future__ import annotations
 
 import time
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
-from numpy.random import Generator, SeedSequence
 
-from optsim.calibration import Bench, Calibration
-from optsim.calibration.choice import CalibrationChoice
-from optsim.camera.bench_calibration import bench_calibration
+from optsim.calibration import Calibration
 from optsim.camera.camera import CodedCamera
-from optsim.camera.laboratory import measure_bench
 from optsim.camera.skip import Skipping, leave_out
-from optsim.camera.true_calibration import ideal_calibration, kept_calibration, true_calibration
 from optsim.core.cache import Cache
 from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
@@ -34,6 +28,8 @@ from optsim.core.quantities import (
     RadianceVideo,
     Reconstruction,
 )
+from optsim.core.random_streams import stream
+from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment, Method
 from optsim.experiment.resume import kept_shot
 from optsim.experiment.truth import given
@@ -41,21 +37,6 @@ from optsim.optics.integrate import cell_means
 
 Frames = dict[str, tuple[CodedFrame, ...]]
 Expose = Callable[..., tuple[CodedFrame, PanelState]]  # as CodedCamera.expose
-Calibrations = Mapping[CalibrationChoice, Calibration]
-
-
-def stream(seed: int, *purpose: str | int) -> Generator:
-    """Return an independent random stream for a purpose, whatever else is drawn.
-
-    Parameters
-    ----------
-    seed : int
-        The experiment's one seed.
-    purpose : str or int
-        For example ``"shot", "adaptive", 3``; words are hashed (CRC-32), integers taken as they are.
-    """
-    words = [zlib.crc32(p.encode()) if isinstance(p, str) else p for p in purpose]
-    return np.random.default_rng(SeedSequence([seed, *words]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +68,6 @@ def planned(experiment: Experiment) -> tuple[Experiment, Skipping]:
     return experiment.model_copy(update={"camera": skipping.camera}), skipping
 
 
-def bench_noise(experiment: Experiment) -> Generator:
-    """Return the stream of the bench's noise, at its start."""
-    return stream(experiment.seed, "laboratory")
-
-
 def set_light(
     experiment: Experiment, radiance: RadianceVideo, calibration: Calibration
 ) -> tuple[CodedCamera, LightLevel]:
@@ -120,49 +96,6 @@ def set_light(
     wanted = experiment.light.saturation_share * saturation / percentile
     nd = min(1.0, wanted)
     return open_camera.with_nd(nd), LightLevel(nd, wanted, percentile * nd, saturation)
-
-
-def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) -> Calibration:
-    """Make a calibration: from the bench, the true or ideal operator, or a file.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its camera, as planned, and its seed.
-    known : CalibrationChoice, optional
-        By default the experiment's own.
-    """
-    return _calibrations(experiment, (known or experiment.calibration_choice,))[0]
-
-
-def calibrate_all(experiment: Experiment) -> Calibrations:
-    """Make each calibration that the light rule or a method needs, once: the bench takes long."""
-    return dict(
-        zip(
-            experiment.calibration_choices,
-            _calibrations(experiment, experiment.calibration_choices),
-            strict=True,
-        )
-    )
-
-
-def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -> list[Calibration]:
-    camera = experiment.camera.with_nd(1.0)
-
-    @cache
-    def bench() -> Bench:
-        return measure_bench(camera, bench_noise(experiment))
-
-    def make(known: CalibrationChoice) -> Calibration:
-        if known.file is not None:
-            return kept_calibration(known, camera)
-        if known.operator == "true":
-            return true_calibration(camera, known.reading_px)
-        if known.operator == "ideal":
-            return ideal_calibration(camera, known.reading_px)
-        return bench_calibration(camera, experiment.seed, known.reading_px, bench)
-
-    return [make(known) for known in wanted]
 
 
 @dataclass(frozen=True, eq=False)

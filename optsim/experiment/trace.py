@@ -12,8 +12,9 @@ from optsim.core.console import table
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bytes, Doubles, IrradianceVideo, RadianceVideo
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import Shot, calibrate_all, planned, set_light, shots
+from optsim.experiment.loop import Shot, planned, set_light, shots
 from optsim.experiment.signal_breakdown import (
     NEAR_PX,
     ORIGINS,

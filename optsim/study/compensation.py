@@ -20,7 +20,7 @@ from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.camera import CodedCamera
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bytes, Doubles, ExposureCode, Floats, IrradianceVideo, Segment
-from optsim.experiment.loop import Calibrations
+from optsim.experiment.calibrations import Calibrations
 from optsim.optics.panel import settled_panel
 from optsim.optics.readings import mean_reading
 

@@ -18,8 +18,9 @@ from optsim.core.files import CLAIM, read_json, read_record, write_json, write_t
 from optsim.core.folder_claims import claimed
 from optsim.core.progress import Progress, silent
 from optsim.experiment import job
+from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import calibrate_all, planned
+from optsim.experiment.loop import planned
 from optsim.experiment.resume import run_key
 from optsim.experiment.run_folder import versions
 from optsim.experiment.truth import render_truth

@@ -16,8 +16,10 @@ from optsim.core.cache import Arrays, Cache, hash_of
 from optsim.core.config import build
 from optsim.core.errors import BenchError, ConfigError, GeometryError, StorageError
 from optsim.core.quantities import Floats
+from optsim.core.random_streams import stream
+from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import Calibrations, calibrate_all, capture, decode, planned, stream
+from optsim.experiment.loop import capture, decode, planned
 from optsim.metrics.records import REGIONS, Region
 from optsim.metrics.scoring import FrameTally, ScoreBoard
 from optsim.study.compensation import Values, compensated

@@ -26,17 +26,9 @@ import numpy as np
 from optsim.calibration import Calibration
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import CodedFrame, RadianceVideo
+from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import (
-    Calibrations,
-    Frames,
-    LightLevel,
-    calibrate_all,
-    capture,
-    decode,
-    planned,
-    set_light,
-)
+from optsim.experiment.loop import Frames, LightLevel, capture, decode, planned, set_light
 from optsim.experiment.scoring import Scorer
 from optsim.metrics import FrameTally
 from optsim.metrics.records import Score

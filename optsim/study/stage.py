@@ -25,8 +25,9 @@ from optsim.core.quantities import (
     RadianceVideo,
     Segment,
 )
+from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import Calibrations, LightLevel, calibrate_all, planned, set_light
+from optsim.experiment.loop import LightLevel, planned, set_light
 from optsim.experiment.resume import run_key
 from optsim.experiment.scoring import Scorer
 from optsim.experiment.truth import render_truth

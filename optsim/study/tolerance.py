@@ -13,8 +13,8 @@ import numpy as np
 
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.progress import Progress, silent
+from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import stream
 from optsim.metrics.records import REGIONS
 from optsim.study.comparison import FEW, Compared, Estimate, Seeds, add_work, compare
 from optsim.study.compensation import COMPENSATORS

@@ -18,8 +18,9 @@ from optsim.core.errors import ConfigError, StorageError, unknown_name
 from optsim.core.files import read_record
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import Decoder
+from optsim.experiment.calibrations import calibrate
 from optsim.experiment.experiment import Experiment, Method
-from optsim.experiment.loop import calibrate, planned
+from optsim.experiment.loop import planned
 from optsim.experiment.measurement.coded import Measurement
 from optsim.experiment.run_folder import CHECKSUMS, RECORD, calibration_names, changed_file, frame_files
 from optsim.footage.measured import read_pictures
