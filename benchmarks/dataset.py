@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -156,13 +156,13 @@ def _run(arguments: list[str], cache: Path, threads: int = CORES) -> float:
 
 
 @contextmanager
-def _cache(folder: Path) -> Iterator[None]:
+def _cache(folder: Path) -> Generator[None]:
     with mock.patch.dict(os.environ, {"OPTSIM_CACHE": str(folder)}):
         yield
 
 
 @contextmanager
-def _rendering_clock() -> Iterator[Callable[[], float]]:
+def _rendering_clock() -> Generator[Callable[[], float]]:
     """Measure the seconds spent in the renderer by an export of passes."""
     from optsim.dataset import export
     from optsim.render import PassRenderer
