@@ -136,3 +136,35 @@ def test_a_scheduler_that_is_not_there_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_PATIENCE_S", 1)
     with pytest.raises(ConfigError, match=r"--scheduler: got 'tcp://127\.0\.0\.1:9'"):
         run_tasks([Task("a", "k", write, ("x",))], tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("jobs = 3", r"without a \[cluster\] table"),
+        ("[cluster]\nkind = 'slurm'\njobs = 0", "jobs"),
+        ("[cluster]\nkind = 'cloud'\njobs = 2", "kind"),
+    ],
+)
+def test_a_bad_cluster_table_is_said(text, said, tmp_path):
+    (tmp_path / "cluster.toml").write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        run_tasks([Task("a", "k", write, ("x",))], tmp_path, scheduler=str(tmp_path / "cluster.toml"))
+
+
+# The class for the shell leaves its processes' pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
+def test_jobs_of_a_batch_system_do_the_list(tmp_path, monkeypatch):
+    """Jobs of the shell stand for those of a cluster: the same class of dask-jobqueue starts them."""
+    pytest.importorskip("dask_jobqueue")
+    (tmp_path / "tasks_of_a_test.py").write_text(WORK)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("OPTSIM_THREADS", "1")
+    monkeypatch.syspath_prepend(tmp_path)
+    import tasks_of_a_test as work
+
+    (tmp_path / "cluster.toml").write_text("[cluster]\nkind = 'local'\njobs = 2\nmemory = '1 GB'\n")
+    tasks = [Task(f"train/s{i}", str(i), work.write, (i,)) for i in range(3)]
+    outcome = run_tasks(tasks, tmp_path / "out", scheduler=str(tmp_path / "cluster.toml"))
+    assert (sorted(outcome.made), outcome.failed) == (["train/s0", "train/s1", "train/s2"], {})
+    assert whole(tmp_path / "out") == ["s0", "s1", "s2"]

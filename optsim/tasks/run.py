@@ -20,6 +20,7 @@ from typing import Any
 from optsim.core.errors import ConfigError, OptsimError
 from optsim.core.progress import Progress, silent
 from optsim.core.threads import CORES
+from optsim.tasks.cluster import read_cluster, running
 from optsim.tasks.folder import Task, make_folder, task_record
 
 ATTEMPTS = 3
@@ -69,7 +70,8 @@ def run_tasks(
     workers : int, optional
         Processes on this machine, by default :func:`default_workers`.
     scheduler : str, optional
-        Address of a dask scheduler, ``tcp://host:port``, whose workers are used instead.
+        Address of a dask scheduler, ``tcp://host:port``, whose workers are used instead; or a TOML file with
+        a ``[cluster]`` table (:class:`optsim.tasks.cluster.Cluster`), whose jobs are the workers.
     shard : tuple of int
         (i, n): the i-th of n parts of the list, counted from 1: for job arrays without a scheduler.
     progress : Progress
@@ -95,7 +97,7 @@ def run_tasks(
     made, failed = list[str](), dict[str, str]()
     progress("tasks", len(found), len(own))
     if open_tasks:
-        with _client(min(workers or default_workers(), len(open_tasks)), scheduler) as client:
+        with _client(workers or default_workers(), len(open_tasks), scheduler) as client:
             for name, state, error in _results(client, open_tasks, root):
                 if error:
                     failed[name] = error
@@ -139,12 +141,16 @@ def _attempt(root: Path, task: Task) -> tuple[str, str]:
 
 
 @contextmanager
-def _client(workers: int, scheduler: str | None) -> Generator[Any]:
+def _client(workers: int, n_tasks: int, scheduler: str | None) -> Generator[Any]:
     """Connect to workers: to a scheduler's, or to new ones, which end with the block."""
     from dask import config
     from distributed import Client, LocalCluster
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if scheduler is not None and scheduler.endswith(".toml"):
+        with running(read_cluster(Path(scheduler)), n_tasks) as jobs, Client(jobs) as client:
+            yield client
+        return
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=_PATIENCE_S)
@@ -162,6 +168,7 @@ def _client(workers: int, scheduler: str | None) -> Generator[Any]:
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.logging.distributed": "critical",
     }
+    workers = min(workers, n_tasks)
     environment = {"OPTSIM_THREADS": str(max(1, CORES // workers)), "PYTHONWARNINGS": "ignore"}
     with (
         config.set(settings),
