@@ -116,17 +116,20 @@ def test_a_run_stopped_three_times_is_the_run_that_nobody_stopped(
 
         return partials(decoder, seen(), known)
 
-    # All is scored, but pictures are of the last two.
+    # All is scored, but pictures are of the last frame and the worst.
     with pytest.raises(KeyboardInterrupt):
         job.execute(experiment, folder, progress=stop_at("decode", FRAMES))
     monkeypatch.setattr(GaussianMixture, "partials", watched)
     results = job.execute(experiment, folder)
     assert len(exposed) == FRAMES * len(METHODS)
-    assert {index for index, video in asked if video} == {2, 3}
-    assert results.resumed == Resumed(captured=FRAMES, scored=2)
-    assert "had been taken, 2 of them decoded" in (folder / "report.html").read_text()
+    assert results.resumed == Resumed(captured=FRAMES, scored=FRAMES - 1)
+    assert f"had been taken, {FRAMES - 1} of them decoded" in (folder / "report.html").read_text()
 
     told = read_json(whole / "results.json")
+    shown = [frame["index"] for frame in told["viewer"]["frames"]]
+    assert shown[0] == FRAMES - 1
+    assert [frame.index for frame in results.viewer.frames] == shown
+    assert {index for index, video in asked if video} == set(shown)
     assert told["resumed"] == {"captured": 0, "scored": 0}
     assert "had been taken" not in (whole / "report.html").read_text()
     series = ["frame_series", "slot_series"]

@@ -32,6 +32,7 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
+from optsim.app.report import remake_reports
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
 from optsim.app.study import sweep, tolerance
@@ -331,6 +332,7 @@ app.command("check")(check)
 app.command("laboratory")(laboratory)
 app.command("calibrate")(calibrate)
 app.command("reconstruct")(reconstruct_files)
+app.command("report")(remake_reports)
 app.command("train")(train)
 app.command("sweep")(sweep)
 app.command("tolerance")(tolerance)

@@ -1,101 +1,117 @@
-"""Figures of a run: all methods in one coded frame, and one method in motion."""
+"""Pictures of a run: light of all methods in its last coded frame, and in the worst of the first method."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
+from optsim.core.quantities import CodedFrame, Floats, Reconstruction
 from optsim.experiment.experiment import Experiment
+from optsim.experiment.loop import Frames
 from optsim.experiment.scoring import Scorer
-from optsim.metrics import LogRmse
-from optsim.optics.integrate import cell_means
-from optsim.report.animation import animate
-from optsim.report.pictures import tone_curve_for
-from optsim.report.schema import Picture
-from optsim.report.sheet import Moment, Shot, choose_crops, render_pictures
+from optsim.metrics import PHASES, LogRmse, LuminanceBin, Place, error_by_luminance, worst_place
+from optsim.report import light_code
+from optsim.report.shown import Moment, Shot, captured_pictures, write_viewer
 
-MOVING_FRAMES = 2
-"""Coded frames of the film: the last ones."""
-# Share of the panel's height and width: large enough to show the place, small enough to show pixels.
-_CROP_SHARE = 0.3
+SHOWN_LAST = 1
+"""Coded frames at the end of a run that every report shows."""
+# Share of the panel's height and width of the place where a method errs most: large enough to tell what it
+# is, small enough to show pixels.
+_PLACE_SHARE = 0.15
 
 
 @dataclass(eq=False)
 class Figures:
-    """Collector of frames during decoding, which writes all figures at the end.
+    """Collector of frames during decoding, which writes all pictures at the end.
 
-    It shows the last coded frame, which is in the steady phase if any is.
+    It holds two coded frames: the last one, and the one with the first method's largest error in stops, among
+    the frames of the latest phase that the run reaches.
     """
 
     experiment: Experiment
     scorer: Scorer
     saturation_dn: float
-    _shots: dict[str, Shot] = field(default_factory=dict[str, Shot], init=False)
-    _moving: list[tuple[Floats, Floats]] = field(default_factory=list[tuple[Floats, Floats]], init=False)
+    _moments: dict[int, Moment] = field(default_factory=dict[int, Moment], init=False)
+    _bins: list[LuminanceBin] = field(default_factory=list[LuminanceBin], init=False)
+    _places: list[Place] = field(default_factory=list[Place], init=False)
 
-    def add(self, name: str, video: Reconstruction, frame: CodedFrame) -> None:
-        """Store the parts of one reconstruction that the figures need."""
-        scale = self.scorer.scale
-        last = self.experiment.n_frames - 1
-        if name == self.experiment.methods[0].name and video.index > last - MOVING_FRAMES:
-            reference = self.scorer.reference(video.index)
-            self._moving += [
-                (
-                    scale.luminance_cd_m2(video.irradiance_w_m2[slot]),
-                    scale.luminance_cd_m2(np.maximum(reference[slot], 0)),
-                )
-                for slot in range(self.experiment.camera.coded_slots)
-            ]
-        if video.index == last:
-            self._shots[name] = Shot(
-                estimate_cd_m2=scale.luminance_cd_m2(video.irradiance_w_m2),
-                valid=video.valid,
-                moving=frame.code.moving,
-                dn=frame.dn,
+    @property
+    def worst(self) -> int | None:
+        """Worst coded frame of the first method among those scored so far."""
+        board, name = self.scorer.board, self.experiment.methods[0].name
+        metric = LogRmse().name
+        errors = {
+            index: value
+            for series in board.frame_series([t for t in self.scorer.tallies if t.method == name])
+            if (series.metric, series.region) == (metric, "all")
+            for index, value in zip(series.x, series.values, strict=True)
+            if value is not None
+        }
+        return max(
+            errors, key=lambda index: (PHASES.index(board.phase(index)), errors[index], -index), default=None
+        )
+
+    def add(self, index: int, videos: dict[str, Reconstruction], frames: Frames) -> None:
+        """Hold one coded frame if a report may show it; its scores must have been added."""
+        last, worst = self.experiment.n_frames - 1, self.worst
+        if index not in (last, worst):
+            return
+        self._moments = {k: moment for k, moment in self._moments.items() if k in (last, worst)}
+        scale, floor = self.scorer.scale, light_code.floor_of(LogRmse().e_cd_m2)
+        truth = scale.luminance_cd_m2(np.maximum(self.scorer.reference(index), 0))
+        shots: dict[str, Shot] = {}
+        for name, video in videos.items():
+            estimate = scale.luminance_cd_m2(video.irradiance_w_m2)
+            frame = frames[name][index]
+            shots[name] = Shot(
+                light=light_code.encode(estimate, floor),
+                marks=light_code.marks_of(video.valid, frame.code.moving),
                 levels=frame.code.levels,
+                dn=frame.dn,
             )
-
-    def write(self, folder: Path) -> list[Picture]:
-        """Write all figures below the run folder and describe them for results.json."""
-        index = self.experiment.n_frames - 1
-        slot = self.experiment.camera.coded_slots // 2
-        reference = self.scorer.scale.luminance_cd_m2(np.maximum(self.scorer.reference(index), 0))
-        oracle = self.scorer.moving(index)
-        tone = tone_curve_for(reference[slot])
-        rows, cols = oracle.shape
-        crops = choose_crops(
-            reference[slot],
-            oracle,
-            self._outside(),
-            size=(max(8, round(_CROP_SHARE * rows)), max(8, round(_CROP_SHARE * cols))),
-        )
-        moment = Moment(
+            if index == last:
+                self._measure(name, video, frame, estimate, truth)
+        moving = self.scorer.moving(index)
+        self._moments[index] = Moment(
             index=index,
-            slot=slot,
-            reference_cd_m2=reference,
-            oracle=oracle,
-            saturation_dn=self.saturation_dn,
-            shots=self._shots,
+            why="",
+            light=light_code.encode(truth, floor),
+            marks=light_code.marks_of(np.ones_like(moving), moving),
+            shots=shots,
         )
-        pictures = render_pictures(folder, moment, tone, crops, e_cd_m2=LogRmse().e_cd_m2)
-        timing = self.experiment.timing
-        pictures.append(
-            animate(
-                folder,
-                self._moving,
-                tone,
-                method=self.experiment.methods[0].name,
-                instant_s=timing.slot_s,
-            )
-        )
-        return pictures
 
-    def _outside(self) -> Bools | None:
-        outside = self.scorer.radiance.outside
-        if outside is None:
-            return None
-        step = self.scorer.truth.samples_per_pitch
-        return cell_means(outside.astype(np.float32), step) == 1
+    def _measure(
+        self, name: str, video: Reconstruction, frame: CodedFrame, estimate: Floats, truth: Floats
+    ) -> None:
+        """Measure the error of a displayed frame against luminance, and find its worst place."""
+        coded = slice(0, self.experiment.camera.coded_slots)
+        errors = estimate[coded], truth[coded], video.valid, LogRmse()
+        rows, cols = video.valid.shape
+        size = max(1, round(_PLACE_SHARE * rows)), max(1, round(_PLACE_SHARE * cols))
+        self._bins += error_by_luminance(name, *errors)
+        place = worst_place(name, frame.index, *errors, size=size)
+        self._places += [] if place is None else [place]
+
+    def write(self, folder: Path) -> dict[str, Any]:
+        """Write all pictures below the run folder; return their entries of results.json."""
+        last, first = self.experiment.n_frames - 1, self.experiment.methods[0].name
+        reasons = {last: "last"}
+        if self.worst is not None:
+            reasons[self.worst] = f"worst of {first}" if self.worst != last else f"last, and worst of {first}"
+        moments = [replace(self._moments[index], why=why) for index, why in reasons.items()]
+        viewer = write_viewer(
+            folder,
+            moments,
+            e_cd_m2=LogRmse().e_cd_m2,
+            white_cd_m2=self.scorer.scale.white_cd_m2,
+            slot_s=self.experiment.timing.slot_s,
+        )
+        return {
+            "viewer": viewer,
+            "by_luminance": self._bins,
+            "worst_places": self._places,
+            "pictures": captured_pictures(folder, moments[0], self.saturation_dn),
+        }

@@ -27,12 +27,13 @@ from optsim.experiment import evidence
 from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.explain import MID_GREY, plan_record
-from optsim.experiment.figures import MOVING_FRAMES, Figures
+from optsim.experiment.figures import SHOWN_LAST, Figures
 from optsim.experiment.loop import LightLevel, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
 from optsim.experiment.resume import UNFINISHED, keep_scores, kept_scores, n_shots, unfinished
 from optsim.experiment.run_folder import (
     RESULTS,
+    commit,
     results_key,
     run_folder,
     stated,
@@ -194,17 +195,21 @@ def _execute(
     saturation_dn = float(np.median(known[experiment.calibration_choice].saturation_dn))
     figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
-    # Figures show the last frames.
-    scored = kept_scores(kept, names)[: max(0, experiment.n_frames - MOVING_FRAMES)]
+    # A report shows the last frame, and the worst one of those scored.
+    scored = kept_scores(kept, names)[: max(0, experiment.n_frames - SHOWN_LAST)]
     for scores in scored:
         scorer.recall(scores)
+    again = () if figures.worst is None else (figures.worst,)
     with watch.stage("decode and score"):
         progress("decode", len(scored), experiment.n_frames)
-        for decoded in decode(experiment, frames, known, first=len(scored)):
+        for decoded in decode(experiment, frames, known, first=len(scored), again=again):
+            if decoded.index < len(scored):
+                figures.add(decoded.index, decoded.videos, frames)
+                continue
             scores = scorer.add(decoded.videos)
+            figures.add(decoded.index, decoded.videos, frames)
             for name, video in decoded.videos.items():
                 decode_s[name] += decoded.seconds[name]
-                figures.add(name, video, frames[name][decoded.index])
                 if name in experiment.save_reconstructions:
                     write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
             keep_scores(kept, names, decoded.index, scores)
@@ -214,7 +219,7 @@ def _execute(
     if export_truth:
         export_radiance(radiance, folder / "truth", experiment, progress)
     with watch.stage("pictures"):
-        pictures = figures.write(folder)
+        shown = figures.write(folder)
     origin = describe_truth(experiment, Cache())
     results = Results(
         schema_version=SCHEMA_VERSION,
@@ -224,6 +229,7 @@ def _execute(
         finished_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=versions(),
         run_key=key,
+        commit=commit(),
         exported_truth=export_truth,
         backend=f"{chosen}: {why}",
         seeds={"experiment": experiment.seed, "camera serial number": camera.serial_number},
@@ -258,7 +264,7 @@ def _execute(
         evidence=evidence.status(),
         not_modelled=list(evidence.NOT_MODELLED),
         reconstruct_s={name: round(seconds, 3) for name, seconds in decode_s.items()},
-        pictures=pictures,
+        **shown,
     )
     write_checksums(folder)
     write_json(folder / RESULTS, results.as_json())

@@ -7,7 +7,7 @@ photons, and may have its own calibration.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
@@ -205,15 +205,20 @@ class Decoded:
 
 
 def decode(
-    experiment: Experiment, frames: Frames, calibrations: Calibrations, first: int = 0
+    experiment: Experiment,
+    frames: Frames,
+    calibrations: Calibrations,
+    first: int = 0,
+    again: Collection[int] = (),
 ) -> Iterator[Decoded]:
     """Decode frame by frame, in their order; causal, without access to the truth.
 
-    Frames before ``first`` are decoded only as far as later ones depend on them, and not returned.
+    Frames before ``first`` that ``again`` does not name are decoded only as far as later ones depend on them,
+    and not returned.
     """
     running: dict[str, Iterator[Reconstruction]] = {}
     for m in experiment.methods:
-        asked = _without_video(frames[m.name], first)
+        asked = _without_video(frames[m.name], first, again)
         running[m.name] = m.decoder.decode(asked, calibrations[experiment.choice_of(m)])
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
@@ -222,15 +227,17 @@ def decode(
             start = time.perf_counter()
             videos[name] = next(decoder)
             seconds[name] = time.perf_counter() - start
-        if index >= first:
+        if index >= first or index in again:
             yield Decoded(index, videos, seconds)
 
 
-def _without_video(frames: Sequence[CodedFrame], first: int) -> Iterator[CodedFrame]:
-    """Remove the video request of frames before ``first``: video takes long, and no later frame needs it."""
+def _without_video(frames: Sequence[CodedFrame], first: int, again: Collection[int]) -> Iterator[CodedFrame]:
+    """Remove the video request of frames not returned: it takes long, and no later frame needs it."""
     for frame in frames:
-        still = replace(frame.code, moving=np.zeros_like(frame.code.moving))
-        yield replace(frame, code=still) if frame.index < first else frame
+        if frame.index >= first or frame.index in again:
+            yield frame
+        else:
+            yield replace(frame, code=replace(frame.code, moving=np.zeros_like(frame.code.moving)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

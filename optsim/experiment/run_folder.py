@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+import subprocess
 from collections.abc import Generator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -201,6 +202,21 @@ def versions() -> dict[str, str]:
     }
 
 
+def commit() -> str | None:
+    """Name the commit of the source tree, with a plus where files differ from it; None outside of one."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return None
+    said: list[str] = []
+    for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
+        try:
+            told = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            return None
+        said.append(told.stdout.strip())
+    return said[0] + ("+" if said[1] else "")
+
+
 def results_key(experiment: Experiment, backend: str) -> str:
     """Hash all that determines the numbers and the report of a run; ``backend`` is the one chosen."""
     return run_key(experiment, backend, versions(), hash_files(_SHOWN))
@@ -244,7 +260,7 @@ def finished_run(
     # A truth of another run may lie there, with other results.
     if export_truth and not results.exported_truth:
         return None, "it holds no truth"
-    shown = ("report.html", CHECKSUMS, *(picture.file for picture in results.pictures))
+    shown = ("report.html", CHECKSUMS, *results.files)
     empty = [name for name in shown if not ((folder / name).is_file() and (folder / name).stat().st_size)]
     try:
         lost = empty[0] if empty else changed_file(folder)

@@ -5,6 +5,7 @@ Every metric takes luminance in cd/m^2, (slot, v, u), float32, and is streamed: 
 """
 
 from optsim.metrics.claims import ADAPTIVE, judge_claims, measured
+from optsim.metrics.error_maps import LuminanceBin, Place, error_by_luminance, worst_place
 from optsim.metrics.log_error import LogRmse
 from optsim.metrics.metric import Metric
 from optsim.metrics.oracle import (
@@ -19,7 +20,7 @@ from optsim.metrics.pairs import PairTally, pair_records, pixel_errors, tally_pa
 from optsim.metrics.photometry import PhotometricScale, luminous_efficacy_lm_w
 from optsim.metrics.psnr import Psnr
 from optsim.metrics.pu21 import Pu21Psnr
-from optsim.metrics.records import MaskScore, PairRecord, Record, Score, Verdict
+from optsim.metrics.records import PHASES, MaskScore, PairRecord, Record, Score, Verdict
 from optsim.metrics.score_table import Scores
 from optsim.metrics.scoring import TRUTH_NOISE, FrameTally, ScoreBoard, first_steady, phase_of
 from optsim.metrics.uncertainty import UncertaintyTally, tally_uncertainty, uncertainty_records
@@ -29,9 +30,11 @@ ALL: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
 __all__ = [
     "ADAPTIVE",
     "ALL",
+    "PHASES",
     "TRUTH_NOISE",
     "FrameTally",
     "LogRmse",
+    "LuminanceBin",
     "MaskAgreement",
     "MaskScore",
     "MaskTally",
@@ -39,6 +42,7 @@ __all__ = [
     "PairRecord",
     "PairTally",
     "PhotometricScale",
+    "Place",
     "Psnr",
     "Pu21Psnr",
     "Record",
@@ -47,6 +51,7 @@ __all__ = [
     "Scores",
     "UncertaintyTally",
     "Verdict",
+    "error_by_luminance",
     "first_steady",
     "judge_claims",
     "luminous_efficacy_lm_w",
@@ -61,4 +66,5 @@ __all__ = [
     "tally_pair",
     "tally_uncertainty",
     "uncertainty_records",
+    "worst_place",
 ]

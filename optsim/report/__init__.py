@@ -1,23 +1,18 @@
-"""Reports: one page from results.json and its images, which opens from disk without network."""
+"""Reports: one page from results.json and its assets, which opens from disk without network."""
 
-from optsim.report.animation import animate
 from optsim.report.html import write_report
-from optsim.report.pictures import ToneCurve, tone_curve_for
-from optsim.report.schema import SCHEMA_VERSION, Picture, Results, check_results
-from optsim.report.sheet import Crop, Moment, Shot, choose_crops, render_pictures
+from optsim.report.schema import SCHEMA_VERSION, Picture, Results, Viewer, check_results
+from optsim.report.shown import Moment, Shot, captured_pictures, write_viewer
 
 __all__ = [
     "SCHEMA_VERSION",
-    "Crop",
     "Moment",
     "Picture",
     "Results",
     "Shot",
-    "ToneCurve",
-    "animate",
+    "Viewer",
+    "captured_pictures",
     "check_results",
-    "choose_crops",
-    "render_pictures",
-    "tone_curve_for",
     "write_report",
+    "write_viewer",
 ]

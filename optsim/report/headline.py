@@ -1,11 +1,17 @@
-"""The first screen of a report: the best method for each metric, and its lead."""
+"""The scores of a report: a row a metric and region, intervals from coded frames, the best and its lead."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from scipy import special  # type: ignore[import-untyped]
 
 from optsim.metrics.records import Phase, Region, Score
+from optsim.metrics.scoring import phase_of
 from optsim.report.schema import Results
 
 PHASES: tuple[Phase, ...] = ("steady", "merging", "warm-up")
@@ -14,6 +20,8 @@ REGIONS: tuple[tuple[Region, str], ...] = (
     ("static", "Where it is static"),
     ("all", "Everywhere"),
 )
+CONFIDENCE = 0.95
+_LEAST_FRAMES = 3
 
 
 @dataclass(frozen=True)
@@ -44,12 +52,6 @@ class Row:
         values = [value for _, value in self.ranked]
         return abs(values[0] - values[1]) if len(values) > 1 else None
 
-    def position(self, value: float) -> float:
-        """Place of a value on an axis from the worst, 0, to the best, 1."""
-        values = [each for _, each in self.ranked]
-        best, worst = values[0], values[-1]
-        return (value - worst) / (best - worst) if best != worst else 1.0
-
 
 def phases_reached(results: Results) -> list[Phase]:
     """Phases that have scores, the one for the headline first: steady, else the latest reached."""
@@ -77,20 +79,75 @@ def table(scores: Sequence[Score], methods: Iterable[str], phase: Phase) -> list
     ]
 
 
-def cards(results: Results, phase: Phase) -> list[Row]:
-    """One row a region with scores, each with the metric of the registered claims there."""
+def headline_rows(results: Results, phase: Phase) -> list[Row]:
+    """One row a region with scores, everywhere first, each with the metric of the registered claims there."""
     wanted = {verdict.region: verdict.metric for verdict in results.claims}
     known = [row for row in table(results.scores, results.methods, phase) if row.ranked]
     chosen: list[Row] = []
     for region, _ in REGIONS:
         of_region = [row for row in known if row.region == region]
         chosen += [row for row in of_region if row.metric == wanted.get(region)][:1] or of_region[:1]
-    return chosen
+    return sorted(chosen, key=lambda row: row.region != "all")
+
+
+def by_frame(results: Results, metric: str, region: Region, method: str, phase: Phase) -> dict[int, float]:
+    """Scores of the coded frames of a phase that have one."""
+    series = (s for s in results.frame_series if (s.metric, s.region, s.method) == (metric, region, method))
+    return {
+        index: value
+        for s in series
+        for index, value in zip(s.x, s.values, strict=True)
+        if value is not None and phase_of(index, results.latency.frames) == phase
+    }
+
+
+def half_width(values: Sequence[float]) -> float | None:
+    """Half of the 95 % interval of a mean, by Student's distribution; None for fewer than three values."""
+    if (n := len(values)) < _LEAST_FRAMES:
+        return None
+    times = float(cast("float", special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2)))
+    return times * float(np.std(values, ddof=1)) / math.sqrt(n)
+
+
+def score_half_width(results: Results, row: Row, method: str, phase: Phase) -> float | None:
+    """Half of the interval of a score, from the scatter of the coded frames of its phase."""
+    return half_width(list(by_frame(results, row.metric, row.region, method, phase).values()))
+
+
+@dataclass(frozen=True)
+class Lead:
+    """Lead of the best method over another, in the metric's unit: a mean over their common coded frames."""
+
+    best: str
+    other: str
+    mean: float
+    half: float | None
+
+    @property
+    def certain(self) -> bool:
+        """Whether the interval keeps clear of zero."""
+        return self.half is not None and self.mean > self.half
+
+
+def leads(results: Results, row: Row, phase: Phase) -> list[Lead]:
+    """Lead of the best method over each other one, the nearest first."""
+    names = [score.method for score, _ in row.ranked]
+    if not names:
+        return []
+    sign = 1 if row.higher_is_better else -1
+    ours = by_frame(results, row.metric, row.region, names[0], phase)
+    found: list[Lead] = []
+    for (score, value), name in zip(row.ranked[1:], names[1:], strict=True):
+        theirs = by_frame(results, row.metric, row.region, score.method, phase)
+        gains = [sign * (ours[k] - theirs[k]) for k in ours.keys() & theirs.keys()]
+        mean = float(np.mean(gains)) if gains else sign * (row.ranked[0][1] - value)
+        found.append(Lead(names[0], name, mean, half_width(gains)))
+    return found
 
 
 def style_of(methods: Sequence[str], name: str) -> str:
-    """CSS class of a method, the same everywhere."""
-    return f"s{list(methods).index(name)}" if name in methods else "noise"
+    """CSS class of a method, the same everywhere; there are six."""
+    return f"s{list(methods).index(name) % 6}" if name in methods else "noise"
 
 
 def ceilings(results: Results, phase: Phase) -> dict[tuple[Region, str], float]:

@@ -14,7 +14,6 @@ from markupsafe import Markup, escape
 
 from optsim.core.files import atomic
 from optsim.core.quantities import Doubles, Floats
-from optsim.report.schema import ColourScale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,6 +70,7 @@ def line_plot(
     bands: Sequence[Band] = (),
     spreads: Sequence[Spread] = (),
     whole_x: bool = True,
+    ticks: Sequence[tuple[float, str]] = (),
 ) -> Markup:
     """Draw lines, with a legend in the order of their last values.
 
@@ -88,8 +88,10 @@ def line_plot(
         Intervals around the lines, in the same order, shaded.
     whole_x : bool
         Whether x counts something, so that its ticks are whole numbers.
+    ticks : sequence of (float, str)
+        Places and labels on the horizontal axis.
     """
-    figure = _line_figure(lines, x_label, y_label, bands, spreads, whole_x)
+    figure = _line_figure(lines, x_label, y_label, bands, spreads, whole_x, ticks)
     return _NOTHING if figure is None else _inline(figure, title)
 
 
@@ -99,7 +101,7 @@ def write_line_plot(
     """Write such a plot, with numbers along x, as a file of its own: SVG or PNG by its suffix."""
     from matplotlib.style import context
 
-    figure = _line_figure(lines, x_label, y_label, (), spreads, False)
+    figure = _line_figure(lines, x_label, y_label, (), spreads, False, ())
     if figure is None:
         return
     with context(SVG), atomic(path) as temporary:
@@ -121,6 +123,7 @@ def _line_figure(
     bands: Sequence[Band],
     spreads: Sequence[Spread],
     whole_x: bool,
+    ticks: Sequence[tuple[float, str]],
 ) -> Figure | None:
     from matplotlib.ticker import MaxNLocator
 
@@ -165,7 +168,9 @@ def _line_figure(
             markersize=5,
         )
     axes.set(xlim=(low, high), xlabel=x_label, ylabel=y_label)
-    if whole_x:
+    if ticks:
+        axes.set_xticks([place for place, _ in ticks], [label for _, label in ticks])
+    elif whole_x:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="y", color=COLOURS["rule"], linewidth=1)
     legend = axes.legend(
@@ -249,19 +254,6 @@ def field_plot(image: Floats, *, title: str, unit: str) -> Markup:
     bar.ax.tick_params(length=0, labelsize=13, labelcolor=COLOURS["soft"])
     bar.set_label(unit, color=COLOURS["soft"])
     return _inline(figure, title)
-
-
-def colour_bar(scale: ColourScale) -> Markup:
-    """Draw the colours of a scale with its ticks and unit."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    figure, axes = _axes(400, 54, left=16, right=26, bottom=42)
-    shades = LinearSegmentedColormap.from_list("scale", scale.colours)
-    axes.imshow([[i / 255 for i in range(256)]], cmap=shades, aspect="auto", extent=(0, 1, 0, 1))
-    axes.set_xticks([i / (len(scale.ticks) - 1) for i in range(len(scale.ticks))], scale.ticks)
-    axes.set_yticks([])
-    axes.set_xlabel(scale.unit)
-    return _inline(figure, scale.unit)
 
 
 def _last_value(line: Line) -> float:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from optsim.core.errors import ValueCheckError
+from optsim.metrics.error_maps import LuminanceBin, Place
 from optsim.metrics.records import (
     Coverage,
     MaskScore,
@@ -150,7 +151,11 @@ class LegendEntry(Record):
 
 
 class Picture(Record):
-    """An image file below the run folder, and its place in the report."""
+    """An image file below the run folder, and its place in the report.
+
+    Sections other than "capture" and the keys ``still`` and ``scale`` are of earlier versions, which had no
+    viewer; no page shows them.
+    """
 
     file: str
     caption: str
@@ -162,6 +167,36 @@ class Picture(Record):
     still: str | None = None
     scale: ColourScale | None = None
     legend: list[LegendEntry] = Field(default_factory=list[LegendEntry])
+
+
+class ViewerFrame(Record):
+    """A coded frame in the viewer: scripts below the run folder, of the truth and of each method."""
+
+    index: int
+    why: str
+    truth: str
+    methods: dict[str, str]
+
+
+class Viewer(Record):
+    """Light of the coded frames that the page shows; the files hold codes c of 16 bits.
+
+    Luminance is ``floor_cd_m2 * (2 ** (c / steps_per_stop) - 1)``, off by at most ``largest_error`` of
+    luminance plus floor. ``start_white_cd_m2`` is displayed as white at first.
+    """
+
+    rows: int
+    cols: int
+    slots: int
+    slot_s: float
+    steps_per_stop: int
+    floor_cd_m2: float
+    largest_error: float
+    e_cd_m2: float
+    white_cd_m2: float
+    start_white_cd_m2: float
+    still: str
+    frames: list[ViewerFrame]
 
 
 class CalibrationFile(Record):
@@ -183,6 +218,7 @@ class Results(Record):
     finished_utc: str
     versions: dict[str, str]
     run_key: str | None = None
+    commit: str | None = None
     exported_truth: bool | None = None
     backend: str
     seeds: dict[str, int]
@@ -212,6 +248,19 @@ class Results(Record):
     not_modelled: list[str]
     reconstruct_s: dict[str, float]
     pictures: list[Picture]
+    viewer: Viewer | None = None
+    by_luminance: list[LuminanceBin] = Field(default_factory=list[LuminanceBin])
+    worst_places: list[Place] = Field(default_factory=list[Place])
+
+    @property
+    def files(self) -> list[str]:
+        """Files below the run folder that the page shows."""
+        found = [picture.file for picture in self.pictures if picture.section == "capture"]
+        if self.viewer is not None:
+            for frame in self.viewer.frames:
+                found += [frame.truth, *frame.methods.values()]
+            found.append(self.viewer.still)
+        return found
 
 
 def check_results(results: object) -> Results:

@@ -51,9 +51,40 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def metric(name: str, unit: str) -> str:
-    """Name of a metric with its unit, unless the name includes it."""
-    return name if f"({unit})" in name else f"{name}, {unit}"
+# Beginning of a metric's name -> plain words; the longest that fits counts.
+_METRICS = {
+    "PU21-PSNR": "quality as seen (PSNR)",
+    "log-RMSE": "relative error",
+    "PSNR": "quality in linear light (PSNR)",
+    "PSNR-Y": "quality in linear luminance (PSNR)",
+    "mu-law PSNR": "quality after a mu-law curve (PSNR)",
+    "mu-PSNR": "quality after a mu-law curve (PSNR)",
+    "SSIM": "structure as seen",
+    "PU21-SSIM": "structure as seen",
+    "MS-SSIM": "structure as seen, coarse to fine",
+    "PU21-MS-SSIM": "structure as seen, coarse to fine",
+    "relMSE": "relative squared error",
+    "SMAPE": "symmetric relative error",
+    "Delta E ITP": "colour difference",
+    "HDR-FLIP": "difference when flipped",
+    "ColorVideoVDP": "quality as seen in motion",
+}
+
+
+def metric(name: str) -> str:
+    """Plain words for a metric; its name where there are none."""
+    fitting = [start for start in _METRICS if name.lower().startswith(start.lower())]
+    return _METRICS[max(fitting, key=len)] if fitting else name
+
+
+def plus_minus(half: float | None, unit: str) -> str:
+    """Half of an interval; empty for None."""
+    return "" if half is None else f"± {score(half, unit)}"
+
+
+def per_cent_of_stops(stops: float) -> str:
+    """Relative error of so many stops, in per cent."""
+    return f"{100 * (2**stops - 1):.0f} %"
 
 
 def label(key: str) -> str:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from optsim.core.files import write_png8
 from optsim.core.quantities import Floats
+from optsim.metrics.error_maps import best_corner
 from optsim.report import plots
 from optsim.report.page import Section, folded, listed, strip, table, write_page
 from optsim.report.page import plots as side_by_side
@@ -203,7 +204,5 @@ def _window(images: dict[str, Floats]) -> tuple[slice, slice]:
     error = np.max([np.abs(image - truth) for image in images.values()], axis=0)
     error = np.minimum(error, np.percentile(error, 99))
     rows, cols = (max(1, side // _CROP) for side in error.shape)
-    sums = np.pad(error, ((1, 0), (1, 0))).cumsum(0).cumsum(1)
-    boxes = sums[rows:, cols:] - sums[:-rows, cols:] - sums[rows:, :-cols] + sums[:-rows, :-cols]
-    row, col = np.unravel_index(int(np.argmax(boxes)), boxes.shape)
-    return slice(int(row), int(row) + rows), slice(int(col), int(col) + cols)
+    row, col = best_corner(error.astype(np.float64), (rows, cols))
+    return slice(row, row + rows), slice(col, col + cols)
