@@ -32,7 +32,7 @@ from optsim.app.options import (
 from optsim.app.reconstruct import reconstruct_files
 from optsim.app.scene import scene_app
 from optsim.app.skips import show_skip_check
-from optsim.app.study import sweep, tolerance
+from optsim.app.study import sweep, tolerance, waterfall, yield_
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
@@ -355,6 +355,8 @@ app.command("reconstruct")(reconstruct_files)
 app.command("train")(train)
 app.command("sweep")(sweep)
 app.command("tolerance")(tolerance)
+app.command("waterfall")(waterfall)
+app.command("yield")(yield_)
 app.command("bench")(bench)
 app.command("validate")(validate)
 LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")
