@@ -38,6 +38,7 @@ ALL: dict[str, str] = {
     "render.flicker_lamp": "render",
     "render.night_street": "render",
     "render.chart": "render",
+    "render.mesh_scene": "render",
 }
 
 
