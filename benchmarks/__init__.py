@@ -17,6 +17,7 @@ Record = dict[str, Any]
 
 # Record name -> module in this folder that measures it; modules load only when asked for.
 ALL: dict[str, str] = {
+    "calibrate.full_frame": "calibrate",
     "capture.paper_20_percent": "capture",
     "capture.paper_all_moving": "capture",
     "dataset.sequence": "dataset",

@@ -36,6 +36,7 @@ def known() -> Calibration:
         map_residual_px=0.05,
         glare=Glare(0.01, 0.02, 11.0, (0.001, 0.002, 0.0, 0.003)),
         reading_px=3,
+        standard_errors={"leak": 0.001, "map_px": 0.002},
     )
 
 
@@ -133,6 +134,11 @@ def set_at(name: str, place: tuple[int, ...], value: float) -> Callable[[dict[st
         (lambda a: a.pop("about"), "got a file of black_dn"),
         (about(format="optsim calibration 9"), "got 'optsim calibration 9', expected 'optsim calibration 1'"),
         (about(source="guess"), "expected 'optsim calibration 1'"),
+        (
+            about(standard_errors={"leak": -1}),
+            "standard_errors.leak: got -1, expected a number of at least 0",
+        ),
+        (about(standard_errors=3), "standard_errors.: got 3"),
         (set_at("responsivity_dn", (2, 3), np.nan), "responsivity_dn: got float32.*not finite"),
         (set_at("slot_weight", (0, 0, 1, 1), np.inf), "slot_weight: .*not finite"),
         (set_at("responsivity_dn", (2, 3), -1.0), "responsivity_dn.*negative"),

@@ -132,12 +132,17 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
     # Pixels that are not valid get the median, so that no later division gives infinity or NaN.
     responsivity_dn = np.where(valid, flat.responsivity_dn, np.median(flat.responsivity_dn[valid]))
     saturation_dn = np.where(valid, reader.saturation_dn, np.median(reader.saturation_dn[valid]))
+    glare = measured_glare(bench, reader, flat)
+    done()
+    kernels = crosstalk(bench.dots, reader, flat, pixel_map.offsets_px(row, col), glare.glare)
+    done()
     response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad)
     errors = {
         "read_noise_dn": noise.read_noise_error_dn,
         "dn_per_e": noise.dn_per_e_error,
         "leak": flat.leak_error,
     }
+    errors |= {"glare_veil": glare.veil_error, "glare_ghost": glare.ghost_error} if bench.glare else {}
     misfit = 0.0
     # These estimates depend on each other; fields that differ by 5 % converge after two rounds.
     for _ in range(2 if bench.fields else 1):
@@ -145,15 +150,10 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
         if grey is not None:
             response = response.model_copy(update={"drive_exponent": grey[0]})
             errors["drive_exponent"] = grey[1]
-        steps_fit = response_times(bench, reader, valid, response)
+        steps_fit = response_times(bench, reader, flat, response, glare.glare, kernels)
         response, misfit = steps_fit.response, steps_fit.misfit
         errors |= steps_fit.errors_s
         response = field_drive(bench.fields, reader, valid, bench.slot_s, response)
-    done()
-    glare = measured_glare(bench, reader, flat)
-    errors |= {"glare_veil": glare.veil_error, "glare_ghost": glare.ghost_error} if bench.glare else {}
-    done()
-    kernels = crosstalk(bench.dots, reader, flat, pixel_map.offsets_px(row, col), glare.glare)
     map_error_px = float(np.sqrt(2 * np.mean(pixel_map.error_px() ** 2)))
     calibration = Calibration(
         source="bench",

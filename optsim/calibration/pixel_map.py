@@ -21,6 +21,9 @@ _ORDER = 3
 # A dot counts if its light exceeds this share of the median dot's: less is a dead pixel or the CCD's edge.
 _DIM = 0.3
 _OUTLIER_SIGMAS = 5.0
+# What shading across the image of a dot moves its centroid, panel pixels. Measured on benches of another
+# program (validation/calibration_intervals).
+_MODEL_PX = 6e-4
 # No source, sensible defaults: a lattice of which fewer dots agree shows another pattern; so does an anchor
 # farther from where the dots have it, panel pixels.
 _LEAST_AGREEING, _MOST_APART_PX = 0.5, 0.5
@@ -80,7 +83,7 @@ class PixelMap:
         """Give the map's standard error at each panel pixel along either axis, panel pixels: array (v, u)."""
         terms = _terms(self._centres(), self.panel_shape, _ORDER)
         variance = np.einsum("nt,ts,ns->n", terms, self.covariance, terms, optimize=True)
-        return (np.sqrt(variance) / self.ccd_per_panel_px).reshape(self.panel_shape)
+        return np.hypot(np.sqrt(variance) / self.ccd_per_panel_px, _MODEL_PX).reshape(self.panel_shape)
 
     def beyond_dots(self) -> Bools:
         """Panel pixels outside of the dots' rectangle, where the map is extrapolated: array (v, u)."""

@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.calibration.bench import Bench, Step
-from optsim.calibration.shading import PixelReader
+from optsim.calibration.glare import Glare
+from optsim.calibration.shading import PixelReader, Shading
 from optsim.core.errors import BenchError
-from optsim.core.quantities import Bools, Bytes, Doubles, Ints
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Ints
+from optsim.optics.crosstalk import REACH
 from optsim.optics.panel import (
     PanelResponse,
     mean_intensity,
@@ -34,6 +36,9 @@ _LIT = 0.5
 _BANDS = 48
 _LEAST_SPAN = 0.25
 _INSTANTLY_S = 1e-12
+# What the model leaves out, slots: light of rows beside that turn earlier or later, to second order. Measured
+# on benches of another program (validation/calibration_intervals).
+_MODEL_SLOTS = 8e-5
 # Of full light: a flash that is farther off the fit is another one than the bench says.
 _MOST_OFF = 0.1
 
@@ -96,7 +101,14 @@ def step_weights(
     return response.leak + (1 - response.leak) / response.white * light / flash_s
 
 
-def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: PanelResponse) -> StepFit:
+def response_times(
+    bench: Bench,
+    reader: PixelReader,
+    flat: Shading,
+    known: PanelResponse,
+    glare: Glare,
+    kernels: Floats,
+) -> StepFit:
     """Fit time constants and row delays to the signals of bands of rows, by least squares.
 
     The flash's energy is free in each band, so its light need not be uniform nor cover all bands. If it
@@ -108,10 +120,12 @@ def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: Panel
         Its steps, flashes around changes in both directions.
     reader : PixelReader
         Reads the frames.
-    valid : ndarray of shape (v, u), bool
-        Panel pixels to average over.
+    flat : Shading
+        Panel pixels to average over, and their responsivity.
     known : PanelResponse
         Its leak, grey curve and fields are kept.
+    glare, kernels : Glare, ndarray of shape (v, u, k, k), float32
+        Light from other rows, which turn earlier or later: far ones, and near ones by the crosstalk kernels.
 
     Raises
     ------
@@ -125,16 +139,19 @@ def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: Panel
         raise BenchError(
             "bench steps: got one direction, expected steps to a higher and to a lower level; cure: take both"
         )
-    lit = _lit(steps, reader, valid)
-    rows = len(valid)
+    rows = len(flat.valid)
+    lit = _lit(steps, reader, _away_from_ends(flat.valid))
     bands = np.minimum(np.nonzero(lit)[0] * _BANDS // rows, _BANDS - 1)
     used, counts = np.unique(bands, return_counts=True)
-    places = np.array([(np.nonzero(lit)[0][bands == band].mean() + 0.5) / rows for band in used])
+    read = _rows_read(kernels)[lit]
+    places = np.array([(read[bands == band].mean() + 0.5) / rows for band in used])
     signal = _band_means(steps, reader, lit, bands, used)
     peak, noise = float(signal.max()), reader.noise
     samples = np.array([len(s.dn) for s in steps])[:, None] * counts
     sigma = np.sqrt((noise.dn_per_e * np.maximum(signal, 0) + noise.read_noise_dn**2) / samples) / peak
     signal = signal / peak
+
+    stray = _stray(glare, lit, bands, used)
 
     # A few rows do not determine the scan of the others.
     tells_scan = float(np.ptp(places) > _LEAST_SPAN)
@@ -146,8 +163,12 @@ def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: Panel
     def misfit(guess: Doubles) -> Doubles:
         panel = response(guess)
         weights = step_weights(steps, panel, panel.delay_s + panel.scan_s * places, slot_s)
-        energy = (weights * signal / sigma**2).sum(axis=0) / ((weights / sigma) ** 2).sum(axis=0)
-        return ((energy * weights - signal) / sigma).ravel()
+
+        def fitted(light: Doubles) -> Doubles:
+            return weights * ((weights * light / sigma**2).sum(axis=0) / ((weights / sigma) ** 2).sum(axis=0))
+
+        own = signal - fitted(signal) @ stray
+        return ((fitted(own) - own) / sigma).ravel()
 
     start, low = [_FIRST, _FIRST, 0.01, 0.01], [_LEAST, _LEAST, -_EARLIEST, 0.0]
     fit = least_squares(misfit, start, bounds=(low, [_MOST, _MOST, 0.5, 0.49]), x_scale="jac")
@@ -161,7 +182,8 @@ def response_times(bench: Bench, reader: PixelReader, valid: Bools, known: Panel
     # Beside the parameters, each band's energy is fitted.
     freedom = max(fit.fun.size - sigma.shape[1] - len(start), 1)
     scatter = float(np.sqrt(np.sum(fit.fun**2) / freedom))
-    errors = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))) * max(scatter, 1.0) * slot_s
+    by_scatter = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))) * max(scatter, 1.0)
+    errors = np.hypot(by_scatter, _MODEL_SLOTS * (by_scatter > 0)) * slot_s
     names = ("tau_on_s", "tau_off_s", "delay_s", "scan_s")
     return StepFit(response(fit.x), dict(zip(names, errors.tolist(), strict=True)), scatter)
 
@@ -243,6 +265,35 @@ def _lit(steps: tuple[Step, ...], reader: PixelReader, valid: Bools) -> Bools:
     lit = valid.copy()
     lit[valid] = light > _LIT * full
     return lit
+
+
+def _away_from_ends(valid: Bools) -> Bools:
+    """Leave out the first and last rows: neighbours on one side only make them look earlier or later."""
+    inner = valid.copy()
+    if len(valid) > 4 * REACH:
+        inner[:REACH] = inner[-REACH:] = False
+    return inner
+
+
+def _rows_read(kernels: Floats) -> Doubles:
+    """Row of the centre of the light that each pixel reads, array (v, u)."""
+    reach = kernels.shape[2] // 2
+    rows = np.arange(len(kernels), dtype=np.float64)[:, None]
+    away: Doubles = kernels.sum(axis=3, dtype=np.float64) @ np.arange(-reach, reach + 1, dtype=np.float64)
+    return rows + away
+
+
+def _stray(glare: Glare, lit: Bools, bands: Ints, used: Ints) -> Doubles:
+    """Glare in each band (second axis) of light in each band (first), as a share of it."""
+    shares = np.zeros((len(used), len(used)))
+    if glare.share(REACH) == 0:
+        return shares
+    for number, band in enumerate(used):
+        light = np.zeros(lit.shape)
+        light[lit] = bands == band
+        seen = glare.light(light, REACH)[lit]
+        shares[number] = [seen[bands == each].mean() for each in used]
+    return shares
 
 
 def _band_means(steps: tuple[Step, ...], reader: PixelReader, lit: Bools, bands: Ints, used: Ints) -> Doubles:

@@ -202,7 +202,7 @@ def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
 def _standard_errors(about: Mapping[str, Any], where: object) -> dict[str, float]:
     """Read the standard errors of single numbers; older files have none."""
     said: object = about.get("standard_errors", {})
-    errors = cast("dict[str, Any]", said if isinstance(said, dict) else {"": said})
+    errors = cast("dict[str, Any]", said if isinstance(said, dict) else {"": str(said)})
     for name, error in errors.items():
         if not isinstance(error, int | float) or not 0 <= error < np.inf:
             raise StorageError(

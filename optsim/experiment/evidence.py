@@ -45,6 +45,8 @@ EFFECTS: dict[str, str] = {
     "dark_current": "dark current by temperature, and its noise",
     "emva1288": "sensor statistics by the reference implementation of EMVA 1288",
     "calibration_recovers_camera": "what the virtual laboratory finds of the camera",
+    "calibration_intervals": "how often the intervals of a calibration hold",
+    "bench_by_another_program": "a bench that another program wrote",
     "hdr_wedge": "HDR merge over four decades",
     "static_hdr": "HDR merge of still pictures at four exposures, ideal weights and no panel",
     "pu21": "PU21 encoding of the scores",
