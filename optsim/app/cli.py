@@ -35,7 +35,7 @@ from optsim.app.reconstruct import reconstruct_files
 from optsim.app.report import remake_reports
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
-from optsim.app.study import sweep, tolerance
+from optsim.app.study import sweep, tolerance, waterfall, yield_
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
@@ -336,6 +336,8 @@ app.command("report")(remake_reports)
 app.command("train")(train)
 app.command("sweep")(sweep)
 app.command("tolerance")(tolerance)
+app.command("waterfall")(waterfall)
+app.command("yield")(yield_)
 app.command("benchmark")(benchmark)
 # Its name before that of the images of a bench.
 app.command("bench", hidden=True, deprecated=True)(benchmark)

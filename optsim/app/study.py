@@ -162,15 +162,139 @@ def tolerance(
     _fail(record)
 
 
+def waterfall(
+    experiment: ExperimentName,
+    effects: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Effects; default all that the camera has.")
+    ] = None,
+    orders: Annotated[
+        int, typer.Option(min=1, max=1000, help="Orders that shares are means of, each with its reverse.")
+    ] = 2,
+    assignments: Set = None,
+    methods: Methods = None,
+    frames: Frames = 1,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds of codes and photons.")] = 2,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Switch effects on from the ideal camera to the nominal one: what each costs, and its fair share."""
+    from optsim.core.console import page, progress_bars, table
+    from optsim.core.folder_claims import output_folder
+    from optsim.study.comparison import Seeds
+    from optsim.study.waterfall import WaterfallPlan, effects_of
+    from optsim.study.waterfall import waterfall as measure
+    from optsim.study.waterfall_page import HEADS, lead, lines_of, write_waterfall_page
+
+    base = _base(experiment, assignments, methods)
+    plan = WaterfallPlan(effects_of(base, _names(effects)), orders, frames, Seeds(seeds, seeds))
+    with output_folder(out, f"waterfall-{base.name}") as folder:
+        with progress_bars(quiet=as_json) as progress:
+            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
+        write_waterfall_page(folder, record)
+        if as_json:
+            print_json(record)
+        else:
+            for method in dict.fromkeys(row["method"] for row in record["rows"]):
+                page.print(table(f"{method}, everywhere", HEADS, lines_of(record["rows"], method, "all")))
+            page.print(lead(record))
+            _close(folder, record)
+    _fail(record)
+
+
+def yield_(
+    experiment: ExperimentName,
+    sheet: Annotated[
+        str,
+        typer.Option(
+            metavar="SHEET",
+            help="A finished tolerance study, a TOML file, or machining: a bad specimen's changes.",
+        ),
+    ] = "machining",
+    draws: Annotated[int, typer.Option(min=1, max=100_000, help="Cameras to draw.")] = 100,
+    calibration: Annotated[
+        str, typer.Option(metavar="MODE", help="known, unknown or compensated: what a bench knows.")
+    ] = "known",
+    compensators: Annotated[
+        str, typer.Option(metavar="NAME,NAME", help="Of compensated: registration, focus, black_gain.")
+    ] = "registration",
+    target: Annotated[
+        str | None, typer.Option(metavar="DB", help="Score of a good camera [the unchanged one less --loss].")
+    ] = None,
+    loss: Annotated[str, typer.Option(metavar="DB", help="Without --target: loss that is allowed.")] = "1dB",
+    method: Annotated[str | None, typer.Option(help="Method whose score counts [the first].")] = None,
+    region: Annotated[str, typer.Option(help="Region whose score counts: all, moving or static.")] = "all",
+    rebuild: Annotated[
+        int | None, typer.Option(min=0, help="Only print the command that builds this camera again.")
+    ] = None,
+    assignments: Set = None,
+    frames: Frames = 1,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Draw cameras within a tolerance sheet: how many reach a score, and what the others share."""
+    import shlex
+
+    from optsim.core.console import page, progress_bars, table
+    from optsim.core.folder_claims import output_folder
+    from optsim.metrics.records import REGIONS
+    from optsim.study.compensation import COMPENSATORS
+    from optsim.study.point import MODES
+    from optsim.study.yields import YieldPlan, assignments_of, read_sheet, yields
+    from optsim.study.yields_page import SHARED, lead, shared_lines, write_yield_page
+
+    whole = _base(experiment, assignments, None)
+    base = _base(experiment, assignments, method or whole.methods[0].name)
+    for what, got, valid in (("--calibration", calibration, MODES), ("--region", region, REGIONS)):
+        if got not in valid:
+            raise unknown_name(what, got, valid)
+    chosen = _names(compensators) if calibration == "compensated" else ()
+    for name in chosen:
+        if name not in COMPENSATORS:
+            raise unknown_name("compensator", name, COMPENSATORS)
+    if calibration == "compensated" and not chosen:
+        raise ConfigError(f"--compensators: got none, expected some of {', '.join(COMPENSATORS)}")
+    plan = YieldPlan(
+        sheet=read_sheet(sheet),
+        draws=draws,
+        mode=next(mode for mode in MODES if mode == calibration),
+        compensators=chosen,
+        method=base.methods[0].name,
+        region=region,
+        target_db=None if target is None else _decibels(target, "--target"),
+        loss_db=_decibels(loss),
+        frames=frames,
+    )
+    if rebuild is not None:
+        words = [f"--set {shlex.quote(each)}" for each in assignments_of(base, plan, rebuild)]
+        given = [f"--set {shlex.quote(each)}" for each in assignments or []]
+        page.print(" ".join(["optsim run", shlex.quote(experiment), *given, *words]))
+        return
+    with output_folder(out, f"yield-{base.name}") as folder:
+        with progress_bars(quiet=as_json) as progress:
+            record = yields(base, plan, _workplace(folder, workers, scheduler), progress)
+        write_yield_page(folder, record)
+        if as_json:
+            print_json(record)
+        else:
+            page.print(table("What failures share", SHARED, shared_lines(record)))
+            page.print(lead(record))
+            _close(folder, record)
+    _fail(record)
+
+
 def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",")) if text else ()
 
 
-def _decibels(text: str) -> float:
+def _decibels(text: str, option: str = "--loss") -> float:
     try:
         return float(text.strip().removesuffix("dB").removesuffix("db"))
     except ValueError:
-        raise ConfigError(f"--loss: got {text!r}, expected a number of dB, for example 1dB") from None
+        raise ConfigError(f"{option}: got {text!r}, expected a number of dB, for example 1dB") from None
 
 
 def _base(experiment: str, assignments: list[str] | None, methods: str | None) -> Experiment:
@@ -202,9 +326,10 @@ def _close(folder: Path, record: dict[str, Any]) -> None:
     from optsim.core.console import page
     from optsim.study.folder import PAGE
 
-    refused = [row for row in record["rows"] if row.get("refused")]
+    refused = [row["refused"] for row in record["rows"] if row.get("refused")]
+    refused += [*record.get("refused", {}).values()]
     if refused:
-        page.print(f"{len(refused)} points refused; the first: {refused[0]['refused']}")
+        page.print(f"{len(refused)} points refused; the first: {refused[0]}")
     page.print(f"Page: {folder / PAGE}")
 
 

@@ -201,6 +201,26 @@ def bar_plot(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
     return _inline(figure, title)
 
 
+def signed_bars(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
+    """Draw horizontal bars to both sides of zero, losses in another colour; rows as of :func:`bar_plot`."""
+    if not rows:
+        return _NOTHING
+    labels, words = [label for label, _, _ in rows], [said for _, _, said in rows]
+    values = [value for _, value, _ in rows]
+    figure, axes = _axes(_WIDTH, 26 * len(rows), left=150, right=20)
+    colours = [COLOURS["s5"] if value < 0 else COLOURS["s2"] for value in values]
+    bars = axes.barh(range(len(rows)), values, height=0.7, color=colours)
+    axes.bar_label(bars, words, padding=6)
+    axes.axvline(0, color=COLOURS["soft"], linewidth=1)
+    axes.set_yticks(range(len(rows)), labels, color=COLOURS["ink"])
+    # Room for the words beyond the bars.
+    reach = 0.7 * max(abs(value) for value in values) or 1
+    axes.set_xlim(min([*values, 0]) - reach, max([*values, 0]) + reach)
+    axes.set_xticks([])
+    axes.invert_yaxis()
+    return _inline(figure, title)
+
+
 def arrow_plot(places: Doubles, arrows: Doubles, *, shape: tuple[int, int], title: str, label: str) -> Markup:
     """Draw arrows over a field, with a scale: the longest is as long as the field allows.
 

@@ -1,0 +1,128 @@
+"""The page of a yield: how many cameras are good, how their scores spread, and what failures share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from optsim.report import plots
+from optsim.report.page import Section, folded, listed, table, write_page
+from optsim.study.folder import PAGE
+from optsim.study.parameters import ALL
+from optsim.study.words import assumptions, work_done
+
+SHARED = ("parameter", "failures", "good", "sigmas", "correlation with dB")
+_BINS = 12
+Rows = Sequence[dict[str, Any]]
+
+
+def lead(record: dict[str, Any]) -> str:
+    """Say the yield in a sentence."""
+    if record["target_db"] is None:
+        return "No camera could be measured."
+    low, high = record["interval"]
+    share = record["good"] / record["cameras"]
+    plan = record["plan"]
+    return (
+        f"{share:.0%} ({low:.0%} to {high:.0%}) of built cameras reach {record['target_db']:.2f} dB: "
+        f"{record['good']} of {record['cameras']}, {plan['method']}, {plan['region']}, calibration "
+        f"{plan['mode']}; the unchanged camera has {record['nominal_db']:.2f} dB."
+    )
+
+
+def shared_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
+    """Return the table of what failures share: see :data:`SHARED`."""
+    return [
+        (
+            each["parameter"],
+            "–" if each["failures"] is None else f"{each['failures']:.2f}",
+            "–" if each["good"] is None else f"{each['good']:.2f}",
+            f"{each['sigmas']:+.1f}",
+            f"{each['correlation']:+.2f}",
+        )
+        for each in record["shared"]
+    ]
+
+
+def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
+    """Write the page from the record of a yield."""
+    rows: Rows = record["rows"]
+    scores = [row["db"] for row in rows if row["db"] is not None]
+    parts = [_spread(scores)] if scores else []
+    sections = [
+        Section("How the scores spread", _quantiles(scores), parts),
+        Section(
+            "What failures share",
+            [
+                "Mean size of each change over its limit, of failures and of good cameras. Evenly drawn it "
+                "is 0.5. A difference of more than 2 standard errors, sigmas, is told from chance."
+            ],
+            [table(SHARED, shared_lines(record))],
+        ),
+        Section("Sheet", ["Cameras are drawn evenly between these limits."], [_sheet(record)]),
+        Section(
+            "All cameras",
+            ["The last column builds a camera again: optsim run with these overrides."],
+            [folded("Table", _cameras(rows))],
+        ),
+    ]
+    refused = [f"camera {row['camera']}: {row['refused']}" for row in rows if row["refused"]]
+    if refused:
+        sections.append(Section("Refused", ["These count as failures."], [listed(refused)]))
+    about = [
+        "The interval is that of a share by Agresti and Coull, 95 %.",
+        "A camera has one seed of codes and photons, its own.",
+        *(f"{name}: {ALL[name].about}." for name in record["plan"]["sheet"] if ALL[name].about),
+    ]
+    # A yield has no pairs of seeds.
+    rests = Section(
+        "What the numbers rest on",
+        (),
+        [listed([assumptions(record)[0], assumptions(record)[3], *about]), work_done(record)],
+    )
+    title = f"{record['experiment']['name']}: yield of {record['cameras']} cameras"
+    write_page(
+        folder / PAGE, kind="optsim yield", title=title, lead=lead(record), sections=[*sections, rests]
+    )
+
+
+def _quantiles(scores: Sequence[float]) -> list[str]:
+    if not scores:
+        return ["No camera could be measured."]
+    low, middle, high = np.percentile(scores, (10, 50, 90))
+    ends = f"{low:.2f} to {high:.2f} dB"
+    return [f"Median {middle:.2f} dB, the middle 80 % at {ends}, the worst {min(scores):.2f} dB."]
+
+
+def _spread(scores: Sequence[float]) -> Markup:
+    counts, edges = np.histogram(scores, bins=min(_BINS, max(1, len(scores) // 2)))
+    rows = [
+        (f"{low:.2f} to {high:.2f} dB", float(count), f"{count}")
+        for count, low, high in zip(counts.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    ]
+    return plots.bar_plot(rows, title="Cameras by their score")
+
+
+def _sheet(record: dict[str, Any]) -> Markup:
+    rows = [
+        (name, f"−{ALL[name].shown(ends[0]):.3g}", f"+{ALL[name].shown(ends[1]):.3g}", ALL[name].unit)
+        for name, ends in record["plan"]["sheet"].items()
+    ]
+    return table(("parameter", "down", "up", "unit"), rows)
+
+
+def _cameras(rows: Rows) -> Markup:
+    lines = [
+        (
+            row["camera"],
+            "–" if row["db"] is None else f"{row['db']:.2f}",
+            "yes" if row["good"] else "no",
+            row["set"],
+        )
+        for row in rows
+    ]
+    return table(("camera", "dB", "good", "overrides"), lines)
