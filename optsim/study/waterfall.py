@@ -18,8 +18,8 @@ from optsim.camera.effects import ALL, ITSELF
 from optsim.core.config import flat
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.progress import Progress, silent
+from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import stream
 from optsim.study.comparison import FEW, Seeds, add_work, student
 from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Measured, measured

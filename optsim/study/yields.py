@@ -20,8 +20,8 @@ from optsim.core.config import Table, read_toml
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
+from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.loop import stream
 from optsim.study.comparison import add_work
 from optsim.study.folder import STUDY, Piece, Workplace, compute, read_study, write_result, write_table
 from optsim.study.measurement import Key, measured
