@@ -20,8 +20,8 @@ from optsim.camera.bench_folder import take_bench
 from optsim.camera.laboratory import FEW_FRAMES
 from optsim.core.progress import Progress, silent
 from optsim.experiment.calibration_record import bench_camera
+from optsim.experiment.calibrations import bench_noise
 from optsim.experiment.experiment import load_experiment
-from optsim.experiment.loop import bench_noise
 
 _GOAL_S, _GOAL_GB = 30.0, 2.0
 _PRESET = "paper_prototype"
@@ -45,16 +45,16 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
         take_bench(camera, bench_noise(experiment), bench, about={}, frames=FEW_FRAMES, progress=progress)
         laboratory_s = time.perf_counter() - start
         n_images = len(list(bench.glob("*.png")))
-        seconds, cpu_s = list[float](), list[float]()
+        seconds, cpu_s, told = list[float](), list[float](), ""
         # The first run may compile.
         for _ in range(2):
             start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             command = [sys.executable, "-m", "optsim", "calibrate", str(bench), "--out", str(out), "--json"]
-            found = subprocess.run(command, check=True, capture_output=True, text=True)
+            told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
             seconds.append(time.perf_counter() - start)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             cpu_s.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        record = json.loads(found.stdout)
+        record = json.loads(told)
     peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
     values = {each["key"]: each["value"] for each in record["quantities"]}
     return {

@@ -1,3 +1,4 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 """Make a scene of models from files: a room, two models at rest, and two that move.
 
 The models are bodies of noise on a sphere, 20 000 triangles each, written as GLB and as PLY by trimesh.
