@@ -126,7 +126,8 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
     moments.append(report.Moment(n_frames - 2, "worst of adaptive", light[::-1], marks, shots))
     about = {"e_cd_m2": E_CD_M2, "white_cd_m2": scale.white_cd_m2, "slot_s": 1 / 180}
     viewer = report.write_viewer(folder, moments, **about)
-    pictures = report.captured_pictures(folder, moments[0], 16000.0)
+    pictures = report.still_pictures(folder, moments[0], e_cd_m2=E_CD_M2)
+    pictures += report.captured_pictures(folder, moments[0], 16000.0)
     scores = board.records(tallies)
     return {
         "schema_version": 2,

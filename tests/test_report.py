@@ -21,7 +21,7 @@ from optsim.core.files import read_json, write_json
 from optsim.experiment.evidence import NOT_MODELLED
 from optsim.report import headline, plots, verdict, words
 from optsim.report import html as html_report
-from optsim.report.pictures import ToneCurve, captured_picture, exposed
+from optsim.report.pictures import ToneCurve, captured_picture, error_picture, exposed
 
 
 @pytest.fixture(scope="module")
@@ -339,6 +339,21 @@ def test_exposed_pictures_follow_the_curve_of_srgb() -> None:
     share = np.array([-1.0, 0.0, 0.002, 0.18, 0.5, 1.0, 9.0], np.float32)
     # Of IEC 61966-2-1: 12.92 x below 0.0031308, 18 % is 118, a half 188.
     assert exposed(7 * share, 7.0).tolist() == [0, 0, 7, 118, 188, 255, 255]
+
+
+def test_error_picture_is_signed_and_symmetric() -> None:
+    truth = np.full((1, 5), 100.0, np.float32)
+    estimate = truth * np.array([[0.01, 0.5, 1.0, 2.0, 100.0]], np.float32)
+    valid = np.ones((1, 5), bool)
+    image = error_picture(estimate, truth, valid, e_cd_m2=1e-6, limit_stops=2.0).astype(int)
+    assert tuple(image[0, 0]) == (0x08, 0x30, 0x6B)  # two stops too dark, or more
+    assert tuple(image[0, 2]) == (0xF4, 0xF3, 0xEF)
+    assert tuple(image[0, 4]) == (0x6E, 0x14, 0x14)
+    # one stop is half-way along its side: between the second and third anchor from the middle
+    assert tuple(image[0, 1]) == (108, 160, 212), "too dark is blue"
+    assert tuple(image[0, 3]) == (223, 126, 92), "too bright is red"
+    unknown = error_picture(estimate, truth, ~valid, e_cd_m2=1e-6, limit_stops=2.0)
+    assert set(unknown[0, :, 0].tolist()) <= {0x8A, 0x70}
 
 
 def test_captured_pictures_mark_saturation() -> None:

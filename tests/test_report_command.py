@@ -99,6 +99,8 @@ def test_runs_of_before_the_viewer_have_a_page_and_a_line(run_folder: Path) -> N
     }
     results["pictures"] = [{**old, "width": 4, "height": 3}]
     folder = run_folder.parent / "old"
+    (folder / "assets").mkdir(parents=True)
+    (folder / "assets/full_truth.png").write_bytes(b"kept")
     write_json(folder / "results.json", results)
     code, said = command(folder)
     assert code == 0

@@ -19,6 +19,7 @@ from optsim.core.files import read_json, write_json
 from optsim.report import light_code, shown
 
 ROWS, COLS, LAST = 36, 48, 5
+SECTIONS = ("compare", "errors", "capture")
 LUMINANCE = np.array([0.0, -3.0, 1e-4, 0.01, 0.5, 100.0, 1e4, 2e5], np.float32)
 
 
@@ -98,6 +99,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_stills_show_the_middle_slot_and_its_error(folder: Path) -> None:
+    from PIL import Image
+
+    pictures = read_json(folder / "results.json")["pictures"]
+    shown_of = {section: [p["label"] for p in pictures if p["section"] == section] for section in SECTIONS}
+    assert shown_of == {"compare": ["truth", *METHODS], "errors": [*METHODS], "capture": [*METHODS]}
+    luminance, viewer = stored(folder, "random")
+    file = next(p["file"] for p in pictures if (p["section"], p["label"]) == ("compare", "random"))
+    grey = expected_grey(luminance[SLOTS // 2], viewer["start_white_cd_m2"])
+    with Image.open(folder / file) as image:
+        assert np.abs(np.asarray(image).astype(int) - grey).max() <= 1
+
+
 @pytest.fixture(scope="module")
 def window() -> Iterator[Browser]:
     if MISSING:
@@ -118,7 +132,7 @@ def page(window: Browser, folder: Path) -> Browser:
 
 
 def wait_until(window: Browser, condition: str) -> None:
-    until = time.monotonic() + 10
+    until = time.monotonic() + 30
     while not window.execute(f"return {condition}"):
         assert time.monotonic() < until, f"never came: {condition}"
         time.sleep(0.05)

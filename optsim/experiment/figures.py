@@ -14,7 +14,7 @@ from optsim.experiment.loop import Frames
 from optsim.experiment.scoring import Scorer
 from optsim.metrics import PHASES, LogRmse, LuminanceBin, Place, error_by_luminance, worst_place
 from optsim.report import light_code
-from optsim.report.shown import Moment, Shot, captured_pictures, write_viewer
+from optsim.report.shown import Moment, Shot, captured_pictures, still_pictures, write_viewer
 
 SHOWN_LAST = 1
 """Coded frames at the end of a run that every report shows."""
@@ -113,5 +113,8 @@ class Figures:
             "viewer": viewer,
             "by_luminance": self._bins,
             "worst_places": self._places,
-            "pictures": captured_pictures(folder, moments[0], self.saturation_dn),
+            "pictures": [
+                *still_pictures(folder, moments[0], e_cd_m2=LogRmse().e_cd_m2),
+                *captured_pictures(folder, moments[0], self.saturation_dn),
+            ],
         }

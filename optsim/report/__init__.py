@@ -2,7 +2,7 @@
 
 from optsim.report.html import write_report
 from optsim.report.schema import SCHEMA_VERSION, Picture, Results, Viewer, check_results
-from optsim.report.shown import Moment, Shot, captured_pictures, write_viewer
+from optsim.report.shown import Moment, Shot, captured_pictures, still_pictures, write_viewer
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -13,6 +13,7 @@ __all__ = [
     "Viewer",
     "captured_pictures",
     "check_results",
+    "still_pictures",
     "write_report",
     "write_viewer",
 ]

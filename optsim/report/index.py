@@ -12,7 +12,7 @@ from optsim.core.files import write_text
 from optsim.metrics.records import Phase
 from optsim.report import headline, plots, verdict, words
 from optsim.report.html import flat, page_environment
-from optsim.report.schema import Results
+from optsim.report.schema import Picture, Results
 
 _MOST_CHANGES = 4
 
@@ -22,7 +22,7 @@ class Entry:
     """One run on the page: its address from there, and its verdict everywhere."""
 
     link: str
-    still: str
+    stills: list[Picture]
     results: Results
     phase: Phase
     line: verdict.Line
@@ -82,9 +82,9 @@ def _entries(path: Path, runs: Sequence[tuple[Path, Results]]) -> list[Entry]:
             for name in results.methods
         }
         link = quote(os.path.relpath(folder.resolve(), path.resolve().parent))
-        still = results.viewer.still if results.viewer else ""
+        stills = [p for p in results.pictures if p.section == "compare"]
         changes = _changes(before, results) if before else ""
-        found.append(Entry(link, still, results, phases[0], lines[0], halves, changes))
+        found.append(Entry(link, stills, results, phases[0], lines[0], halves, changes))
         before = results
     return found
 

@@ -6,11 +6,14 @@ import numpy as np
 from pydantic import Field
 
 from optsim.core.config import Part
-from optsim.core.quantities import Bytes, Doubles, Floats, Words
+from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
 from optsim.report.schema import LegendEntry
 
 Colour = tuple[int, int, int]
 
+# From too dark to too bright; the viewer has the same (template/viewer_data.js).
+_STOPS = ("#08306b", "#2f74c0", "#a9cbe8", "#f4f3ef", "#f2b08c", "#cc4c2d", "#6e1414")
+_UNKNOWN = ("#8a8a8a", "#707070")
 _SATURATED = "#ff7a1a"
 
 
@@ -61,6 +64,27 @@ def enlarge(image: Bytes, factor: int) -> Bytes:
     return image.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
+def error_picture(
+    estimate_cd_m2: Floats, reference_cd_m2: Floats, valid: Bools, *, e_cd_m2: float, limit_stops: float
+) -> Bytes:
+    """Signed error in stops, log2((t + e) / (r + e)), in false colour; a chequer where nothing is valid.
+
+    Parameters
+    ----------
+    estimate_cd_m2, reference_cd_m2 : ndarray of shape (v, u), float32
+        Luminance, cd/m^2.
+    valid : ndarray of shape (v, u), bool
+        False where the decoder has no information.
+    e_cd_m2 : float
+        Luminance below which errors fade out.
+    limit_stops : float
+        Error at the ends of the colour bar.
+    """
+    ratio = (np.maximum(estimate_cd_m2, 0) + e_cd_m2) / (np.maximum(reference_cd_m2, 0) + e_cd_m2)
+    position = np.clip(np.log2(ratio) / (2 * limit_stops) + 0.5, 0, 1)
+    return _chequered(ramp(_STOPS, position), valid)
+
+
 def captured_picture(dn: Words, saturation_dn: float) -> Bytes:
     """Raw CCD frame with gamma 1/2.2 up to saturation; saturated pixels in orange. Shape (y, x, 3)."""
     share = np.clip(dn / saturation_dn, 0, 1)
@@ -84,3 +108,11 @@ def ramp(anchors: tuple[str, ...], position: Doubles | Floats) -> Bytes:
     at = np.linspace(0, 1, len(anchors))
     channels = [np.interp(position, at, table[:, c]) for c in range(3)]
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+
+
+def _chequered(image: Bytes, valid: Bools) -> Bytes:
+    v, u = np.indices(valid.shape)
+    odd = (v // 2 + u // 2) % 2 == 1
+    image[~valid & odd] = _channels(_UNKNOWN[0])
+    image[~valid & ~odd] = _channels(_UNKNOWN[1])
+    return image

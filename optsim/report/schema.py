@@ -153,7 +153,7 @@ class LegendEntry(Record):
 class Picture(Record):
     """An image file below the run folder, and its place in the report.
 
-    Sections other than "capture" and the keys ``still`` and ``scale`` are of earlier versions, which had no
+    Sections "crops" and "moving" and the keys ``still`` and ``scale`` are of earlier versions, which had no
     viewer; no page shows them.
     """
 
@@ -195,7 +195,6 @@ class Viewer(Record):
     e_cd_m2: float
     white_cd_m2: float
     start_white_cd_m2: float
-    still: str
     frames: list[ViewerFrame]
 
 
@@ -255,11 +254,10 @@ class Results(Record):
     @property
     def files(self) -> list[str]:
         """Files below the run folder that the page shows."""
-        found = [picture.file for picture in self.pictures if picture.section == "capture"]
+        found = [picture.file for picture in self.pictures]
         if self.viewer is not None:
             for frame in self.viewer.frames:
                 found += [frame.truth, *frame.methods.values()]
-            found.append(self.viewer.still)
         return found
 
 

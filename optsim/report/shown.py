@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from optsim.core.files import write_png8, write_text
 from optsim.core.quantities import Bytes, Words
 from optsim.report import light_code
 from optsim.report import pictures as draw
-from optsim.report.schema import Picture, Viewer, ViewerFrame
+from optsim.report.schema import Picture, Section, Viewer, ViewerFrame
+from optsim.report.words import number
 
 MAX_BYTES = 10_000_000
 """Largest sum of the viewer's files: a page stays below 15 MB."""
 _STEPS = (light_code.STEPS_PER_STOP, 128, 64, 32, 16)
+LIMIT_STOPS = 2.0
 _MIDDLE_GREY = 0.18
 
 
@@ -70,7 +73,7 @@ class Moment:
 def write_viewer(
     folder: Path, moments: Sequence[Moment], *, e_cd_m2: float, white_cd_m2: float, slot_s: float
 ) -> Viewer:
-    """Write the files of the viewer below ``folder/assets``, and one still picture.
+    """Write the files of the viewer below ``folder/assets``.
 
     Where they would exceed :data:`MAX_BYTES`, the steps of the light get coarser, down to 1/16 stop. Where
     that is not enough, the first moment alone is shown.
@@ -99,9 +102,7 @@ def write_viewer(
         truth = files.pop("")
         frames.append(ViewerFrame(index=moment.index, why=moment.why, truth=truth, methods=files))
     slots, rows, cols = shown[0].light.shape
-    middle = light_code.decode(shown[0].light[slots // 2], floor)
-    start = max(float(np.median(middle)) / _MIDDLE_GREY, float(middle.max()) * 1e-6, floor)
-    _write_still(folder / "assets/still.png", shown[0], floor, start)
+    start = start_white(shown[0], floor)
     return Viewer(
         rows=rows,
         cols=cols,
@@ -113,30 +114,73 @@ def write_viewer(
         e_cd_m2=e_cd_m2,
         white_cd_m2=white_cd_m2,
         start_white_cd_m2=start,
-        still="assets/still.png",
         frames=frames,
     )
 
 
-def captured_pictures(folder: Path, moment: Moment, saturation_dn: float) -> list[Picture]:
-    """Write the captured frame of each method; saturated pixels are in orange."""
-    found: list[Picture] = []
+def start_white(moment: Moment, floor_cd_m2: float) -> float:
+    """Luminance displayed as white at first: the median of the truth's middle slot becomes middle grey."""
+    light = light_code.decode(moment.light[len(moment.light) // 2], floor_cd_m2)
+    return max(float(np.median(light)) / _MIDDLE_GREY, float(light.max()) * 1e-6, floor_cd_m2)
+
+
+def still_pictures(folder: Path, moment: Moment, *, e_cd_m2: float) -> list[Picture]:
+    """Write the middle slot of truth and methods, and the error of each method: for lists and comparisons.
+
+    Parameters
+    ----------
+    folder : Path
+        Run folder.
+    moment : Moment
+        The coded frame.
+    e_cd_m2 : float
+        Offset of errors in stops.
+    """
+    slot, floor = len(moment.light) // 2, light_code.floor_of(e_cd_m2)
+    white = start_white(moment, floor)
+    truth, *others = (
+        light_code.decode(light[slot], floor).astype(np.float32)
+        for light in (moment.light, *(shot.light for shot in moment.shots.values()))
+    )
+    when = f"Coded frame {moment.index}, slot {slot}"
+    views = {"truth": truth, **dict(zip(moment.shots, others, strict=True))}
+    found = [
+        _save(
+            folder,
+            f"still_{name}",
+            draw.exposed(view, white),
+            section="compare",
+            group="full frame",
+            label=name,
+            caption=f"{when}; {number(white)} cd/m² is white.",
+        )
+        for name, view in views.items()
+    ]
     for name, shot in moment.shots.items():
-        image, file = draw.captured_picture(shot.dn, saturation_dn), f"assets/captured_{name}.png"
-        write_png8(folder / file, image)
+        valid = (shot.marks & 1) > 0
+        error = draw.error_picture(views[name], truth, valid, e_cd_m2=e_cd_m2, limit_stops=LIMIT_STOPS)
+        about = f"{when}; error from -{LIMIT_STOPS:g} stops, blue, to +{LIMIT_STOPS:g}, red."
         found.append(
-            Picture(
-                file=file,
-                caption=f"Raw CCD frame {moment.index}, gamma 1/2.2.",
-                section="capture",
-                group=name,
-                label=name,
-                width=image.shape[1],
-                height=image.shape[0],
-                legend=draw.captured_legend(),
-            )
+            _save(folder, f"error_{name}", error, section="errors", group="error", label=name, caption=about)
         )
     return found
+
+
+def captured_pictures(folder: Path, moment: Moment, saturation_dn: float) -> list[Picture]:
+    """Write the captured frame of each method; saturated pixels are in orange."""
+    return [
+        _save(
+            folder,
+            f"captured_{name}",
+            draw.captured_picture(shot.dn, saturation_dn),
+            section="capture",
+            group=name,
+            label=name,
+            caption=f"Raw CCD frame {moment.index}, gamma 1/2.2.",
+            legend=draw.captured_legend(),
+        )
+        for name, shot in moment.shots.items()
+    ]
 
 
 def _file(index: int, name: str) -> str:
@@ -162,14 +206,8 @@ def _fitting(moments: Sequence[Moment]) -> tuple[dict[tuple[int, str], str], int
     return packed, _STEPS[-1], moments[:1]
 
 
-def _write_still(path: Path, moment: Moment, floor_cd_m2: float, white_cd_m2: float) -> None:
-    """Write the middle slot of truth and methods side by side."""
-    slot = len(moment.light) // 2
-    lights = [moment.light, *(shot.light for shot in moment.shots.values())]
-    views = [
-        draw.exposed(light_code.decode(light[slot], floor_cd_m2).astype(np.float32), white_cd_m2)
-        for light in lights
-    ]
-    gap = np.full((views[0].shape[0], 4), 128, np.uint8)
-    strip = [part for view in views for part in (gap, view)][1:]
-    write_png8(path, np.concatenate(strip, axis=1))
+def _save(folder: Path, name: str, image: Bytes, section: Section, **about: Any) -> Picture:
+    """Write one picture as PNG."""
+    file = f"assets/{name}.png"
+    write_png8(folder / file, image)
+    return Picture(file=file, section=section, width=image.shape[1], height=image.shape[0], **about)

@@ -142,7 +142,7 @@ def _regions(results: Results, name: str, phase: Phase) -> Fault | None:
     return Fault(
         f"{said} it errs by {words.score(values[worse], 'stops')} stops, elsewhere by "
         f"{words.score(values[other], 'stops')}.",
-        state(results, left=name, right="", view="difference", mark="moving"),
+        state(results, left=name, right="", view="difference"),
     )
 
 
@@ -156,7 +156,7 @@ def _luminance(results: Results, name: str) -> Fault | None:
         f"Between {words.number(worst.low_cd_m2)} and {words.number(worst.high_cd_m2)} cd/m² it errs by "
         f"{words.score(worst.rms_stops, 'stops')} stops, {words.score(abs(worst.bias_stops), 'stops')} "
         f"{sign} on average.",
-        state(results, left=name, right="", view="slider", white=4 * worst.high_cd_m2),
+        state(results, left=name, right="", view="blink", white=worst.high_cd_m2),
     )
 
 
@@ -205,7 +205,7 @@ def _given_up(results: Results, name: str, phase: Phase) -> Fault | None:
         return None
     return Fault(
         f"It gives up {words.share(1 - share)} of the pixels; these are not scored.",
-        state(results, left=name, right="", view="slider", mark="given up"),
+        state(results, left=name, right="", view="left", mark="given up"),
     )
 
 

@@ -55,7 +55,7 @@ function frameBox(box) {
 }
 
 function showState(wanted) {
-  const parts = { box: null, zoom: 0, mark: "", ...wanted };
+  const parts = { box: null, zoom: 0, mark: "", stops: START, ...wanted };
   if (wanted.white) parts.stops = Math.log2(record.white_cd_m2 / wanted.white);
   if (wanted.box) Object.assign(parts, frameBox(wanted.box));
   delete parts.white;
@@ -190,7 +190,8 @@ function controls() {
   at("slot-text").textContent = `${state.slot} of ${record.slots - 1}`;
   at("exposure").value = String(state.stops);
   at("exposure-text").textContent = `${signed(state.stops, 1)} stops`;
-  at("exposure").title = `${rounded(record.white_cd_m2 * 2 ** -state.stops)} cd/m² is white`;
+  at("chosen").textContent =
+    `Coded frame ${state.frame}, slot ${state.slot}; ${rounded(record.white_cd_m2 * 2 ** -state.stops)} cd/m² is white.`;
   at("zoom-text").textContent = `${zoom().toFixed(1)} ×`;
   at("scale").hidden = state.view !== "difference";
   at("ticks").replaceChildren(
