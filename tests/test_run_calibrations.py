@@ -91,6 +91,16 @@ def test_results_name_each_file_with_its_hash(run: Path) -> None:
         assert read_calibration(run / each["file"]).source == each["calibration"]
 
 
+def test_frames_of_a_run_are_decoded_by_another_calibration(run: Path) -> None:
+    own = read_run(run, "random", None)
+    other = read_run(run, "random", run / "calibration-plain.npz")
+    assert (own.calibration.source, other.calibration.source) == ("true", "ideal")
+    assert other.origin["calibration"] == str(run / "calibration-plain.npz")
+    np.testing.assert_array_equal(own.frames[0].dn, other.frames[0].dn)
+    with pytest.raises(StorageError, match="no such file or folder"):
+        read_run(run, "random", run / "gone.npz")
+
+
 def manual_lines() -> str:
     """Code blocks of the manual that read a calibration's file by numpy alone."""
     text = (Path(__file__).parents[1] / "docs" / "how-to" / "calibration.md").read_text(encoding="utf-8")

@@ -18,7 +18,7 @@ from optsim.calibration.estimate import measure_calibration
 CLAIM = (
     "`optsim calibrate` takes a folder that another program wrote, and finds its camera: gain and read noise "
     "to 1 %, the panel's time constants to 2 %, when its rows turn to 0.005 slots, the leak to 2 %, the grey "
-    "exponent to 0.5 %, veiling glare to 10 %, and the centres of the panel's pixels to 0.03 panel pixels "
+    "exponent to 0.5 %, veiling glare to 15 %, and the centres of the panel's pixels to 0.03 panel pixels "
     "rms under shift, rotation, tilt, distortion and a magnification that is not nominal"
 )
 ORACLE = (
@@ -63,7 +63,7 @@ def deviation(folder: Path) -> float:
     off["rows"] = np.abs(found.response.row_delays_s(len(rows)) - late_s).max() / program.SLOT_S / 0.005
     # Its veil is a share of the CCD's mean; a calibration's of the panel's, which the whole CCD dilutes.
     diluted = np.prod(camera.panel) * (camera.ratio * camera.magnification) ** 2 / np.prod(camera.ccd)
-    off["veil"] = (numbers["glare_veil"] / (camera.veil * diluted) - 1) / 0.1
+    off["veil"] = (numbers["glare_veil"] / (camera.veil * diluted) - 1) / 0.15
     centres = np.indices(camera.panel).reshape(2, -1).T + 0.5
     there = measure_calibration(Bench.read(folder)).pixel_map.on_ccd(centres)
     off["map"] = np.sqrt(np.mean(np.sum((there - camera.centres()) ** 2, axis=1))) / camera.ratio / 0.03
