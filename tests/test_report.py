@@ -21,7 +21,7 @@ from optsim.core.files import read_json, write_json
 from optsim.experiment.evidence import NOT_MODELLED
 from optsim.report import headline, plots, verdict, words
 from optsim.report import html as html_report
-from optsim.report.pictures import ToneCurve, captured_picture, error_picture, exposed
+from optsim.report.pictures import ToneCurve, binned, captured_picture, error_picture, exposed
 
 
 @pytest.fixture(scope="module")
@@ -354,6 +354,12 @@ def test_error_picture_is_signed_and_symmetric() -> None:
     assert tuple(image[0, 3]) == (223, 126, 92), "too bright is red"
     unknown = error_picture(estimate, truth, ~valid, e_cd_m2=1e-6, limit_stops=2.0)
     assert set(unknown[0, :, 0].tolist()) <= {0x8A, 0x70}
+
+
+def test_large_frames_are_averaged() -> None:
+    dn = np.arange(35, dtype=np.uint16).reshape(5, 7)
+    assert binned(dn, 2).tolist() == [[4, 6, 8], [18, 20, 22]]
+    assert binned(dn, 1).tolist() == dn.tolist()
 
 
 def test_captured_pictures_mark_saturation() -> None:

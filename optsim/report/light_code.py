@@ -16,6 +16,8 @@ from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
 STEPS_PER_STOP = 256
 """Finest step: 1/256 stop, so light is off by at most 0.14 %."""
 _ABOVE_E = 8.0
+# 128 stops; differences of two codes keep to 16 bits with their sign.
+_MOST = 32767
 
 
 def floor_of(e_cd_m2: float) -> float:
@@ -34,7 +36,7 @@ def encode(luminance_cd_m2: Floats, floor_cd_m2: float) -> Words:
         From :func:`floor_of`.
     """
     stops = np.log2(1 + np.maximum(luminance_cd_m2, 0) / np.float32(floor_cd_m2))
-    return np.rint(np.minimum(stops * STEPS_PER_STOP, 65535)).astype(np.uint16)
+    return np.rint(np.minimum(stops * STEPS_PER_STOP, _MOST)).astype(np.uint16)
 
 
 def decode(codes: Words, floor_cd_m2: float, steps_per_stop: int = STEPS_PER_STOP) -> Doubles:
@@ -69,10 +71,12 @@ def pack(codes: Words, marks: Bytes, levels: Bytes | None) -> str:
     Returns
     -------
     str
-        Base64 of a zlib stream: low bytes of the differences between slots, their high bytes, the marks,
-        and the exclusive or of each slot's level with that of the slot before.
+        Base64 of a zlib stream: low bytes of the differences d between slots, as 2 d, or -2 d - 1 below zero,
+        then their high bytes, the marks, and the exclusive or of each slot's level with that of the slot
+        before.
     """
-    steps = np.diff(codes, axis=0, prepend=np.zeros_like(codes[:1]))
+    steps = np.diff(codes.astype(np.int32), axis=0, prepend=0)
+    steps = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype(np.uint16)
     parts = [(steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), marks]
     if levels is not None:
         parts.append(levels ^ np.concatenate([np.zeros_like(levels[:1]), levels[:-1]]))

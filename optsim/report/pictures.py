@@ -85,6 +85,13 @@ def error_picture(
     return _chequered(ramp(_STOPS, position), valid)
 
 
+def binned(dn: Words, by: int) -> Words:
+    """Average squares of ``by`` x ``by`` pixels; a rest at the lower and right edge is left out."""
+    rows, cols = (side // by for side in dn.shape)
+    squares = dn[: rows * by, : cols * by].reshape(rows, by, cols, by)
+    return np.rint(squares.mean(axis=(1, 3))).astype(np.uint16)
+
+
 def captured_picture(dn: Words, saturation_dn: float) -> Bytes:
     """Raw CCD frame with gamma 1/2.2 up to saturation; saturated pixels in orange. Shape (y, x, 3)."""
     share = np.clip(dn / saturation_dn, 0, 1)

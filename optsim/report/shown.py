@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +17,11 @@ from optsim.report import pictures as draw
 from optsim.report.schema import Picture, Section, Viewer, ViewerFrame
 from optsim.report.words import number
 
-MAX_BYTES = 10_000_000
+MAX_BYTES = 12_000_000
 """Largest sum of the viewer's files: a page stays below 15 MB."""
 _STEPS = (light_code.STEPS_PER_STOP, 128, 64, 32, 16)
 LIMIT_STOPS = 2.0
+_WIDEST_PX = 800
 _MIDDLE_GREY = 0.18
 
 
@@ -167,20 +169,26 @@ def still_pictures(folder: Path, moment: Moment, *, e_cd_m2: float) -> list[Pict
 
 
 def captured_pictures(folder: Path, moment: Moment, saturation_dn: float) -> list[Picture]:
-    """Write the captured frame of each method; saturated pixels are in orange."""
-    return [
-        _save(
+    """Write the captured frame of each method; saturated pixels are in orange.
+
+    Large frames are shown by means over squares of CCD pixels.
+    """
+    found: list[Picture] = []
+    for name, shot in moment.shots.items():
+        by = math.ceil(shot.dn.shape[1] / _WIDEST_PX)
+        means = f", means of {by} x {by} pixels" if by > 1 else ""
+        picture = _save(
             folder,
             f"captured_{name}",
-            draw.captured_picture(shot.dn, saturation_dn),
+            draw.captured_picture(draw.binned(shot.dn, by), saturation_dn),
             section="capture",
             group=name,
             label=name,
-            caption=f"Raw CCD frame {moment.index}, gamma 1/2.2.",
+            caption=f"Raw CCD frame {moment.index}, gamma 1/2.2{means}.",
             legend=draw.captured_legend(),
         )
-        for name, shot in moment.shots.items()
-    ]
+        found.append(picture)
+    return found
 
 
 def _file(index: int, name: str) -> str:

@@ -37,7 +37,8 @@ function unpack(bytes, hasLevels) {
   const n = record.slots * N_PIXELS;
   const light = new Uint16Array(n);
   for (let i = 0; i < n; i++) {
-    const step = bytes[i] | (bytes[n + i] << 8);
+    const packed = bytes[i] | (bytes[n + i] << 8);
+    const step = packed & 1 ? -(packed + 1) / 2 : packed / 2;
     light[i] = i < N_PIXELS ? step : light[i - N_PIXELS] + step;
   }
   const marks = bytes.subarray(2 * n, 2 * n + N_PIXELS);
