@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup benchmark bench claims figure4 imperfections fidelity validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup benchmark bench claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
 
 force:
 
@@ -45,6 +45,9 @@ figure4: setup ## all schemes on the same scenes, as the paper's figure 4; write
 
 imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
 	$(BIN)/python validation/imperfections.py
+
+tolerances: setup ## tolerance sheet, waterfall and yield of demo and prototype; writes reports/tolerances.md (long)
+	$(BIN)/python validation/tolerances.py
 
 fidelity: setup ## what each fine approximation is worth; writes reports/fidelity.md (30 minutes)
 	$(BIN)/python validation/fidelity.py

@@ -41,6 +41,8 @@ ALL: dict[str, str] = {
     "render.chart": "render",
     "render.mesh_scene": "render",
     "render.colour": "colour",
+    "study.sweep_9": "study",
+    "study.yield_200": "study",
 }
 
 

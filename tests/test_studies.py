@@ -10,6 +10,7 @@ from test_cli import cli  # noqa: F401  a fixture
 
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.quantities import ExposureCode
+from optsim.experiment.experiment import load_experiment
 from optsim.study.comparison import Seeds, compare, student
 from optsim.study.folder import Workplace
 from optsim.study.measurement import measured
@@ -76,8 +77,8 @@ def test_what_a_calibration_knows_is_in_the_camera_and_the_rest_in_its_drift(bas
     assert changed_only(base, {SHIFT: 0.0, "camera.relay.shift_y_px": 1.0}) == (
         ("camera.relay.shift_y_px", 1.0),
     )
-    shared = [shares_truth(Point(((key, 1),))) for key in (SHIFT, "camera.objective.f_number", "reading_px")]
-    assert shared == [True, False, False]
+    keys = SHIFT, "camera.objective.f_number", "reading_px", "scene.variation"
+    assert [shares_truth(Point(((key, 1),))) for key in keys] == [True, False, True, False]
 
 
 def test_recalled_light_of_the_panel_gives_the_same_frame(stage):
@@ -149,7 +150,7 @@ def test_student_gives_the_textbook_interval():
 
 @pytest.mark.usefixtures("without_workers")
 def test_a_sweep_goes_on_past_a_refused_value_and_is_one_folder(base, tmp_path):
-    plan = SweepPlan((Axis(SHIFT, (-0.3, 0, 40.0)),), seeds=ONE, marks=(-0.3,))
+    plan = SweepPlan((Axis(SHIFT, (-0.3, 0, 40.0)),), frames=1, seeds=ONE, marks=(-0.3,))
     record = sweep(base, plan, Workplace(tmp_path))
     write_sweep_page(tmp_path, record)
     refused = [row for row in record["rows"] if row["refused"]]
@@ -172,6 +173,27 @@ def test_a_sweep_goes_on_past_a_refused_value_and_is_one_folder(base, tmp_path):
     assert again["work"] == {"tasks_done_before": 3}
     with pytest.raises(StorageError, match="another study"):
         sweep(base, SweepPlan((Axis(SHIFT, (0.1,)),)), Workplace(tmp_path))
+
+
+@pytest.mark.usefixtures("without_workers")
+def test_operators_are_compared_on_one_camera_and_its_light(base, tmp_path):
+    axis = parse_axis(base, "calibration=ideal,true")
+    record = sweep(base, SweepPlan((axis,), frames=1, seeds=ONE), Workplace(tmp_path))
+    write_sweep_page(tmp_path, record)
+    assert record["work"]["benches"] == 1
+    assert "truths" not in record["work"]
+    change = {row["calibration"]: row["change_db"] for row in record["rows"] if row["region"] == "static"}
+    assert change["true"] == 0
+    assert change["ideal"] < -1
+    page = (tmp_path / "study.html").read_text()
+    assert "in brackets the change" in page
+    assert page.count("<svg") == 1
+
+
+def test_the_published_mismatch_is_a_drift_of_the_demo():
+    drifted = load_experiment("published_mismatch")
+    assert drifted.camera == load_experiment("demo").camera
+    assert drifted.at_work().relay.rotation_rad == pytest.approx(np.deg2rad(0.3))
 
 
 @pytest.mark.parametrize(

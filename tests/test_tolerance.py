@@ -86,6 +86,7 @@ def test_a_tolerance_put_back_in_costs_the_stated_loss(base, tmp_path):
         known=False,
         draws=1,
         interactions=False,
+        frames=1,
         seeds=Seeds(1, 1),
     )
     record = tolerance(base, plan, Workplace(tmp_path))

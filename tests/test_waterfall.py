@@ -85,7 +85,7 @@ def test_orders_come_with_their_reverse_and_a_refused_camera_ends_only_its_own()
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_workers")
 def test_a_waterfall_of_a_camera_adds_up(base, tmp_path):
-    plan = WaterfallPlan(effects_of(base, ["contrast", "read_noise"]), 2, seeds=Seeds(2, 2))
+    plan = WaterfallPlan(effects_of(base, ["contrast", "read_noise"]), 2, frames=1, seeds=Seeds(2, 2))
     record = waterfall(base, plan, Workplace(tmp_path))
     write_waterfall_page(tmp_path, record)
     assert len(record["results"]) == 4

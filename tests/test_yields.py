@@ -29,7 +29,7 @@ SHEET = {"shift_x": (0.2, 1.5), "rotation": (0.0, 0.0)}
 
 def plan(**changes):
     settings = {"draws": 3, "mode": "unknown", "compensators": (), "method": "hdr_mosaic"}
-    settings |= {"sheet": SHEET, "region": "static", "target_db": None}
+    settings |= {"frames": 1, "sheet": SHEET, "region": "static", "target_db": None}
     return YieldPlan(**{**settings, **changes})
 
 

@@ -22,7 +22,8 @@ def benchmark(
 ) -> None:
     """Measure run time against peers in the same run; ratio above 1 is better than the peer.
 
-    A NAME is a record or a family of them: calibrate, capture, dataset, gmm, mask, omp, reconstruct, render.
+    A NAME is a record or a family of them: calibrate, capture, dataset, gmm, mask, omp, reconstruct, render,
+    study.
     """
     from contextlib import nullcontext
 

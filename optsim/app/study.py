@@ -45,7 +45,7 @@ def sweep(
     mark: Annotated[list[float] | None, typer.Option(help="Show pictures at this value; repeatable.")] = None,
     assignments: Set = None,
     methods: Methods = None,
-    frames: Frames = 1,
+    frames: Frames = 3,
     seeds: SeedRange = "2:4",
     precision: Annotated[
         float, typer.Option(min=1e-3, help="Half of an interval, dB, at which no seed is added.")
@@ -119,7 +119,7 @@ def tolerance(
     no_pairs: Annotated[bool, typer.Option("--no-pairs", help="Leave out pairs of the worst five.")] = False,
     assignments: Set = None,
     methods: Methods = None,
-    frames: Frames = 1,
+    frames: Frames = 3,
     seeds: SeedRange = "2:4",
     out: Out = None,
     workers: Workers = None,
@@ -172,7 +172,7 @@ def waterfall(
     ] = 2,
     assignments: Set = None,
     methods: Methods = None,
-    frames: Frames = 1,
+    frames: Frames = 3,
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds of codes and photons.")] = 2,
     out: Out = None,
     workers: Workers = None,
@@ -229,7 +229,7 @@ def yield_(
         int | None, typer.Option(min=0, help="Only print the command that builds this camera again.")
     ] = None,
     assignments: Set = None,
-    frames: Frames = 1,
+    frames: Frames = 3,
     out: Out = None,
     workers: Workers = None,
     scheduler: Scheduler = None,

@@ -19,6 +19,8 @@ MODES: tuple[Mode, ...] = get_args(Mode)
 _CAMERA = "camera."
 # Parts behind the light on the panel: what changes in them leaves the truth as it is.
 _AFTER_THE_PANEL = ("relay", "splitter", "modulator", "sensor")
+# What is known, and what is done with it: neither is of the light.
+_OF_THE_DECODER = ("calibration", "reading_px", "methods", "drift")
 # Their keys that the truth depends on all the same.
 _IN_THE_TRUTH = ("camera.splitter.scene_light", "camera.splitter.azimuth_rad")
 _MOST_VALUES = 1000
@@ -104,13 +106,13 @@ def parse_axis(experiment: Experiment, text: str) -> Axis:
     full = full_key(experiment, key)
     ends = said.split(":")
     if len(ends) == 1:
-        values = tuple(_value(full, each) for each in said.split(","))
+        values = tuple(_value(experiment, full, each) for each in said.split(","))
         if len(set(map(str, values))) < len(values):
             raise ConfigError(f"--vary {text!r}: got a value twice, expected values that differ")
         return Axis(full, values)
     if len(ends) != 3:
         raise ConfigError(f"--vary {text!r}: got {len(ends)} numbers, expected FIRST:LAST:COUNT")
-    first, last = (_value(full, end) for end in ends[:2])
+    first, last = (_value(experiment, full, end) for end in ends[:2])
     count = int(ends[2]) if ends[2].strip().isdecimal() else 0
     if not isinstance(first, int | float) or not isinstance(last, int | float):
         raise ConfigError(f"--vary {text!r}: got no numbers, expected FIRST:LAST:COUNT")
@@ -121,10 +123,15 @@ def parse_axis(experiment: Experiment, text: str) -> Axis:
         )
     # Steps from both ends, so that the middle of a symmetric range is exactly 0.
     steps = count - 1
-    return Axis(full, tuple((first * (steps - k) + last * k) / steps for k in range(count)))
+    # Twelve digits, as a user would write them: 0.1 and not 0.10000000000000002.
+    even = (float(f"{(first * (steps - k) + last * k) / steps:.12g}") for k in range(count))
+    return Axis(full, tuple(even))
 
 
-def _value(key: str, text: str) -> Any:
+def _value(experiment: Experiment, key: str, text: str) -> Any:
+    if isinstance(flat(experiment.model_dump(mode="json")).get(key), str):
+        # calibration=true is a word, no truth value.
+        return text.strip()
     try:
         return tomllib.loads(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:
@@ -171,7 +178,7 @@ def _with(table: Table, changes: Sequence[tuple[str, Any]]) -> Table:
 def shares_truth(point: Point) -> bool:
     """Whether the light on the panel, the target of all scores, is that of the unchanged experiment."""
     parts = [key.removeprefix(_CAMERA).partition(".")[0] for key, _ in point.changes]
-    return all(part in _AFTER_THE_PANEL for part in parts) and not any(
+    return all(part in (*_AFTER_THE_PANEL, *_OF_THE_DECODER) for part in parts) and not any(
         key in _IN_THE_TRUTH or key in _IMAGE_KEYS for key, _ in point.changes
     )
 

@@ -45,7 +45,7 @@ class SweepPlan:
 
     axes: tuple[Axis, ...]
     modes: tuple[Mode, ...] = ("known", "unknown", "compensated")
-    frames: int = 1
+    frames: int = 3
     seeds: Seeds = FEW
     marks: tuple[float, ...] = ()
 

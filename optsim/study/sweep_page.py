@@ -37,8 +37,12 @@ def write_sweep_page(folder: Path, record: dict[str, Any]) -> None:
     rows = [row for row in record["rows"] if not row.get("refused")]
     refused = [row for row in record["rows"] if row.get("refused")]
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    drawn = [_curves(rows, names[0], method) for method in methods] if len(names) == 1 else []
-    if len(names) == 1:
+    in_words = any(not isinstance(row[names[0]], int | float) for row in rows)
+    if in_words:
+        drawn = [_words(rows, names, method) for method in methods]
+    else:
+        drawn = [_curves(rows, names[0], method) for method in methods] if len(names) == 1 else []
+    if len(names) == 1 and not in_words:
         _write_files(folder, rows, names[0], methods)
     sections = [
         Section(
@@ -47,7 +51,7 @@ def write_sweep_page(folder: Path, record: dict[str, Any]) -> None:
                 *(f"{mode.capitalize()}: {MODES[mode]}." for mode in record["plan"]["modes"]),
                 "Bands are 95 % intervals over paired seeds.",
             ],
-            drawn if len(names) == 1 else [_grids(rows, names, methods)],
+            drawn if drawn else [_grids(rows, names, methods)],
         ),
         *_crops(folder, record, names[0]),
         Section("All values", (), [folded("Table", _table(rows, names))]),
@@ -113,6 +117,27 @@ def _curves(rows: Rows, name: str, method: str) -> Markup:
         )
         drawn.append((f"{method}, {where}", plot))
     return side_by_side(drawn)
+
+
+def _words(rows: Rows, names: Sequence[str], method: str) -> Markup:
+    """Draw bars and a table for values that are words: operators, for example."""
+    here = [row for row in rows if row["method"] == method]
+    bars: list[tuple[str, float, str]] = []
+    lines: dict[str, dict[str, str]] = {}
+    for row in here:
+        where = f"{', '.join(shown(row[name]) for name in names)}, {row['mode']}"
+        level = f"{row['db']:.2f}" if row["db_half"] is None else f"{row['db']:.2f} ± {row['db_half']:.2f}"
+        lines.setdefault(where, {})[row["region"]] = (
+            f"{level} ({signed(row['change_db'], row['change_half'])})"
+        )
+        if row["region"] == "all":
+            bars.append((where, max(row["db"], 0.0), f"{level} dB"))
+    cells = [[where, *(found.get(region, "–") for region in REGIONS)] for where, found in lines.items()]
+    caption = f"{method}: PU21-PSNR in dB, and in brackets the change against the unchanged experiment"
+    plot = plots.bar_plot(bars, title=f"PU21-PSNR of {method}, everywhere")
+    return side_by_side([(f"{method}, everywhere", plot)]) + table(
+        (" and ".join(names), *REGIONS.values()), cells, caption
+    )
 
 
 def _write_files(folder: Path, rows: Rows, name: str, methods: Sequence[str]) -> None:

@@ -60,7 +60,7 @@ class TolerancePlan:
     known: bool = True
     draws: int = 8
     interactions: bool = True
-    frames: int = 1
+    frames: int = 3
     seeds: Seeds = FEW
 
 

@@ -45,7 +45,7 @@ class WaterfallPlan:
 
     names: tuple[str, ...]
     orders: int = 2
-    frames: int = 1
+    frames: int = 3
     seeds: Seeds = FEW
 
 

@@ -71,7 +71,7 @@ class YieldPlan:
     region: str
     target_db: float | None
     loss_db: float = 1.0
-    frames: int = 1
+    frames: int = 3
 
 
 def read_sheet(name_or_path: str) -> Sheet:
