@@ -33,7 +33,7 @@ def build(
     plan: Annotated[
         bool, typer.Option("--plan", help="Build two sequences a scene, then say time, disk and memory.")
     ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes [half the cores].")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes [one a core].")] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
     ] = None,

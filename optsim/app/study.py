@@ -24,7 +24,7 @@ Frames = Annotated[int, typer.Option(min=1, max=100, help="Coded frames of the s
 SeedRange = Annotated[
     str, typer.Option("--seeds", metavar="LEAST:MOST", help="Seeds of codes and photons, and the cap.")
 ]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes [half the cores].")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes [one a core].")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
 ]

@@ -280,7 +280,7 @@ class _Three:
         # A sample takes a random pose of its equal part of them.
         places = [
             np.floor((np.arange(n) + rng.random(n)) / n * len(times_s)).astype(np.int64)
-            for n in n_all.tolist()
+            for n in (0, self._few, self._many)
         ]
         chosen = np.array([np.bincount(each, minlength=len(times_s)) for each in places])
         first = instant * n_all

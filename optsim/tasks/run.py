@@ -24,6 +24,8 @@ from optsim.tasks.cluster import read_cluster, running
 from optsim.tasks.folder import Task, make_folder, task_record
 
 ATTEMPTS = 3
+# Memory that a worker may need: a sequence of the demo's camera peaks at 1.2 GB.
+_WORKER_BYTES = 2_000_000_000
 # Waiting for a scheduler that may not be there, s.
 _PATIENCE_S = 10
 
@@ -46,8 +48,10 @@ class Outcome:
 
 
 def default_workers() -> int:
-    """Return one process for two cores, since each also has threads of its own."""
-    return max(1, CORES // 2)
+    """Return one process a core, as far as memory allows: much of a task runs on one core."""
+    from distributed.system import MEMORY_LIMIT
+
+    return max(1, min(CORES, MEMORY_LIMIT // _WORKER_BYTES))
 
 
 def run_tasks(
