@@ -56,7 +56,7 @@ def main(kills: int = 50, seed: int = 1) -> int:
         (folder / "small.toml").write_text(text.replace('calibration = "bench"', 'calibration = "ideal"'))
         (folder / "spec.toml").write_text(_SPEC)
         start = time.monotonic()
-        _finish(_start(folder, "calm"))
+        _finish(_start(folder, "calm"), folder)
         calm_s = time.monotonic() - start
         print(f"undisturbed: {calm_s:.1f} s", flush=True)
         round_ = 0
@@ -74,10 +74,11 @@ def main(kills: int = 50, seed: int = 1) -> int:
                     build = _start(folder, out)
                     continue
                 killed[_kill(build, luck)] += 1
+                print(dict(killed), flush=True)
                 if build.poll() is not None:
                     build = _start(folder, out)
             if build.wait():
-                _finish(_start(folder, out))
+                _finish(_start(folder, out), folder)
             faults = verify(open_dataset(folder / out))
             same = (folder / out / MANIFEST).read_text() == (folder / "calm" / MANIFEST).read_text()
             left = list((folder / out).rglob(".*.part*"))
@@ -92,13 +93,14 @@ def _start(folder: Path, out: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "optsim", "dataset", "build", str(folder / "spec.toml")]
     # A cache of its own, so that the renders are disturbed too.
     environment = {**os.environ, "OPTSIM_CACHE": str(folder / f"cache-{out}")}
-    return subprocess.Popen(
-        [*command, "--workers", "2", "--out", str(folder / out)],
-        env=environment,
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.STDOUT,
-    )
+    with (folder / "said.txt").open("wb") as said:
+        return subprocess.Popen(
+            [*command, "--workers", "2", "--out", str(folder / out)],
+            env=environment,
+            start_new_session=True,
+            stdout=said,
+            stderr=said,
+        )
 
 
 def _kill(build: subprocess.Popen[bytes], luck: random.Random) -> str:
@@ -126,9 +128,9 @@ def _workers(parent: int) -> list[int]:
     return found
 
 
-def _finish(build: subprocess.Popen[bytes]) -> None:
+def _finish(build: subprocess.Popen[bytes], folder: Path) -> None:
     if code := build.wait():
-        raise SystemExit(f"a build ended with {code}")
+        raise SystemExit(f"a build ended with {code}: {(folder / 'said.txt').read_text()[-400:]}")
 
 
 if __name__ == "__main__":
