@@ -124,7 +124,7 @@ def test_the_lines_of_the_manual_read_it(folder, monkeypatch, capsys):
 
 def test_the_spec_of_the_manual_can_be_built(tmp_path):
     page = (Path(__file__).parents[1] / "docs/how-to/datasets.md").read_text()
-    (text,) = re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    text = re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)[0]
     (tmp_path / "spec.toml").write_text(text)
     spec = load_spec(str(tmp_path / "spec.toml"))
     check_spec(spec)

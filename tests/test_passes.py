@@ -26,7 +26,7 @@ def frames(request):
     """A shipped scene with the passes of two successive instants."""
     if choose_backend().preview:
         pytest.skip("only the scalar fallback works here")
-    scene = load_scene(request.param)
+    scene = load_scene(request.param).in_band()
     renderer = PassRenderer(scene, VIEW)
     return scene, renderer.at(TIME_S, STEP_S), renderer.at(TIME_S + STEP_S, STEP_S)
 
