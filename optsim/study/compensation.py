@@ -221,7 +221,9 @@ def _refocused(
         return -float(((dn - np.median(dn)) ** 2).sum())
 
     ends = -_FOCUS_RANGE_M, _FOCUS_RANGE_M
-    turned_m = float(cast("float", fminbound(unsharp, *ends, xtol=_FOCUS_STEP_M, maxfun=_MOST_IMAGES)))
+    turned_m = float(
+        cast("float", fminbound(unsharp, *ends, xtol=_FOCUS_STEP_M, maxfun=_MOST_IMAGES, disp=0))
+    )
     return at(turned_m), known, {"relay.defocus_m": turned_m}
 
 
