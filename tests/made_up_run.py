@@ -67,7 +67,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
     """Results of a made-up run, scored and drawn by the real rooms."""
     rng = np.random.default_rng(7)
     scale = PhotometricScale(white_w_m2_sr=0.5, irradiance_per_radiance=0.02)
-    board = ScoreBoard(metrics.ALL, scale, 1, SLOTS)
+    board = ScoreBoard(metrics.HEADLINE_METRICS, scale, 1, SLOTS)
     tallies, ceiling, masks, marked, shots, rivals = [], [], [], [], {}, []
     bins, places = [], []
     previous = None
@@ -88,7 +88,9 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             mask = moving if name != "adaptive" else np.roll(moving, 2, axis=1)
             r = Reconstruction(index, estimate.astype(np.float32), valid, ~valid, mask & (name == "adaptive"))
             tallies.append(board.tally(name, r, reference, moving))
-            errors[name] = pixel_errors(metrics.ALL, scale, r.irradiance_w_m2, reference, valid, SLOTS)
+            errors[name] = pixel_errors(
+                metrics.HEADLINE_METRICS, scale, r.irradiance_w_m2, reference, valid, SLOTS
+            )
             if name == "adaptive":
                 agreement = mask_agreement(r.moving, moving)
                 marked.append(MaskTally(name, index, agreement))
@@ -119,7 +121,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             for name in METHODS
             if name != "adaptive"
         ]
-    beside = pair_records(metrics.ALL, rivals, SLOTS, 1)
+    beside = pair_records(metrics.HEADLINE_METRICS, rivals, SLOTS, 1)
     light = light_code.encode(scale.luminance_cd_m2(reference), FLOOR)
     marks = light_code.marks_of(np.ones_like(moving), moving)
     moments = [report.Moment(n_frames - 1, "last", light, marks, shots)]

@@ -49,6 +49,8 @@ def cli(capsys, monkeypatch, tmp_path):
         ),
         (("run", "demo", "--dry-run", "--set", "camera.objective.focal_length_m='12 s'"), "unit 's'"),
         (("run", "demo", "--dry-run", "--set", "n_frames=0"), "n_frames"),
+        (("run", "demo", "--dry-run", "--methods", "adaptive,randm"), "did you mean 'random'"),
+        (("run", "demo", "--dry-run", "--methods", ""), "unknown method ''"),
         (("run", "demo", "--dry-run", "--set", "scene.name=window_roon"), "window_room"),
         (("run", "demo", "--dry-run", "--set", "scene.variation=corssing"), "crossing"),
         (("run", "paper_prototype", "--dry-run", "--set", "camera.relay.magnification=0.681"), "fit"),
@@ -84,6 +86,14 @@ def test_dry_run_renders_nothing(cli, tmp_path: Path) -> None:
     assert code == 0
     assert json.loads(out)["experiment"]["name"] == "demo"
     assert not (tmp_path / "reports").exists()
+
+
+def test_some_methods_of_an_experiment_can_run_alone(cli) -> None:
+    code, out, _ = cli("run", "demo", "--dry-run", "--json", "--methods", "random, adaptive")
+    assert code == 0
+    chosen = json.loads(out)["experiment"]
+    assert [method["name"] for method in chosen["methods"]] == ["adaptive", "random"]
+    assert chosen["save_reconstructions"] == ["adaptive", "random"]
 
 
 def test_explain_prints_geometry_ledger_and_latency(cli) -> None:

@@ -365,3 +365,18 @@ def test_rates_and_dioptres_are_no_times_and_lengths():
     for key, text in (("dark_current_e_s", "2 ms"), ("defocus_per_m", "3 mm")):
         with pytest.raises(ValueError, match="of another dimension"):
             parse_quantity(key, text)
+
+
+def test_keys_by_name_override_and_are_checked() -> None:
+    found = load_experiment("demo", ["n_frames=9"], n_frames=4, camera={"latency_frames": 2})
+    assert (found.n_frames, found.camera.latency_frames) == (4, 2)
+    assert found.camera.panel_rows == load_experiment("demo").camera.panel_rows
+    with pytest.raises(ConfigError, match=r"demo\.toml with n_frame=4.*\n.*did you mean 'n_frames'"):
+        load_experiment("demo", n_frame=4)
+
+
+def test_an_experiment_says_what_it_is_in_a_line() -> None:
+    assert repr(load_experiment("demo")) == (
+        "<Experiment 'demo': window_room, 160 x 120 panel pixels, 10 coded frames by adaptive, normal, "
+        "hdr_mosaic, random>"
+    )

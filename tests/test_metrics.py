@@ -14,11 +14,21 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from optsim import metrics
 from optsim.core.errors import ValueCheckError
-from optsim.metrics import LogRmse, Metric, PhotometricScale, Psnr, Pu21Psnr, luminous_efficacy_lm_w
+from optsim.metrics import (
+    LogRmse,
+    Metric,
+    MuLawPsnr,
+    PhotometricScale,
+    Psnr,
+    Pu21Psnr,
+    RelMse,
+    Smape,
+    luminous_efficacy_lm_w,
+)
 from optsim.metrics.pu21 import pu21_decode, pu21_encode
 
 WHITE = 340.0
-EACH = pytest.mark.parametrize("metric", metrics.ALL, ids=lambda m: m.kind)
+EACH = pytest.mark.parametrize("metric", metrics.SAMPLE_METRICS, ids=lambda m: m.kind)
 
 
 def scene(seed: int = 0, shape: tuple[int, int, int] = (4, 12, 15)) -> np.ndarray:
@@ -42,11 +52,15 @@ def score(
 
 
 def test_names_are_unique_and_hold_every_parameter() -> None:
-    names = [m.name for m in metrics.ALL]
+    assert len({m.name for m in metrics.ALL}) == len(metrics.ALL)
+    names = [m.name for m in metrics.SAMPLE_METRICS]
     assert names == [
         "PU21-PSNR[banding_glare, peak=256]",
         "log-RMSE[e=0.01 cd/m2] (stops)",
         "PSNR[peak=white]",
+        "mu-law-PSNR[mu=5000, H=L/white, peak=1]",
+        "relMSE[e=1 cd/m2]",
+        "SMAPE[e=0.01 cd/m2]",
     ]
     assert LogRmse(e_cd_m2=0.5).name != LogRmse().name
 
@@ -70,7 +84,7 @@ def test_more_noise_is_a_worse_score(metric: Metric) -> None:
     values = [score(metric, noisy(truth, sigma), truth) for sigma in (0.01, 0.03, 0.1, 0.3)]
     assert None not in values
     assert values == sorted(values, reverse=metric.higher_is_better)
-    assert abs(values[0] - values[1]) > 0.01, "and visibly so"
+    assert abs(values[0] / values[1] - 1) > 0.1, "and visibly so"
 
 
 @EACH
@@ -205,6 +219,29 @@ def test_log_error_is_in_stops_and_knows_no_scale_above_its_offset() -> None:
 def test_log_error_needs_a_positive_offset(bad: float) -> None:
     with pytest.raises(ValidationError):
         LogRmse(e_cd_m2=bad)
+
+
+def test_mu_law_psnr_is_that_of_scikit_image_behind_the_curve() -> None:
+    truth = scene()
+    estimate = noisy(truth, 0.2)
+    curve = [
+        np.log(1 + 5000 * light.astype(np.float64) / WHITE) / np.log(5001) for light in (truth, estimate)
+    ]
+    assert score(MuLawPsnr(), estimate, truth) == pytest.approx(
+        peak_signal_noise_ratio(*curve, data_range=1), abs=1e-6
+    )
+    assert float(MuLawPsnr().encode(np.array(WHITE), WHITE)) == pytest.approx(1.0)
+    black = np.zeros((1, 1, 1), np.float32)
+    assert score(MuLawPsnr(), black - 5, black) is None, "below zero counts as zero"
+
+
+def test_relative_errors_by_hand() -> None:
+    truth = np.array([[[10.0, 0.0, 2.0]]], np.float32)
+    estimate = np.array([[[12.0, 3.0, 2.0]]], np.float32)
+    assert score(RelMse(), estimate, truth) == pytest.approx((4 / 101 + 9 / 1 + 0) / 3)
+    assert score(Smape(e_cd_m2=1), estimate, truth) == pytest.approx((2 / 23 + 3 / 4 + 0) / 3)
+    # Any error at all: a sample of the symmetric one never counts more than 1.
+    assert score(Smape(), 1e6 * estimate, truth) < 1 < score(RelMse(), 1e6 * estimate, truth)
 
 
 # --- photometric scale ----------------------------------------------------------------------------

@@ -117,7 +117,7 @@ def page(found: dict[str, Any]) -> str:
         )
         share = sum(draw["moves"] for draw in draws) / len(draws)
         parts += [f"## {name}", "", f"{share:.0%} of the picture moves.", ""]
-        rows = [[v.claim, v.area, f"**{v.verdict}**", measured(v)] for v in verdicts]
+        rows = [[v.claim, v.area, f"**{v.said}**", measured(v)] for v in verdicts]
         parts += [*markdown_table(("claim", "area", "verdict", "the adaptive scheme is ahead by"), rows), ""]
         parts += ["Draw by draw, over the nearest rival:", ""]
         heads = ["seed", "first frame", "moves", *(f"{_short(v)}, {v.unit}" for v in verdicts)]

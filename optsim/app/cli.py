@@ -15,6 +15,7 @@ import typer
 
 from optsim import __version__
 from optsim.app.calibrate import calibrate, laboratory
+from optsim.app.compare import UsageIsThree, accept, compare
 from optsim.app.dataset import dataset_app
 from optsim.app.error_net import guarded
 from optsim.app.groups import cache_app, config_app
@@ -32,10 +33,12 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
+from optsim.app.regress import regress
 from optsim.app.report import remake_reports
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
 from optsim.app.study import sweep, tolerance, waterfall, yield_
+from optsim.app.trace import trace
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
@@ -74,6 +77,9 @@ def _options(
 def run(
     experiment: ExperimentName,
     assignments: Set = None,
+    methods: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Only these of the experiment's methods.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default reports/runs/NAME-TIME.")] = None,
     seed: Seed = None,
     tolerance: Tolerance = None,
@@ -97,6 +103,8 @@ def run(
 
     chosen = with_tolerance(assignments, tolerance, calibration)
     loaded = load_experiment(experiment, chosen, seed=seed)
+    if methods is not None:
+        loaded = loaded.only([name.strip() for name in methods.split(",")])
     if check_skips:
         show_skip_check(loaded, backend, as_json)
         return
@@ -245,47 +253,6 @@ def render(
 
 
 @app.command()
-def trace(
-    experiment: ExperimentName,
-    pixel: Annotated[str, typer.Option(metavar="Y,X", help="CCD pixel: row and column, from 0.")],
-    frame: Annotated[
-        int | None, typer.Option(help="Coded frame, from 0; default the first steady one, else the last.")
-    ] = None,
-    method: Annotated[str | None, typer.Option(metavar="NAME", help="Method; default the first.")] = None,
-    assignments: Set = None,
-    tolerance: Tolerance = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; default reports/runs/trace-NAME-TIME.")] = None,
-    backend: Backend = None,
-    as_json: Json = False,
-) -> None:
-    """Follow the light of one CCD pixel in one exposure; write trace.json and trace.svg."""
-    from dataclasses import asdict
-
-    from optsim.core.console import page, progress_bars
-    from optsim.core.files import write_json, write_text
-    from optsim.core.folder_claims import claimed_empty, output_folder
-    from optsim.experiment import job
-    from optsim.experiment.experiment import load_experiment
-    from optsim.experiment.trace import choose_pixel, show, trace_experiment
-    from optsim.report.trace_plot import trace_plot
-
-    loaded = load_experiment(experiment, with_tolerance(assignments, tolerance))
-    traced = choose_pixel(loaded, pixel, frame, method)
-    with output_folder(out, f"trace-{loaded.name}") as folder, claimed_empty(folder):
-        job.check(loaded, folder, backend)
-        with progress_bars() as progress:
-            found = trace_experiment(loaded, traced, backend=backend, progress=progress)
-        write_json(folder / "trace.json", asdict(found))
-        write_text(folder / "trace.svg", trace_plot(found))
-    if as_json:
-        print_json(asdict(found))
-    else:
-        for item in show(found):
-            page.print(item)
-        page.print(f"Picture: {folder / 'trace.svg'}")
-
-
-@app.command()
 def doctor(as_json: Json = False) -> None:
     """Say what was chosen on this machine and why, and the cure for each problem."""
     from dataclasses import asdict
@@ -329,12 +296,16 @@ def explain(
         raise typer.Exit(2)
 
 
+app.command("trace")(trace)
 app.command("check")(check)
 app.command("laboratory")(laboratory)
 app.command("calibrate")(calibrate)
 app.command("reconstruct")(reconstruct_files)
 app.command("report")(remake_reports)
 app.command("train")(train)
+app.command("compare", cls=UsageIsThree)(compare)
+app.command("accept")(accept)
+app.command("regress")(regress)
 app.command("sweep")(sweep)
 app.command("tolerance")(tolerance)
 app.command("waterfall")(waterfall)

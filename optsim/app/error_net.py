@@ -59,8 +59,8 @@ def guarded(command: Callable[[], object]) -> int:
         if callable(show):
             # A usage error, of a class that typer keeps in its private copy of click.
             show()
-        else:
-            _say(error)
+            return int(getattr(error, "exit_code", BAD_INPUT))
+        _say(error)
         return BAD_INPUT
     if status == INTERRUPTED:
         _line("interrupted. What is finished is kept; the same command goes on from there.")

@@ -9,7 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import cast
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibration import Calibration
@@ -19,9 +18,9 @@ from optsim.camera.effects import drifted
 from optsim.camera.table import check_hardware, on_hardware
 from optsim.coding import Scheme
 from optsim.core.config import Part, Table, build, flat, merged, override, read_toml
-from optsim.core.errors import ConfigError, GeometryError, StorageError, unknown_name
+from optsim.core.errors import ConfigError, GeometryError, unknown_name
 from optsim.core.quantities import Timing
-from optsim.decoding import Decoder
+from optsim.experiment.method import Method
 from optsim.footage import FootageSource
 from optsim.render import RenderSettings
 from optsim.scene import load_scene
@@ -73,45 +72,6 @@ class LightRule(Part):
 
     percentile: float = Field(default=90.0, gt=0, le=100)
     saturation_share: float = Field(default=0.8, gt=0, le=1)
-
-
-class Method(Part):
-    """A coding scheme and the decoder of its frames.
-
-    Parameters
-    ----------
-    name : str
-        Name in results, file names and figures.
-    scheme, decoder
-        The coding scheme, and the decoder of its frames; ``optsim list schemes`` and ``decoders`` name them.
-    calibration
-        Calibration of this scheme and decoder; the experiment's by default.
-    reading_px
-        Side of their readout window, CCD pixels; the experiment's by default.
-    """
-
-    name: str = Field(
-        pattern=r"^[a-z][a-z0-9_]*$", description="a letter, then letters, digits and _, all in lower case"
-    )
-    scheme: Scheme
-    decoder: Decoder
-    calibration: Operator | None = None
-    reading_px: ReadingPx | None = None
-
-    def check(self, calibration: Calibration) -> None:
-        """Refuse a calibration that this method cannot work with, before there is a frame.
-
-        Raises
-        ------
-        ConfigError, StorageError
-            With the cure; for example for a prior with another number of slots.
-        """
-        try:
-            self.scheme.init(calibration, np.random.default_rng(0))
-            # Decoders prepare before they ask for the first frame.
-            list(self.decoder.decode((), calibration))
-        except (ConfigError, StorageError) as error:
-            raise type(error)(f"methods, {self.name!r}: {error}") from None
 
 
 class Experiment(Part):
@@ -220,6 +180,36 @@ class Experiment(Part):
                 raise ValueError(f"save_reconstructions: {name!r} is none of the methods {names}")
         return self
 
+    def __repr__(self) -> str:
+        """Describe it in a line: its keys would fill a page, and ``optsim config show`` prints them."""
+        truth = self.scene.name if self.scene is not None else "footage"
+        panel = f"{self.camera.panel_cols} x {self.camera.panel_rows} panel pixels"
+        return (
+            f"<Experiment {self.name!r}: {truth}, {panel}, "
+            f"{self.n_frames} coded frames by {', '.join(method.name for method in self.methods)}>"
+        )
+
+    __str__ = __repr__
+
+    def only(self, names: Sequence[str]) -> Experiment:
+        """Return the experiment with some of its methods, in its own order.
+
+        Raises
+        ------
+        ConfigError
+            For a name that is none of its methods, or no name.
+        """
+        known = [method.name for method in self.methods]
+        for name in names or ("",):
+            if name not in known:
+                raise unknown_name("method", name, known)
+        return self.model_copy(
+            update={
+                "methods": tuple(method for method in self.methods if method.name in names),
+                "save_reconstructions": tuple(n for n in self.save_reconstructions if n in names),
+            }
+        )
+
     @property
     def calibration_choice(self) -> CalibrationChoice:
         """Calibration choice of methods without their own."""
@@ -313,8 +303,9 @@ def load_experiment(
     *,
     seed: int | None = None,
     check_geometry: bool = True,
+    **keys: object,
 ) -> Experiment:
-    """Load an experiment, apply ``key=value`` overrides, and check that its geometry fits.
+    """Load an experiment, apply overrides, and check that its geometry fits.
 
     Parameters
     ----------
@@ -326,6 +317,9 @@ def load_experiment(
         Replaces the experiment's seed.
     check_geometry : bool
         False to inspect an experiment that cannot be run.
+    **keys
+        Overrides by name: ``n_frames=4``, or ``camera={"latency_frames": 3}``, which leaves the other keys of
+        the table alone.
 
     Returns
     -------
@@ -344,10 +338,11 @@ def load_experiment(
     path = experiment_path(name_or_path)
     table = read_toml(path)
     find_kept(table, path.parent)
-    table = override(table, list(assignments))
+    table = merged(override(table, list(assignments)), keys)
     if seed is not None:
         table["seed"] = seed
-    where = f"{path.name} with {', '.join(assignments)}" if assignments else path.name
+    given = [*assignments, *(f"{key}={value!r}" for key, value in keys.items())]
+    where = f"{path.name} with {', '.join(given)}" if given else path.name
     camera: object = table.get("camera", {})
     check_hardware(table, camera, where, Experiment.model_fields)
     by_hand = isinstance(camera, dict) and "wavelength_m" in cast("Table", camera)

@@ -30,6 +30,7 @@ from optsim.experiment.explain import MID_GREY, plan_record
 from optsim.experiment.figures import SHOWN_LAST, Figures
 from optsim.experiment.loop import LightLevel, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
+from optsim.experiment.readings import bench_readings
 from optsim.experiment.resume import UNFINISHED, keep_scores, kept_scores, n_shots, unfinished
 from optsim.experiment.run_folder import (
     RESULTS,
@@ -258,6 +259,7 @@ def _execute(
         calibrations={m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         calibration_files=calibration_files,
         **scorer.results(),
+        readings=bench_readings(known[experiment.calibration_choice]),
         plan=Plan.model_validate(plan_record(plan)),
         **scorer.masks(frames, objects),
         noise_ceiling=ceiling,

@@ -23,13 +23,13 @@ from optsim.core.files import content_hash
 from optsim.core.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.truth import truth_content
-from optsim.metrics import FrameTally, PairTally, UncertaintyTally
+from optsim.metrics import ClassTally, FrameTally, PairTally, UncertaintyTally
 
 UNFINISHED = "unfinished"
 """Folder in a run's, of what is kept for a resume; gone when the run is done."""
-FrameScores = list[FrameTally | UncertaintyTally | PairTally]
-"""Tallies of one coded frame of all methods; of uncertainty and pairs only where there are any."""
-_KINDS = {kind.__name__: kind for kind in (FrameTally, UncertaintyTally, PairTally)}
+FrameScores = list[FrameTally | UncertaintyTally | PairTally | ClassTally]
+"""Tallies of one coded frame of all methods; of uncertainty, pairs and classes only where there are any."""
+_KINDS = {kind.__name__: kind for kind in (FrameTally, UncertaintyTally, PairTally, ClassTally)}
 
 
 def unfinished(folder: Path, key: str) -> Cache:

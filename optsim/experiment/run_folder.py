@@ -31,11 +31,10 @@ from optsim.core.quantities import CodedFrame, Floats, Reconstruction
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.resume import UNFINISHED, run_key
 from optsim.experiment.truth import renderer
-from optsim.report.schema import CalibrationFile, Results, check_results
+from optsim.report.schema import RESULTS, CalibrationFile, Results, check_results
 
 RECORD = "experiment.json"
 """Whose folder it is: an experiment and its fingerprint."""
-RESULTS = "results.json"
 CHECKSUMS = "checksums.json"
 """Size and CRC-32 of what :data:`_KEPT` matches, by its place in the folder."""
 _KEPT = (

@@ -15,6 +15,7 @@ from optsim.core.quantities import Bools, Doubles, Floats, IrradianceVideo, Radi
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import Frames, Result
 from optsim.experiment.resume import FrameScores
+from optsim.metrics.pairs import PixelErrors
 from optsim.metrics.records import MaskScore, PairRecord, Score
 from optsim.optics.integrate import cell_means, slot_means
 from optsim.optics.readings import brightest, mean_reading
@@ -49,6 +50,7 @@ class Scorer:
         default_factory=list[metrics.UncertaintyTally], init=False
     )
     pairs: list[metrics.PairTally] = field(default_factory=list[metrics.PairTally], init=False)
+    classes: list[metrics.ClassTally] = field(default_factory=list[metrics.ClassTally], init=False)
     _references: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
     _noise: dict[int, Floats] = field(default_factory=dict[int, Floats], init=False)
     _moving: dict[int, Bools] = field(default_factory=dict[int, Bools], init=False)
@@ -60,7 +62,7 @@ class Scorer:
             wavelength_m=self.camera.wavelength_m,
         )
         self.board = metrics.ScoreBoard(
-            metrics=metrics.ALL,
+            metrics=metrics.HEADLINE_METRICS,
             scale=self.scale,
             latency_frames=self.camera.latency_frames,
             coded_slots=self.camera.coded_slots,
@@ -115,7 +117,7 @@ class Scorer:
         """Score one coded frame of all methods, on the pixels that all of them hold valid."""
         scored = np.logical_and.reduce([video.valid for video in videos.values()])
         slots = self.camera.coded_slots
-        found: FrameScores = [*self._pairs(videos)]
+        found: FrameScores = self._of_last_phase(videos, scored)
         for method, video in videos.items():
             reference, moving = self.reference(video.index), self.moving(video.index)
             found.append(self.board.tally(method, video, reference, moving, scored))
@@ -125,32 +127,38 @@ class Scorer:
         self.recall(found)
         return found
 
-    def _pairs(self, videos: dict[str, Reconstruction]) -> list[metrics.PairTally]:
-        """Compare each other method with the adaptive one in the steady phase, the subject of claims."""
-        if metrics.ADAPTIVE not in videos:
+    def _of_last_phase(self, videos: dict[str, Reconstruction], scored: Bools) -> FrameScores:
+        """Score content classes, and pairs with the adaptive method, the subject of claims."""
+        index = next(iter(videos.values())).index
+        phase, slots = self.board.phase(index), self.camera.coded_slots
+        if phase != self.board.phase(self.experiment.n_frames - 1):
             return []
-        index = videos[metrics.ADAPTIVE].index
-        if self.board.phase(index) != "steady":
-            return []
-        reference, moving, slots = self.reference(index), self.moving(index), self.camera.coded_slots
-        errors = {
-            name: metrics.pixel_errors(
-                metrics.ALL, self.scale, video.irradiance_w_m2, reference, video.valid, slots
+        reference, moving = self.reference(index), self.moving(index)
+        truth_cd_m2 = self.scale.luminance_cd_m2(reference[:slots])
+        truth = metrics.FrameReference(truth_cd_m2, metrics.class_masks(truth_cd_m2, moving))
+        found: FrameScores = []
+        errors: dict[str, PixelErrors] = {}
+        for name, video in videos.items():
+            light = video.irradiance_w_m2
+            errors[name] = metrics.pixel_errors(
+                metrics.SAMPLE_METRICS, self.scale, light, reference, video.valid, slots
             )
-            for name, video in videos.items()
-        }
-        ours = errors[metrics.ADAPTIVE]
-        return [
-            metrics.tally_pair(name, index, ours, theirs, moving, self._window)
-            for name, theirs in errors.items()
-            if name != metrics.ADAPTIVE
-        ]
+            frame = metrics.FrameEstimate(truth, self.scale.luminance_cd_m2(light[:slots]), scored)
+            found.append(metrics.tally_classes(name, index, metrics.ALL, errors[name], frame))
+        if phase == "steady" and metrics.ADAPTIVE in videos:
+            found += [
+                metrics.tally_pair(name, index, errors[metrics.ADAPTIVE], theirs, moving, self._window)
+                for name, theirs in errors.items()
+                if name != metrics.ADAPTIVE
+            ]
+        return found
 
     def recall(self, scores: FrameScores) -> None:
         """Add the scores of a coded frame that was scored before."""
         self.tallies += [each for each in scores if isinstance(each, metrics.FrameTally)]
         self.spreads += [each for each in scores if isinstance(each, metrics.UncertaintyTally)]
         self.pairs += [each for each in scores if isinstance(each, metrics.PairTally)]
+        self.classes += [each for each in scores if isinstance(each, metrics.ClassTally)]
 
     def noise_ceiling(self, progress: Progress = silent) -> list[Score]:
         """Score the truth's own Monte-Carlo noise on up to two steady frames: the best certifiable score."""
@@ -173,6 +181,10 @@ class Scorer:
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
+            "class_series": metrics.class_series(metrics.ALL, self.classes),
+            "temporal": metrics.temporal_records(
+                metrics.HEADLINE_METRICS, self.tallies, self.camera.latency_frames
+            ),
             "uncertainty": metrics.uncertainty_records(self.spreads, self.camera.latency_frames),
             "pairs": pairs,
             "claims": metrics.judge_claims([pairs], no_rivals(self.experiment)),
@@ -181,7 +193,7 @@ class Scorer:
     def pair_records(self) -> list[PairRecord]:
         """Scores of the adaptive method and each other one on their common pixels, steady phase."""
         latency = self.camera.latency_frames
-        return metrics.pair_records(metrics.ALL, self.pairs, self.camera.coded_slots, latency)
+        return metrics.pair_records(metrics.HEADLINE_METRICS, self.pairs, self.camera.coded_slots, latency)
 
     def masks(self, frames: Frames, objects: Bools | None = None) -> dict[str, Any]:
         """Agreement of each adaptive method's mask, and of movers, with the oracle: by frame and by phase.

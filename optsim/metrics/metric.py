@@ -13,7 +13,7 @@ from optsim.core.quantities import Bools, Doubles, Floats, checked
 
 
 class Metric(Part):
-    """A mean of squared differences in some encoding of luminance; its name holds all its parameters.
+    """A mean over samples of an error, usually squared in some encoding; its name holds all its parameters.
 
     Errors are summed frame by frame, so that no whole video is in memory. The sums of disjoint
     regions add up to the sum of their union.
@@ -31,6 +31,10 @@ class Metric(Part):
     def encode(self, luminance_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
         """Encode luminance, cd/m^2, on the scale on which differences are squared."""
 
+    def errors(self, estimate_cd_m2: Doubles, reference_cd_m2: Doubles, white_cd_m2: float) -> Doubles:
+        """Error of each sample, here the squared difference in the metric's encoding."""
+        return (self.encode(estimate_cd_m2, white_cd_m2) - self.encode(reference_cd_m2, white_cd_m2)) ** 2
+
     @abstractmethod
     def finish(self, total: float, count: int) -> float | None:
         """Convert a sum over ``count`` samples to the metric; None where it would not be a finite number."""
@@ -42,7 +46,7 @@ class Metric(Part):
     def sum_errors(
         self, estimate_cd_m2: Floats, reference_cd_m2: Floats, where: Bools, white_cd_m2: float
     ) -> tuple[float, int]:
-        """Sum squared errors over the samples of a mask.
+        """Sum errors over the samples of a mask.
 
         Parameters
         ----------
@@ -82,8 +86,7 @@ class Metric(Part):
             mask = where if where.ndim == 2 else where[slot]
             theirs = cast("Floats", reference[slot])[mask].astype(np.float64)
             ours = cast("Floats", estimate[slot])[mask].astype(np.float64)
-            difference = self.encode(ours, white_cd_m2) - self.encode(theirs, white_cd_m2)
             # Not a dot product of BLAS, whose threads would wait for the next one at full speed.
-            total += float(np.sum(difference**2))
-            count += difference.size
+            total += float(np.sum(self.errors(ours, theirs, white_cd_m2)))
+            count += ours.size
         return total, count

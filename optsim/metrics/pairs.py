@@ -22,7 +22,7 @@ from optsim.metrics.scoring import phase_of, rows_of
 
 @dataclass(frozen=True, eq=False)
 class PixelErrors:
-    """Squared errors of one reconstruction in one coded frame, pixel by pixel.
+    """Errors of one reconstruction in one coded frame, pixel by pixel.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def pixel_errors(
     valid: Bools,
     coded_slots: int,
 ) -> PixelErrors:
-    """Sum squared errors over the coded slots, pixel by pixel.
+    """Sum errors over the coded slots, pixel by pixel.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def pixel_errors(
             for light in (irradiance_w_m2, reference_w_m2)
         )
         for m, metric in enumerate(metrics):
-            sums[m] += (metric.encode(ours, scale.white_cd_m2) - metric.encode(truth, scale.white_cd_m2)) ** 2
+            sums[m] += metric.errors(ours, truth, scale.white_cd_m2)
     return PixelErrors(sums, valid)
 
 

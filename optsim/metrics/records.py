@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from optsim.metrics.classes import Class
+
 Region = Literal["all", "moving", "static"]
 REGIONS: tuple[Region, ...] = ("all", "moving", "static")
 Phase = Literal["warm-up", "merging", "steady"]
@@ -36,7 +38,10 @@ class Record(BaseModel):
 
 
 class Score(Record):
-    """One pooled score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error."""
+    """One pooled score; ``value`` is None where ``flag`` says why, or has flag "identical" at zero error.
+
+    ``low`` and ``high`` bound it with 95 % by the scatter of coded frames (Student), None for a single frame.
+    """
 
     method: str
     metric: str
@@ -48,6 +53,8 @@ class Score(Record):
     n: int
     higher_is_better: bool
     clamped_share: float
+    low: float | None = None
+    high: float | None = None
 
 
 class Coverage(Record):
@@ -69,6 +76,42 @@ class Series(Record):
     region: Region
     x: list[int]
     values: list[float | None]
+
+
+class ClassSeries(Record):
+    """Scores of a content class against coded frame; ``scored`` is the share of the class in each frame."""
+
+    method: str
+    metric: str
+    unit: str
+    higher_is_better: bool
+    region: Class
+    x: list[int]
+    values: list[float | None]
+    scored: list[float | None]
+
+
+class Temporal(Record):
+    """Scores of single slots: mean, the level that the worst 5 % of slots miss, the worst and its place."""
+
+    method: str
+    metric: str
+    unit: str
+    region: Region
+    phase: Phase
+    mean: float
+    worst_twentieth: float
+    worst: float
+    worst_frame: int
+    worst_slot: int
+
+
+class Reading(Record):
+    """One number of the calibration that set the light; it has one right value."""
+
+    name: str
+    value: float
+    unit: str
 
 
 class Uncertainty(Record):
@@ -146,3 +189,8 @@ class Verdict(Record):
     draws: int
     excluded: float | None
     advantage_of_all: float | None
+
+    @property
+    def said(self) -> str:
+        """The verdict in words; an undecided one may be decided by more seeds."""
+        return "undecided at these seeds" if self.verdict == "undecided" else self.verdict

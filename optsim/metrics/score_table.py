@@ -20,6 +20,8 @@ class Scores(list[Score]):
             for first, *rest in lines
         )
 
+    __repr__ = __str__
+
     def _repr_html_(self) -> str:
         phase, names, rows = self._table()
         head = "".join(f"<th>{escape(name)}</th>" for name in names)
@@ -34,17 +36,17 @@ class Scores(list[Score]):
         """Phase, methods, and a row a metric and region with a cell a method."""
         known = [r for r in self if r.value is not None]
         phase = next((p for p in reversed(PHASES) if any(r.phase == p for r in known)), "steady")
-        cells = {(r.metric, r.region, r.method): r.value for r in known if r.phase == phase}
+        cells = {(r.metric, r.region, r.method): _cell(r) for r in known if r.phase == phase}
         names = list(dict.fromkeys(r.method for r in self))
         return (
             phase,
             names,
             [
-                (metric, region, [_cell(cells.get((metric, region, name))) for name in names])
+                (metric, region, [cells.get((metric, region, name), "–") for name in names])
                 for metric, region in dict.fromkeys((metric, region) for metric, region, _ in cells)
             ],
         )
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
+def _cell(score: Score) -> str:
+    return f"{score.value:.{2 if score.unit == 'dB' else 3}f}"

@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
+from scipy import special  # type: ignore[import-untyped]
 
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
@@ -217,6 +218,8 @@ class ScoreBoard:
             for m, metric in enumerate(self.metrics):
                 for region in REGIONS:
                     value, flag, n = self._pooled(group, m, region, None)
+                    frames = [self._pooled([tally], m, region, None)[0] for tally in group]
+                    low, high = _interval(value, [each for each in frames if each is not None])
                     clamped = sum(int(t.clamped[m, rows_of(region)].sum()) for t in group)
                     found.append(
                         Score(
@@ -230,6 +233,8 @@ class ScoreBoard:
                             n=n,
                             higher_is_better=metric.higher_is_better,
                             clamped_share=clamped / n if n else 0.0,
+                            low=low,
+                            high=high,
                         )
                     )
         return found
@@ -300,6 +305,18 @@ class ScoreBoard:
         count = sum(int(t.counts[rows, slots].sum()) for t in group)
         flag = "empty" if not count else "identical" if total == 0 else ""
         return self.metrics[m].finish(total, count), flag, count
+
+
+def _interval(value: float | None, frames: Sequence[float]) -> tuple[float | None, float | None]:
+    """Student's interval of 95 % around a pooled score, from the scores of its frames."""
+    n = len(frames)
+    if value is None or n < 2:
+        return None, None
+    mean = math.fsum(frames) / n
+    # Exact sums: the order of the frames cannot change a result.
+    error = math.sqrt(math.fsum((each - mean) ** 2 for each in frames) / (n - 1) / n)
+    half = float(cast("float", special.stdtrit(n - 1, 0.975))) * error
+    return value - half, value + half
 
 
 def rows_of(region: Region) -> slice:

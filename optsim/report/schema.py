@@ -13,18 +13,23 @@ from pydantic import Field, ValidationError
 from optsim.core.errors import ValueCheckError
 from optsim.metrics.error_maps import LuminanceBin, Place
 from optsim.metrics.records import (
+    ClassSeries,
     Coverage,
     MaskScore,
     PairRecord,
     PooledMask,
+    Reading,
     Record,
     Score,
     Series,
+    Temporal,
     Uncertainty,
     Verdict,
 )
 
 SCHEMA_VERSION = 2
+RESULTS = "results.json"
+"""Name of the file in a run's folder."""
 
 Scalar = str | int | float | bool | None
 Cell = Scalar | list[Scalar]
@@ -236,6 +241,9 @@ class Results(Record):
     coverage: list[Coverage]
     frame_series: list[Series]
     slot_series: list[Series]
+    class_series: list[ClassSeries] = Field(default_factory=list[ClassSeries])
+    temporal: list[Temporal] = Field(default_factory=list[Temporal])
+    readings: list[Reading] = Field(default_factory=list[Reading])
     uncertainty: list[Uncertainty] = Field(default_factory=list[Uncertainty])
     masks: list[MaskScore]
     pooled_masks: list[PooledMask] = Field(default_factory=list[PooledMask])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from optsim.core.cache import hash_of
-from optsim.core.errors import ConfigError, StorageError
+from optsim.core.errors import StorageError
 from optsim.core.files import CLAIM, read_json, read_record, write_json, write_text
 from optsim.core.folder_claims import claimed
 from optsim.core.progress import Progress, silent
@@ -74,12 +74,8 @@ def chosen_methods(experiment: Experiment, names: Sequence[str]) -> Experiment:
     ConfigError
         For a name that is none of them.
     """
-    known = [method.name for method in experiment.methods]
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"--methods: got {name!r}, expected some of {', '.join(known)}")
-    methods = tuple(m for m in experiment.methods if not names or m.name in names)
-    return experiment.model_copy(update={"methods": methods, "save_reconstructions": ()})
+    chosen = experiment.only(names) if names else experiment
+    return chosen.model_copy(update={"save_reconstructions": ()})
 
 
 def compute(

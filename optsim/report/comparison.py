@@ -1,0 +1,360 @@
+"""Comparison of runs with a baseline or with other runs: a verdict a scene, method, region and metric.
+
+Every row has its interval, and all intervals hold together. A row fails that is worse significantly and
+beyond its metric's tolerance. The smallest loss that would fail is stated beside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+import numpy as np
+from pydantic import Field
+
+from optsim.core.config import flat
+from optsim.core.errors import ConfigError, unknown_name
+from optsim.metrics.comparison import CONFIDENCE, Alarm, Change, Estimate, estimate, judge, row_level
+from optsim.metrics.records import Record
+from optsim.metrics.tolerances import tolerance_of
+from optsim.report.baseline import Facts, Run, Scored
+
+ALL_CASES = "all scenes"
+"""Case of the rows that take the mean over all cases."""
+RUN = "whole run"
+"""Method and region of readings of the bench and of costs."""
+Outcome = Literal["pass", "regression", "cannot compare"]
+_TRUTH = ("scene", "source", "camera.panel_rows", "camera.panel_cols", "camera.slots_per_frame")
+
+
+class Delta(Record):
+    """One row: scores before and after, and the advantage of after; below 0 it is worse.
+
+    ``low`` and ``high`` bound the advantage, None without an interval. ``detectable`` is the loss that fails
+    with a probability of 90 %. ``units`` are coded frames times ``seeds``, or seeds alone if not ``paired``.
+    """
+
+    case: str
+    method: str
+    metric: str
+    unit: str
+    region: str
+    before: float
+    after: float
+    advantage: float
+    low: float | None
+    high: float | None
+    tolerance: float | None
+    detectable: float | None
+    verdict: Change
+    alarm: Alarm
+    why: str
+    scatter: float | None
+    seeds: int
+    units: int
+    paired: bool
+
+
+class Detectable(Record):
+    """Smallest loss of a metric that fails with a probability of 90 %: best, median and worst of its rows."""
+
+    metric: str
+    unit: str
+    tolerance: float
+    best: float
+    median: float
+    worst: float
+
+
+class Kept(Record):
+    """Picture of a method that failed, below the comparison's folder."""
+
+    file: str
+    side: Literal["before", "after"]
+    case: str
+    method: str
+    label: str
+
+
+class Comparison(Record):
+    """All content of a comparison; ``confidence`` is that of all intervals together."""
+
+    before: str
+    after: str
+    made_utc: str
+    outcome: Outcome
+    confidence: float
+    judged: int
+    detectable: list[Detectable]
+    deltas: list[Delta]
+    notes: list[str]
+    missing: list[str]
+    pictures: list[Kept] = Field(default_factory=list[Kept])
+
+
+@dataclass(frozen=True)
+class _Key:
+    case: str
+    method: str
+    metric: str
+    region: str
+
+
+def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Comparison:
+    """Compare the scores of two sides.
+
+    Parameters
+    ----------
+    before, after : Scored
+        Baseline and candidate.
+    made_utc : str
+        Time, for the page.
+    whole : bool
+        Whether the candidate must have every score of the baseline.
+
+    Raises
+    ------
+    ConfigError
+        When the two have no scene in common, or not the same truth.
+    """
+    after = _matched(before, after)
+    notes = _differences(before, after)
+    found, missing = _estimates(before, after)
+    found |= _over_cases(found)
+    metrics = {**after.metrics, **before.metrics}
+    tolerances = {name: tolerance_of(name) for name in metrics}
+    judged = [k for k, e in found.items() if e.error is not None and tolerances[k.metric] is not None]
+    level = row_level(len(judged))
+    deltas = [_delta(key, each, metrics, tolerances, level) for key, each in found.items()]
+    if any(not delta.paired for delta in deltas):
+        notes.append("no seed is in both: the scores of seeds are compared by their means")
+    elif all(delta.seeds == 1 for delta in deltas):
+        notes.append("one seed: intervals hold the scatter of coded frames, not that of benches and codes")
+    outcome: Outcome = "pass" if judged else "cannot compare"
+    if any(delta.alarm == "fail" for delta in deltas):
+        outcome = "regression"
+    elif missing and whole:
+        outcome = "cannot compare"
+    return Comparison(
+        before=before.name,
+        after=after.name,
+        made_utc=made_utc,
+        outcome=outcome,
+        confidence=CONFIDENCE,
+        judged=len(judged),
+        detectable=_detectable(deltas),
+        deltas=deltas,
+        notes=notes,
+        missing=missing,
+    )
+
+
+def between_methods(scored: Scored, before: str, after: str) -> tuple[Scored, Scored]:
+    """Take two methods of the same runs as the two sides of a comparison.
+
+    Raises
+    ------
+    ConfigError
+        For a method that the runs don't have.
+    """
+    names = {name for run in scored.runs for methods in run.scores.values() for name in methods}
+    label = f"{after} over {before}"
+    sides: list[Scored] = []
+    for wanted in (before, after):
+        if wanted not in names:
+            raise unknown_name("method", wanted, names)
+        runs = [
+            run.model_copy(
+                update={
+                    "scores": {m: {label: rows[wanted]} for m, rows in run.scores.items() if wanted in rows}
+                }
+            )
+            for run in scored.runs
+        ]
+        sides.append(scored.model_copy(update={"runs": runs, "name": f"{wanted} of {scored.name}"}))
+    return sides[0], sides[1]
+
+
+def _matched(before: Scored, after: Scored) -> Scored:
+    """Give the only case of the candidate the name of the baseline's only case."""
+    cases = [sorted(side.experiments) for side in (before, after)]
+    if len(cases[0]) == len(cases[1]) == 1 and cases[0] != cases[1]:
+        (old,), (new,) = cases
+        runs = [run.model_copy(update={"case": old}) for run in after.runs]
+        after = after.model_copy(update={"runs": runs, "experiments": {old: after.experiments[new]}})
+    common = before.experiments.keys() & after.experiments.keys()
+    if not common:
+        raise ConfigError(
+            f"nothing to compare: got {', '.join(cases[1])}, expected an experiment of the baseline: "
+            f"{', '.join(cases[0])}; cure: run that one, or 'optsim accept' the new one"
+        )
+    for case in sorted(common):
+        ours, theirs = (_of_truth(side.experiments[case]) for side in (before, after))
+        changed = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
+        if changed:
+            key = changed[0]
+            raise ConfigError(
+                f"{case}: {key}: got {theirs.get(key)!r}, expected {ours.get(key)!r} as in the baseline: "
+                "scores of different truths cannot be compared; cure: the same scene, panel and slots"
+            )
+    return after
+
+
+def _of_truth(experiment: Mapping[str, Any]) -> dict[str, object]:
+    keys = flat(experiment)
+    return {key: keys[key] for key in keys if key.startswith(_TRUTH)}
+
+
+def _differences(before: Scored, after: Scored) -> list[str]:
+    """Say what differs in settings and versions."""
+    notes: list[str] = []
+    for case in sorted(before.experiments.keys() & after.experiments.keys()):
+        ours, theirs = (_settings(side.experiments[case]) for side in (before, after))
+        notes += [
+            f"{case}: {key} was {ours.get(key)} and is {theirs.get(key)}"
+            for key in sorted({**ours, **theirs})
+            if ours.get(key) != theirs.get(key)
+        ]
+    for name in sorted({**before.versions, **after.versions}):
+        was, now = before.versions.get(name), after.versions.get(name)
+        if was != now:
+            notes.append(f"version of {name} was {was} and is {now}")
+    return list(dict.fromkeys(notes))
+
+
+def _settings(experiment: Mapping[str, Any]) -> dict[str, object]:
+    table = {key: value for key, value in experiment.items() if key not in ("methods", "description", "name")}
+    for method in cast("Sequence[Mapping[str, Any]]", experiment.get("methods", ())):
+        table[f"methods.{method['name']}"] = dict(method)
+    return flat(table)
+
+
+Units = dict[_Key, dict[tuple[int, int], float]]
+
+
+def _units(scored: Scored, cases: Iterable[str]) -> Units:
+    """Scores by row, seed and frame; relative ones as 100 times their logarithm."""
+    found: Units = {}
+    for run in scored.runs:
+        if run.case not in cases:
+            continue
+        for name, value in run.readings.items():
+            units = found.setdefault(_Key(run.case, RUN, name, RUN), {})
+            units[run.seed, 0] = 100 * math.log(value) if scored.metrics[name].relative else value
+        for metric, methods in run.scores.items():
+            for method, regions in methods.items():
+                for region, values in regions.items():
+                    units = found.setdefault(_Key(run.case, method, metric, region), {})
+                    units |= _known(run, values)
+    return found
+
+
+def _known(run: Run, values: Sequence[float | None]) -> dict[tuple[int, int], float]:
+    pairs = zip(run.frames, values, strict=True)
+    return {(run.seed, frame): value for frame, value in pairs if value is not None}
+
+
+def _estimates(before: Scored, after: Scored) -> tuple[dict[_Key, Estimate], list[str]]:
+    """Estimate all common rows; name what only the baseline has."""
+    cases = before.experiments.keys() & after.experiments.keys()
+    ours, theirs = _units(before, before.experiments), _units(after, cases)
+    metrics = {**after.metrics, **before.metrics}
+    found: dict[_Key, Estimate] = {}
+    lost: list[str] = []
+    for key, units in ours.items():
+        if not units:
+            continue
+        each = estimate(units, theirs.get(key, {}), metrics[key.metric].higher_is_better)
+        if each is None:
+            lost.append(f"{key.case}, {key.method}: {key.metric}, {key.region}")
+        else:
+            found[key] = each
+    seeds = [{(run.case, run.seed) for run in side.runs} for side in (before, after)]
+    common = seeds[0] & seeds[1]
+    if common:
+        lost += [f"{case}: seed {seed}" for case, seed in sorted(seeds[0] - common) if case in cases]
+    return found, lost
+
+
+def _over_cases(found: Mapping[_Key, Estimate]) -> dict[_Key, Estimate]:
+    """Mean of each row over the cases that have it, where there are several."""
+    groups: dict[_Key, list[Estimate]] = {}
+    for key, each in found.items():
+        groups.setdefault(_Key(ALL_CASES, key.method, key.metric, key.region), []).append(each)
+    return {key: _mean(group) for key, group in groups.items() if len(group) > 1}
+
+
+def _mean(group: Sequence[Estimate]) -> Estimate:
+    """Mean of estimates of independent cases (degrees of freedom by Satterthwaite)."""
+    n = len(group)
+    errors = [each.error for each in group if each.error is not None]
+    total = math.fsum(error**2 for error in errors)
+    parts = [e.error**4 / e.freedom for e in group if e.error is not None]
+    return Estimate(
+        before=float(np.mean([e.before for e in group])),
+        after=float(np.mean([e.after for e in group])),
+        advantage=float(np.mean([e.advantage for e in group])),
+        error=math.sqrt(total) / n if len(errors) == n else None,
+        freedom=total**2 / math.fsum(parts) if total else sum(e.freedom for e in group),
+        seeds=min(e.seeds for e in group),
+        units=sum(e.units for e in group),
+        paired=all(e.paired for e in group),
+        scatter=None,
+        scatter_p=1.0,
+    )
+
+
+def _delta(
+    key: _Key,
+    each: Estimate,
+    metrics: Mapping[str, Facts],
+    tolerances: Mapping[str, float | None],
+    level: float,
+) -> Delta:
+    tolerance, facts = tolerances[key.metric], metrics[key.metric]
+    judged = judge(each, tolerance, level, either_way=facts.either_way)
+    before, after = each.before, each.after
+    if facts.relative:
+        before, after = (math.exp(value / 100) for value in (before, after))
+    return Delta(
+        case=key.case,
+        method=key.method,
+        metric=key.metric,
+        unit="%" if facts.relative else facts.unit,
+        region=key.region,
+        before=before,
+        after=after,
+        advantage=each.advantage,
+        low=judged.low,
+        high=judged.high,
+        tolerance=tolerance,
+        detectable=judged.detectable,
+        verdict=judged.verdict,
+        alarm=judged.alarm,
+        why=judged.why,
+        scatter=each.scatter,
+        seeds=each.seeds,
+        units=each.units,
+        paired=each.paired,
+    )
+
+
+def _detectable(deltas: Sequence[Delta]) -> list[Detectable]:
+    found: list[Detectable] = []
+    for metric in dict.fromkeys(delta.metric for delta in deltas):
+        rows = [d for d in deltas if d.metric == metric and d.detectable is not None]
+        sizes = [d.detectable for d in rows if d.detectable is not None]
+        if sizes:
+            found.append(
+                Detectable(
+                    metric=metric,
+                    unit=rows[0].unit,
+                    tolerance=rows[0].tolerance or 0.0,
+                    best=min(sizes),
+                    median=float(np.median(sizes)),
+                    worst=max(sizes),
+                )
+            )
+    return found
