@@ -40,6 +40,7 @@ ALL: dict[str, str] = {
     "render.night_street": "render",
     "render.chart": "render",
     "render.mesh_scene": "render",
+    "render.colour": "colour",
 }
 
 

@@ -18,6 +18,7 @@ from optsim.render.nearby import boxes_around
 from optsim.render.stage import Stage, outside_mask
 from optsim.render.stokes import polarised
 from optsim.scene import bright_lights, load_scene
+from optsim.scene.bands import MONO, Band
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.depths import depth_range_m
 from optsim.scene.scene import Scene
@@ -136,13 +137,15 @@ def test_a_map_gives_the_stated_irradiance_and_has_the_sun_in_its_place(elevatio
     # Below the horizon lies ground in this light.
     np.testing.assert_allclose(image[-200:], 0.2 * 5.0 / np.pi, rtol=1e-5)
     sun = [np.cos(elevation_rad) * np.cos(-2.5), np.cos(elevation_rad) * np.sin(-2.5), np.sin(elevation_rad)]
-    assert looked_up(sky, np.array(sun), 550.0) == pytest.approx(image.max(), rel=0.05)
+    assert looked_up(sky, np.array(sun), MONO) == pytest.approx(image.max(), rel=0.05)
     assert image.max() > 1000 * np.median(image[:512])
 
 
 def test_haze_takes_light_from_the_sun_to_the_sky():
     def of_sky(turbidity, wavelength_nm):
-        image = SunSky(irradiance_w_m2=1.0, elevation_rad=0.7, turbidity=turbidity).radiance(wavelength_nm)
+        image = SunSky(irradiance_w_m2=1.0, elevation_rad=0.7, turbidity=turbidity).radiance(
+            Band(name="x", wavelength_nm=wavelength_nm)
+        )
         return irradiance(np.minimum(image, 20 * np.median(image[:512])))
 
     assert 0.05 < of_sky(2.0, 550.0) < of_sky(5.0, 550.0) < of_sky(9.0, 550.0) < 0.9
@@ -202,7 +205,7 @@ def test_a_bright_spot_is_where_azimuth_and_rotation_say(tmp_path, rotation_rad,
     lesser = seen[:, 45:]
     assert lesser.max() > 3, "the second spot lies to the right"
     assert lesser.max() > 20 * seen[:, :20].max()
-    np.testing.assert_allclose(looked_up(there.sky, ahead, 550.0), 200.0)
+    np.testing.assert_allclose(looked_up(there.sky, ahead, MONO), 200.0)
 
 
 def moving(sky):

@@ -156,8 +156,8 @@ def render(
         bool,
         typer.Option(
             "--passes",
-            help="Write one OpenEXR a slot into --out instead: radiance on the fine grid, depth, normals, "
-            "albedo, ids, flow, masks and poses.",
+            help="Write one OpenEXR a slot into --out instead: radiance on the fine grid, colour, depth, "
+            "normals, albedo, ids, flow, masks and poses.",
         ),
     ] = False,
     slots: Annotated[
@@ -188,7 +188,8 @@ def render(
         ),
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(help="Of a fine sample and slot, for light groups, Stokes and bands [64].")
+        int | None,
+        typer.Option(help="Of a fine sample and slot, for light groups and Stokes [64], and for colour [2]."),
     ] = None,
 ) -> None:
     """Render an experiment's truth into the cache (and, with --out, as OpenEXR files)."""

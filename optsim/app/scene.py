@@ -24,7 +24,9 @@ def show(
 ) -> None:
     """Draw a quick preview, and list what is in it with sizes."""
     from optsim.core.console import people
+    from optsim.core.files import write_png8
     from optsim.render.preview import preview, sizes
+    from optsim.report.pictures import by_logarithm
     from optsim.scene import load_scene
     from optsim.scene.models import FORMATS
     from optsim.scene.scene import model_scene
@@ -36,7 +38,7 @@ def show(
     for each, (low, high) in sizes(scene, time_s).items():
         size = " x ".join(f"{side:.3g}" for side in high - low)
         typer.echo(f"{each}: {size} {unit}, middle at {', '.join(f'{x:.3g}' for x in (low + high) / 2)}")
-    preview(scene, out, time_s=time_s, samples=samples)
+    write_png8(out, by_logarithm(preview(scene, time_s=time_s, samples=samples)))
     people.print(f"{out}: written")
 
 

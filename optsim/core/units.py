@@ -1,8 +1,11 @@
-"""Quantity strings such as ``"12.5 mm"``, read by the unit suffix of a key's name."""
+"""Quantity strings such as ``"12.5 mm"``, read by the unit suffix of a key's name; weights of luminance."""
 
 from __future__ import annotations
 
 import re
+
+REC709_Y = (0.2126, 0.7152, 0.0722)
+"""Luminance of linear R, G and B with the primaries and white of ITU-R BT.709-6, item 3.2, and of sRGB."""
 
 # SI suffix of a field name -> factors of the units accepted there, its own first.
 _UNITS: dict[str, dict[str, float]] = {

@@ -10,14 +10,16 @@ import numpy as np
 
 from optsim.core.files import write_png8
 from optsim.core.quantities import Bytes, Doubles
+from optsim.core.units import REC709_Y
 from optsim.dataset.reading import Array, Sample
+from optsim.report.pictures import tinted
 
 _WIDTH, _HEIGHT, _GAP, _LABEL = 240, 180, 6, 20
 _PAPER = 250
 
 
 def write_contact_sheet(path: Path, samples: Sequence[Sample]) -> None:
-    """Draw one row a sample; grey is the logarithm of radiance over the sample's range."""
+    """Draw one row a sample; brightness is the logarithm of radiance over the sample's range."""
     from PIL import Image, ImageDraw
 
     rows = [_row(sample) for sample in samples]
@@ -50,8 +52,12 @@ def _row(sample: Sample) -> list[tuple[str, Bytes]]:
     radiance = sample.slot("radiance", middle)
     low, high = np.percentile(radiance, (1, 99.8))
     ends = float(max(low, high * 1e-4)), float(high)
+    shown = _log(radiance, *ends)
+    if "colour" in sample:
+        light = np.moveaxis(sample.slot("colour", middle), 0, -1)
+        shown = tinted(light, _log(light @ np.array(REC709_Y), *ends)[..., 0])
     row = [
-        ("radiance", _log(radiance, *ends)),
+        ("radiance", shown),
         ("depth, m", _log(1 / np.where((z := sample.slot("depth", middle)) > 0, z, np.inf), *_range(z))),
         ("object ids", _of_ids(sample.slot("id", middle))),
         ("flow", _of_flow(sample.slot("flow_forward", middle))),

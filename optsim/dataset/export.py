@@ -162,7 +162,9 @@ def export_passes(
             light = experiment.model_copy(update={"camera": plain})
             radiance = render_truth(light, backend=backend, slot_error=share, progress=progress)
             look = PassRenderer(scene, view, backend=backend)
-            further = ExtraChannels(extras, experiment, backend=backend)
+            further = ExtraChannels(
+                extras, experiment, missing, shared=share is None, backend=backend, progress=progress
+            )
             for done, slot in enumerate(missing, start=1):
                 passes = look.at((slot + 0.5) * slot_s, slot_s)
                 measured = _write_slot(export, slot, passes, radiance, further)
@@ -178,11 +180,11 @@ def _write_slot(
     """Write a slot's file; return the measured share of its noise."""
     from optsim.render.plan import measured_error
 
-    mean, sigma, measured = slot_mean(radiance, slot), None, None
+    mean, half, sigma, measured = slot_mean(radiance, slot), None, None, None
     if radiance.half_difference is not None:
         half = slot_mean(radiance.half_difference, slot)
         sigma, measured = noise_sigma(half, passes.ids), measured_error(mean, half, radiance.white_w_m2_sr)
-    more, said = further.of(slot, passes, mean)
+    more, said = further.of(slot, passes, mean, half)
     write_exr(
         export.path(slot),
         {**channels_of(passes, mean, sigma), **more},

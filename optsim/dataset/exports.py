@@ -92,16 +92,18 @@ def export_nerf(dataset: Dataset, folder: Path, progress: Progress = silent) -> 
 
 
 def _transforms(sample: Sample, folder: Path) -> None:
-    radiance: Doubles = sample["radiance"].astype(np.float64)
+    radiance: Doubles = sample["radiance"].astype(np.float64)[..., None]
+    if "colour" in sample:
+        radiance = np.moveaxis(sample["colour"].astype(np.float64), 1, -1)
     camera = sample.camera
     (focal_x, _, center_x), (_, focal_y, center_y), _ = camera["intrinsics_px"].tolist()
     white = float(np.percentile(radiance, 99))
-    rows, cols = radiance.shape[1:]
+    rows, cols = radiance.shape[1:3]
     frames: list[dict[str, Any]] = []
     for slot, image in enumerate(radiance):
         share: Doubles = np.clip(image / white, 0, 1)
         picture = np.rint(255 * linear_to_srgb(share)).astype(np.uint8)
-        write_png8(folder / "images" / f"{slot:06d}.png", np.repeat(picture[..., None], 3, axis=2))
+        write_png8(folder / "images" / f"{slot:06d}.png", np.broadcast_to(picture, (rows, cols, 3)))
         # OpenCV's axes (y down, z forward) to OpenGL's.
         pose = camera["camera_to_world"][slot] @ np.diag([1.0, -1.0, -1.0, 1.0])
         frames.append(

@@ -1,7 +1,8 @@
-"""Optional channels of an export: light by groups of lamps, Stokes vector, denoised radiance."""
+"""Further channels of an export: bands and colour, groups of lamps, Stokes vector, denoised radiance."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from pydantic import Field
 
 from optsim.core.config import Part, build
 from optsim.core.errors import BackendError, ConfigError
+from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, Passes
 from optsim.dataset.slot_light import SlotLight, bright_during, named_groups
 from optsim.experiment.experiment import Experiment
@@ -18,7 +20,8 @@ from optsim.scene import Scene
 # Default samples of a fine sample and slot: noise of about a fifth in window_room. No source.
 LIGHT_SAMPLES = 64
 STOKES_SAMPLES = 64
-BAND_SAMPLES = 64
+# They add less noise than that of the truth, at most half of it in flying_solids (bench render.colour).
+BAND_SAMPLES = 2
 
 Record = dict[str, Any]
 _UNIT = "W m^-2 sr^-1"
@@ -28,9 +31,9 @@ _MEANS_LIGHT = (
     "same random numbers for each group: the sum of the groups is an estimate of Y, not Y itself"
 )
 _MEANS_BANDS = (
-    "Y.band.<band>: radiance in each spectral band of the scene, mean over the slot. Rendered directly, with "
-    "Monte-Carlo noise of its own and the same random numbers for each band, so that noise has little "
-    "colour; Y is another estimate of the band that is seen"
+    "radiance in each spectral band of the scene, mean over the slot; the band that is seen is Y. Each other "
+    "one is a multiple of Y, by the reflectances of the first surface, and an estimate of the rest by few "
+    "random paths: unbiased, so it may be slightly negative, and with noise of little colour"
 )
 _MEANS_STOKES = (
     "S0 .. S3: Stokes radiance at the middle of the slot, times_s[1] (Y is the mean over the slot), lamps as "
@@ -60,7 +63,8 @@ class Extras(Part):
     stokes_samples : int, optional
         Channels ``S0`` .. ``S3``; samples of each.
     band_samples : int
-        Samples of one channel ``Y.band.<band>`` for each band of a scene that has several.
+        Samples for one channel for each band of a scene that has several: ``R``, ``G``, ``B`` of an sRGB
+        scene, otherwise ``Y.band.<band>``. Movers' own pixels get four times as many.
     denoise : bool
         A channel ``Y.denoised`` beside Y, for viewing.
     """
@@ -130,10 +134,16 @@ def choose_extras(
 
 def channel_names(extras: Extras, scene: Scene) -> tuple[str, ...]:
     """Names of the extra channels of the export of a scene with all its bands."""
-    bands = [f"Y.band.{band.name}" for band in scene.bands] if len(scene.bands) > 1 else []
     light = [f"Y.light.{name}" for name in named_groups(scene)] if extras.light_samples else []
     stokes = [f"S{i}" for i in range(4)] if extras.stokes_samples else []
-    return (*bands, *light, *stokes, *(["Y.denoised"] if extras.denoise else []))
+    return (*band_channels(scene).values(), *light, *stokes, *(["Y.denoised"] if extras.denoise else []))
+
+
+def band_channels(scene: Scene) -> dict[str, str]:
+    """Channel of each band of a scene with all its bands; none of a scene with a single band."""
+    colour = [band.name for band in scene.bands] == [*"RGB"] == [band.channel for band in scene.bands]
+    names = [band.name for band in scene.bands] if len(scene.bands) > 1 else []
+    return {name: name if colour else f"Y.band.{name}" for name in names}
 
 
 class ExtraChannels:
@@ -145,21 +155,51 @@ class ExtraChannels:
         The channels.
     experiment : Experiment
         Scene, view, slots, and render settings.
+    slots : sequence of int
+        Slots that will be asked for, in this order.
+    shared : bool
+        Whether slots may share the noise of what stands still.
     backend : str, optional
         Mitsuba variant instead of the probed one.
+    progress : Progress
+        Stage "bands".
     """
 
-    def __init__(self, extras: Extras, experiment: Experiment, *, backend: str | None = None) -> None:
+    def __init__(
+        self,
+        extras: Extras,
+        experiment: Experiment,
+        slots: Sequence[int],
+        *,
+        shared: bool = True,
+        backend: str | None = None,
+        progress: Progress = silent,
+    ) -> None:
         self._extras, self._experiment, self._backend = extras, experiment, backend
         self._scene, whole, light = chosen_scene(experiment), whole_scene(experiment), extras.light_samples
         self._light = SlotLight(self._scene, experiment, light) if light else None
         self._wavelengths = {band.name: band.wavelength_nm for band in whole.bands}
-        self._bands = {
-            band: SlotLight(whole.in_band(band), experiment, extras.band_samples)
-            for band in (self._wavelengths if len(self._wavelengths) > 1 else ())
-        }
+        self._channels = band_channels(whole)
+        self._bands = None
+        if self._channels:
+            from optsim.render.by_band import BandLight
 
-    def of(self, slot: int, passes: Passes, radiance: Floats) -> tuple[dict[str, Floats], Record]:
+            self._bands = BandLight(
+                whole,
+                self._scene.bands[0].name,
+                truth_view(experiment),
+                experiment.timing,
+                experiment.render,
+                slots,
+                extras.band_samples,
+                shared=shared,
+                backend=backend,
+                progress=progress,
+            )
+
+    def of(
+        self, slot: int, passes: Passes, radiance: Floats, half: Floats | None
+    ) -> tuple[dict[str, Floats], Record]:
         """Render the extra channels of a slot.
 
         Parameters
@@ -170,6 +210,8 @@ class ExtraChannels:
             Passes of the middle of the slot.
         radiance : ndarray of shape (y, x), float32
             Mean over the slot, W m^-2 sr^-1.
+        half : ndarray of shape (y, x), float32, or None
+            Half the difference of its two halves.
 
         Returns
         -------
@@ -181,7 +223,7 @@ class ExtraChannels:
         channels: dict[str, Floats] = {}
         said: Record = {}
         for found, meaning in (
-            self._by_band(slot),
+            self._by_band(slot, radiance, half),
             self._by_group(slot),
             self._stokes(slot),
             self._denoised(passes, radiance),
@@ -190,21 +232,23 @@ class ExtraChannels:
             said |= meaning
         return channels, said
 
-    def _by_band(self, slot: int) -> tuple[dict[str, Floats], Record]:
-        if not self._bands:
+    def _by_band(self, slot: int, radiance: Floats, half: Floats | None) -> tuple[dict[str, Floats], Record]:
+        if self._bands is None:
             return {}, {}
-        channels = {
-            f"Y.band.{band}": np.asarray(sum(light.of(slot).values()), np.float32)
-            for band, light in self._bands.items()
-        }
+        found = self._bands.of(slot, radiance, half)
         said = {
             "unit": _UNIT,
             "meaning": _MEANS_BANDS,
-            "samples": {band: light.samples(slot) for band, light in self._bands.items()},
+            "channels": self._channels,
             "wavelength_nm": self._wavelengths,
             "seen": self._scene.bands[0].name,
+            "samples": self._bands.samples,
+            "noise_is": "rms over the picture of the standard deviation over (radiance + 1 % of white)",
+            "noise": found.noise,
+            "noise_besides_Y": found.own_noise,
         }
-        return channels, {"Y.band": said}
+        channels = {self._channels[band]: light for band, light in found.w_m2_sr.items()}
+        return channels, {"colour" if "R" in channels else "Y.band": said}
 
     def _by_group(self, slot: int) -> tuple[dict[str, Floats], Record]:
         if self._light is None:

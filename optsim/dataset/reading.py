@@ -28,7 +28,7 @@ class Pass:
     Parameters
     ----------
     channels : tuple of str
-        Channels in a slot's file; several become the last axis.
+        Channels in a slot's file; several become an axis of their own.
     unit : str
         SI unit, or the meaning of the numbers.
     axes : str
@@ -43,6 +43,7 @@ class Pass:
 _FLOW_AXES, _NORMAL_AXES = "slot, y, x, (row, col)", "slot, y, x, (x, y, z)"
 PASSES = {
     "radiance": Pass(("Y",), "W m^-2 sr^-1"),
+    "colour": Pass(("R", "G", "B"), "W m^-2 sr^-1, in the bands R, G and B", "slot, band, y, x"),
     "radiance_sigma": Pass(("Y.sigma",), "W m^-2 sr^-1"),
     "depth": Pass(("Z",), "m, along the optical axis"),
     "distance": Pass(("distance",), "m, along the ray"),
@@ -150,7 +151,7 @@ class Sample(Mapping[str, Array]):
         return self.folder / ARRAYS / (f"{name}.npy" if name in PASSES else f"seed{self.seed}/{name}.npy")
 
     def slot(self, name: str, index: int) -> Array:
-        """Read a pass in one slot: (y, x) or (y, x, component)."""
+        """Read a pass in one slot: (y, x), (y, x, component), or (band, y, x)."""
         return _pass(read_exr(self._slots[index])[0], PASSES[name])
 
     def unit(self, name: str) -> str:
@@ -171,6 +172,11 @@ class Sample(Mapping[str, Array]):
             "camera_to_world": np.array([header["camera_to_world"][1] for header in headers]),
             "times_s": np.array([header["times_s"][1] for header in headers]),
         }
+
+    @cached_property
+    def wavelengths_nm(self) -> dict[str, float]:
+        """Band -> wavelength of each band in ``colour``; empty without colour."""
+        return self._header[1].get("further", {}).get("colour", {}).get("wavelength_nm", {})
 
     @cached_property
     def objects(self) -> dict[int, str]:
@@ -327,7 +333,7 @@ def manifest(folder: Path) -> list[dict[str, Any]]:
 
 def _pass(channels: dict[str, Array], which: Pass) -> Array:
     arrays = [channels[name] for name in which.channels]
-    array = np.stack(arrays, axis=-1) if len(arrays) > 1 else arrays[0]
+    array = np.stack(arrays, axis=0 if "band" in which.axes else -1) if len(arrays) > 1 else arrays[0]
     return array.astype(np.bool_) if which.unit == "mask" else array
 
 

@@ -12,11 +12,10 @@ from pydantic import Field, model_validator
 from optsim.core.config import Part
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.quantities import Doubles
+from optsim.core.units import REC709_Y
 from optsim.footage.recording import Says
 from optsim.optics.srgb import srgb_to_linear
 
-# Luminance of linear RGB with the primaries and white of ITU-R BT.709-6, item 3.2.
-REC709_Y = (0.2126, 0.7152, 0.0722)
 # Curves that no linearisation here inverts.
 _OTHER_CURVES = ("PQ", "HLG", "log 100:1", "log 316:1")
 # Values below the black level are read noise around a dark signal: about half, never most of a frame.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Floats, View
 from optsim.render.lens import focus_depth_m, ideal
-from optsim.scene.bands import MONO_NM, mono
+from optsim.scene.bands import MONO, Band, in_channel, value_in
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
 from optsim.scene.lamps import Lamp
@@ -92,8 +92,13 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
         Whether to include the movers; lamps, sky and sensor are the same either way.
     static : optional
         From :func:`parse_static`.
+
+    Raises
+    ------
+    ConfigError
+        For a scene of several bands; a variant of three channels takes three.
     """
-    unit = unit_m(scene)
+    unit, bands = unit_m(scene), _bands(mi, scene)
     meshes = {
         f"still_{material}": (mesh, material) for material, mesh in sorted(scene.still_meshes().items())
     }
@@ -101,11 +106,11 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
         meshes |= {f"mover_{name}": (item.rest(), item.material) for name, item in scene.singles().items()}
     content: dict[str, Any] = {"type": "scene", "sensor": _sensor(mi, scene.camera, view, unit)}
     for name, lamp in sorted(scene.lamps.items()):
-        content[f"lamp_{name}"] = _lamp(mi, lamp, unit)
+        content[f"lamp_{name}"] = _lamp(mi, lamp, unit, bands)
     if scene.sky is not None and scene.sky.lit:
-        content["sky"] = _sky(mi, scene.sky, scene.bands[0].wavelength_nm if scene.bands else MONO_NM)
+        content["sky"] = _sky(mi, scene.sky, bands)
     for name, (mesh, material) in meshes.items():
-        content[name] = _mesh(mi, name, mesh, scene.materials[material], unit)
+        content[name] = _mesh(mi, name, mesh, scene.materials[material], unit, bands)
     if scene.static is not None:
         with _named(scene.static):
             loaded: Any = mi.parser.instantiate(*static)
@@ -114,6 +119,18 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
     # the 3rd.
     content["integrator"] = {"type": "path", "max_depth": scene.max_depth, "rr_depth": 4}
     return content
+
+
+def _bands(mi: Any, scene: Scene) -> tuple[Band, ...]:
+    """Bands of the variant's channels."""
+    bands = scene.bands or (MONO,)
+    if len(bands) == 1 or (len(bands) == 3 and str(mi.variant()).endswith("_ad_rgb")):
+        return bands
+    names = ", ".join(band.name for band in bands)
+    raise ConfigError(
+        f"bands: got {names}, but light is rendered one band at a time; cure: "
+        "choose one by Scene.in_band(name), or scene.band in an experiment"
+    )
 
 
 @contextmanager
@@ -126,10 +143,10 @@ def _named(static: StaticShapes) -> Generator[None, None, None]:
         raise ConfigError(f"{Path(static.folder) / static.name}: Mitsuba cannot load it: {said}") from None
 
 
-def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> Any:
+def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float, bands: tuple[Band, ...]) -> Any:
     """Make a Mitsuba mesh with smooth normals and texture coordinates."""
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_surface(mi, material))
+    properties["bsdf"] = mi.load_dict(_surface(mi, material, bands))
     shape = mi.Mesh(
         name,
         len(mesh.vertices_m),
@@ -148,15 +165,15 @@ def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float) -> An
     return shape
 
 
-def _surface(mi: Any, material: Material) -> dict[str, Any]:
+def _surface(mi: Any, material: Material, bands: tuple[Band, ...]) -> dict[str, Any]:
     """Describe a material; both sides are equal, except for glass, which transmits."""
     match material:
         case Diffuse():
-            inside: dict[str, Any] = {"type": "diffuse", "reflectance": _reflectance(mi, material)}
+            inside: dict[str, Any] = {"type": "diffuse", "reflectance": _reflectance(mi, material, bands)}
         case Plastic():
             inside = {
                 "type": "pplastic",
-                "diffuse_reflectance": _reflectance(mi, material),
+                "diffuse_reflectance": _reflectance(mi, material, bands),
                 "int_ior": material.ior,
                 "ext_ior": 1.0,
                 "alpha": material.roughness,
@@ -164,7 +181,7 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
         case Principled():
             inside = {
                 "type": "principled",
-                "base_color": _reflectance(mi, material),
+                "base_color": _reflectance(mi, material, bands),
                 "roughness": material.roughness,
                 "metallic": material.metallic,
             }
@@ -172,7 +189,7 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
             if opacity is not None:
                 return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": inside}}
         case Metal():
-            inside = {"type": "conductor", "material": material.metal}
+            inside = {"type": "conductor", **_index(mi, material.metal, bands)}
             if material.roughness > 0:
                 inside |= {"type": "roughconductor", "distribution": "ggx", "alpha": material.roughness}
         case Glass():
@@ -181,21 +198,42 @@ def _surface(mi: Any, material: Material) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": inside}
 
 
-def _reflectance(mi: Any, material: Diffuse | Plastic | Principled) -> dict[str, Any]:
+def _reflectance(
+    mi: Any, material: Diffuse | Plastic | Principled, bands: tuple[Band, ...]
+) -> dict[str, Any]:
     """Describe a reflectance map, or one reflectance."""
-    share = np.float32(mono(material.reflectance))
+    return _texture(mi, [_reflectance_in(material, band) for band in bands], "repeat")
+
+
+def _reflectance_in(material: Diffuse | Plastic | Principled, band: Band) -> float | Floats:
+    """Reflectance map of a band, or its reflectance."""
+    share = np.float32(value_in(material.reflectance, band))
     picture = None
     if material.picture is not None:
         path = Path(material.picture)
         if isinstance(material, Principled) and path.suffix.lower() in FORMATS:
-            picture = _surface_of(material).picture
+            rgb = _surface_of(material).picture
+            picture = None if rgb is None else in_channel(rgb, band.channel).astype(np.float32)
         else:
-            picture = read_picture(path)
+            picture = read_picture(path, band.channel)
     elif not isinstance(material, Principled) and material.texture is not None:
-        picture = reflectance_map(material.texture)
-    if picture is None:
-        return {"type": "uniform", "value": float(share)}
-    return _bitmap(mi, picture * share, "repeat")
+        picture = reflectance_map(material.texture, band.channel)
+    return float(share) if picture is None else picture * share
+
+
+def _index(mi: Any, metal: str, bands: tuple[Band, ...]) -> dict[str, Any]:
+    """Describe the complex refractive index of a metal, by the renderer's tables."""
+    if bands == (MONO,):
+        return {"material": metal}
+    found: dict[str, Any] = {}
+    for part in ("eta", "k"):
+        path = Path(mi.__file__).parent / "data" / "ior" / f"{metal}.{part}.spd"
+        with reading(path, "Mitsuba's table of a metal", "install the mitsuba version that optsim states"):
+            known: NDArray[np.float64] = np.loadtxt(path)
+        found[part] = _texture(
+            mi, [float(np.interp(band.wavelength_nm, known[:, 0], known[:, 1])) for band in bands]
+        )
+    return found
 
 
 def _opacity(mi: Any, material: Principled) -> dict[str, Any] | float | None:
@@ -211,12 +249,22 @@ def _surface_of(material: Principled) -> Surface:
     return read_model(Path(material.picture or "")).parts[material.part or 0][0]
 
 
+def _texture(mi: Any, values: Sequence[float | Floats], wrap: str = "repeat") -> dict[str, Any]:
+    """Describe a value of each channel: numbers, or maps."""
+    numbers = [value for value in values if isinstance(value, float)]
+    if len(numbers) == len(values):
+        one = {"type": "uniform", "value": numbers[0]}
+        return one if len(numbers) == 1 else {"type": "rgb", "value": numbers}
+    return _bitmap(mi, np.stack(np.broadcast_arrays(*values), axis=-1), wrap)
+
+
 def _bitmap(mi: Any, image: Floats, wrap: str) -> dict[str, Any]:
-    picture: NDArray[np.float32] = np.ascontiguousarray(image[..., None])
+    """Describe a map (y, x) or (y, x, channel)."""
+    picture: NDArray[np.float32] = np.ascontiguousarray(image if image.ndim == 3 else image[..., None])
     return {"type": "bitmap", "bitmap": mi.Bitmap(picture), "raw": True, "wrap_mode": wrap}
 
 
-def _lamp(mi: Any, lamp: Lamp, unit: float) -> dict[str, Any]:
+def _lamp(mi: Any, lamp: Lamp, unit: float, bands: tuple[Band, ...]) -> dict[str, Any]:
     """Describe a black rectangle that emits if its lamp is lit."""
     u, v = np.asarray(lamp.edge_u_m) / 2, np.asarray(lamp.edge_v_m) / 2
     # Unit vectors, since a product of tiny edges would vanish in single precision.
@@ -229,21 +277,24 @@ def _lamp(mi: Any, lamp: Lamp, unit: float) -> dict[str, Any]:
         "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
     }
     if lamp.lit:
-        radiance = mono(lamp.radiance_w_m2_sr)
-        light: dict[str, Any] = {"type": "uniform", "value": radiance}
+        light: list[float | Floats] = [value_in(lamp.radiance_w_m2_sr, band) for band in bands]
         if lamp.picture is not None:
-            light = _bitmap(mi, outside_map(lamp.picture) * np.float32(radiance), "clamp")
-        rectangle["emitter"] = {"type": "area", "radiance": light, "sampling_weight": lamp.sampling_weight}
+            light = [outside_map(lamp.picture) * np.float32(radiance) for radiance in light]
+        rectangle["emitter"] = {
+            "type": "area",
+            "radiance": _texture(mi, light, "clamp"),
+            "sampling_weight": lamp.sampling_weight,
+        }
     return rectangle
 
 
-def _sky(mi: Any, sky: PictureSky | SunSky, wavelength_nm: float) -> dict[str, Any]:
+def _sky(mi: Any, sky: PictureSky | SunSky, bands: tuple[Band, ...]) -> dict[str, Any]:
     """Describe an emitter all around, which Mitsuba samples by its brightness."""
     # Mitsuba's map has y up and z in its middle column; ours has z up and x there, turned by the azimuth.
     upright = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     cos, sin = np.cos(sky.turn_rad), np.sin(sky.turn_rad)
     turn = np.array([[cos, -sin, 0, 0], [sin, cos, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    picture: NDArray[np.float32] = np.ascontiguousarray(sky.radiance(wavelength_nm)[..., None])
+    picture = np.stack([sky.radiance(band) for band in bands], axis=-1)
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(picture),

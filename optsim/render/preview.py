@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from optsim.core.files import write_png8
-from optsim.core.quantities import Doubles, View
+from optsim.core.quantities import Doubles, Floats, View
 from optsim.render.backend import activate
+from optsim.render.channels import Channels, three_channels
 from optsim.render.stage import Stage
 from optsim.scene.scene import Scene
 
 _ROWS, _COLS, _TAN = 360, 480, 0.36
 
 
-def preview(scene: Scene, path: Path, *, time_s: float = 0.0, samples: int = 64) -> None:
-    """Write a PNG of 480 x 360 pixels: the field of the prototype's camera, tone by the logarithm.
+def preview(scene: Scene, *, time_s: float = 0.0, samples: int = 64) -> Floats:
+    """Render 480 x 360 pixels: the field of the prototype's camera.
 
     Parameters
     ----------
     scene : Scene
-        Scene to draw.
-    path : Path
-        File to write.
+        Scene to draw, with all its bands.
     time_s : float
         Instant, s.
     samples : int
         Paths a pixel.
+
+    Returns
+    -------
+    ndarray of shape (y, x, band), float32
+        Radiance, W m^-2 sr^-1: R, G and B if the scene's bands see these, otherwise one band.
 
     Raises
     ------
@@ -35,14 +36,17 @@ def preview(scene: Scene, path: Path, *, time_s: float = 0.0, samples: int = 64)
         When no renderer backend works.
     """
     activate()
-    stage = Stage(scene.in_band(), View(_ROWS, _COLS, 1, _TAN))
+    view = View(_ROWS, _COLS, 1, _TAN)
+    if [band.channel for band in scene.bands] == [*"RGB"]:
+        with three_channels(scene):
+            channels = Channels(scene, scene.bands, view, movers=True)
+            channels.pose(time_s)
+            counts = np.full(_ROWS * _COLS, samples)
+            light = channels.radiance(counts, np.ones_like(counts), np.zeros_like(counts)) / samples
+        return np.ascontiguousarray(light.T.reshape(_ROWS, _COLS, 3), np.float32)
+    stage = Stage(scene.in_band(), view)
     stage.pose(time_s)
-    image = stage.picture(samples, 1).astype(np.float64)
-    low, high = np.percentile(image, (2, 99.5))
-    low = max(float(low), float(high) * 1e-3, 1e-12)
-    share = np.log(np.maximum(image, low) / low) / max(np.log(max(float(high), low * 1.01) / low), 1e-9)
-    grey = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
-    write_png8(path, np.repeat(grey[..., None], 3, axis=2))
+    return stage.picture(samples, 1)[..., None]
 
 
 def sizes(scene: Scene, time_s: float = 0.0) -> dict[str, tuple[Doubles, Doubles]]:

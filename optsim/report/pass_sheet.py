@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Ids
-from optsim.report.pictures import enlarge, ramp, rgb
+from optsim.core.units import REC709_Y
+from optsim.report.pictures import enlarge, ramp, rgb, tinted
 
 _WIDTH_PX = 480
 _GAP, _LEGEND, _TITLE = 14, 72, 34
@@ -66,6 +67,7 @@ def pass_sheet(channels: Channels, id_table: Mapping[int, str], title: str) -> B
     tones = _tones(channels["Y"])
     panels = [
         _radiance(channels["Y"], tones, "radiance, mean over the slot"),
+        *_colour(channels, tones),
         _depth(channels["Z"], seen),
         _normals(channels, seen),
         _ids(channels["id"], channels["moving"] > 0, id_table),
@@ -160,13 +162,26 @@ def _tones(radiance: Floats) -> tuple[float, float]:
     return max(low / 3, peak * 1e-6), peak
 
 
-def _radiance(radiance: Floats, tones: tuple[float, float], what: str) -> _Panel:
+def _shown(radiance: Floats, tones: tuple[float, float]) -> Bytes:
     knee, peak = tones
     shown = np.log1p(np.clip(radiance, 0, peak) / knee) / np.log1p(peak / knee)
+    return np.rint(255 * shown).astype(np.uint8)
+
+
+def _colour(channels: Channels, tones: tuple[float, float]) -> list[_Panel]:
+    if "R" not in channels:
+        return []
+    light = np.stack([channels[name] for name in "RGB"], axis=-1)
+    text = "colour: R, G, B in the tones of the radiance"
+    return [_Panel(tinted(light, _shown(light @ np.array(REC709_Y, np.float32), tones)), text)]
+
+
+def _radiance(radiance: Floats, tones: tuple[float, float], what: str) -> _Panel:
+    knee, peak = tones
     places = knee * np.expm1(np.linspace(0, 1, 4) * np.log1p(peak / knee))
     ticks = ("0", *(_short(float(v)) for v in places[1:]))
     text = f"{what}, W m^-2 sr^-1 (logarithmic above the shadows)"
-    return _Panel(rgb(np.rint(255 * shown).astype(np.uint8)), text, _GREY, ticks)
+    return _Panel(rgb(_shown(radiance, tones)), text, _GREY, ticks)
 
 
 def _further(channels: Channels) -> list[tuple[str, str]]:

@@ -7,6 +7,8 @@ from pydantic import Field
 
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Words
+from optsim.core.units import REC709_Y
+from optsim.optics.srgb import linear_to_srgb, srgb_to_linear
 from optsim.report.schema import LegendEntry
 
 Colour = tuple[int, int, int]
@@ -57,6 +59,47 @@ def tone_curve_for(reference_cd_m2: Floats) -> ToneCurve:
 def rgb(grey: Bytes) -> Bytes:
     """Three equal channels, (v, u, 3)."""
     return np.repeat(grey[..., None], 3, axis=2)
+
+
+def by_logarithm(light: Floats) -> Bytes:
+    """Draw radiance of an unknown range: brightness by the logarithm, from its 2nd to its 99.5th percentile.
+
+    Parameters
+    ----------
+    light : ndarray of shape (y, x, 1) or (y, x, 3)
+        One band, or linear sRGB.
+
+    Returns
+    -------
+    ndarray of shape (y, x, 3), uint8
+    """
+    image = light[..., 0].astype(np.float64) if light.shape[-1] == 1 else light @ np.array(REC709_Y)
+    low, high = (float(end) for end in np.percentile(image, (2, 99.5)))
+    low = max(low, high * 1e-3, 1e-12)
+    share = np.log(np.maximum(image, low) / low) / max(np.log(max(high, low * 1.01) / low), 1e-9)
+    grey = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
+    return rgb(grey) if light.shape[-1] == 1 else tinted(light, grey)
+
+
+def tinted(light: Floats | Doubles, grey: Bytes) -> Bytes:
+    """Give a grey picture the colours of light, which keep its brightness where the screen can show them.
+
+    Parameters
+    ----------
+    light : ndarray of shape (y, x, 3)
+        Linear sRGB, in any unit.
+    grey : ndarray of shape (y, x), uint8
+        How bright it is to be, sRGB.
+
+    Returns
+    -------
+    ndarray of shape (y, x, 3), uint8
+    """
+    positive = np.maximum(light, 0).astype(np.float64)
+    luminance = positive @ np.array(REC709_Y)
+    share = positive / np.maximum(luminance, 1e-30)[..., None]
+    shown = np.clip(share * srgb_to_linear(grey[..., None] / 255), 0, 1)
+    return np.rint(255 * linear_to_srgb(shown)).astype(np.uint8)
 
 
 def enlarge(image: Bytes, factor: int) -> Bytes:

@@ -1,18 +1,23 @@
-"""Spectral bands: values that differ by band, and the selection of one band."""
+"""Spectral bands: values that differ by band, the selection of one band, and colours of sRGB."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, cast
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import BaseModel, Field, TypeAdapter, WrapValidator
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, WrapValidator
 
 from optsim.core.config import Part, PartT
 from optsim.core.errors import ConfigError
+from optsim.core.units import REC709_Y
+from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.fields import Positive, Share
 
 # Wavelength of a scene without bands: the scores use the eye's photopic efficacy there.
 MONO_NM = 550.0
+Channel = Literal["R", "G", "B"]
 
 
 class Band(Part):
@@ -24,16 +29,64 @@ class Band(Part):
         Letters, digits and underscores, at most 16, since it becomes a channel's name.
     wavelength_nm : float
         Centre, nm. Rendering does not use it: materials and lamps have values for the band. The camera works
-        at this wavelength.
+        at this wavelength. The refractive index of metals and the colour of a clear sky follow it.
+    channel : {"R", "G", "B"} or None
+        Linear sRGB channel of pictures and colours that counts in this band. None: their luminance.
     """
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,15}$")
     wavelength_nm: float = Field(ge=100, le=20_000)
+    channel: Channel | None = None
 
     @property
     def wavelength_m(self) -> float:
         """Centre, m."""
         return self.wavelength_nm / 1e9
+
+
+# Dominant wavelengths of the primaries to the white point D65, as colour-science computes them.
+SRGB = (
+    Band(name="R", wavelength_nm=611, channel="R"),
+    Band(name="G", wavelength_nm=549, channel="G"),
+    Band(name="B", wavelength_nm=464, channel="B"),
+)
+MONO = Band(name="mono", wavelength_nm=MONO_NM)
+
+
+def _named_bands(value: object) -> object:
+    if isinstance(value, str):
+        if value != "srgb":
+            raise ValueError('expected "srgb" or a list of bands')
+        return SRGB
+    return value
+
+
+Bands = Annotated[tuple[Band, ...], BeforeValidator(_named_bands)]
+
+
+def _linear(value: object) -> object:
+    if isinstance(value, str):
+        if re.fullmatch("#[0-9a-fA-F]{6}", value) is None:
+            raise ValueError('expected a colour as "#rrggbb", or three linear reflectances')
+        return tuple(srgb_to_linear(np.frombuffer(bytes.fromhex(value[1:]), np.uint8) / 255).tolist())
+    return value
+
+
+# Linear reflectances in the sRGB primaries; text as "#rrggbb" is sRGB.
+Colour = Annotated[tuple[Share, Share, Share], BeforeValidator(_linear)]
+
+
+def in_channel(rgb: Any, channel: Channel | None) -> Any:
+    """Take a channel of linear RGB (..., 3), or its luminance."""
+    return rgb @ np.array(REC709_Y) if channel is None else rgb[..., "RGB".index(channel)]
+
+
+def colour_by_band(colour: tuple[float, float, float], bands: tuple[Band, ...]) -> float | dict[str, float]:
+    """Reflectance of a colour in the bands of a scene, or its luminance without any."""
+    table = {
+        band.name: min(float(in_channel(np.asarray(colour), band.channel)), 1.0) for band in bands or (MONO,)
+    }
+    return table if bands else table[MONO.name]
 
 
 def _number_or_table(
@@ -67,6 +120,11 @@ def tables(part: BaseModel) -> dict[str, dict[str, float]]:
     """Tables by band of a material, a lamp or the sky, by key."""
     found = {key: getattr(part, key, None) for key in ("reflectance", "radiance_w_m2_sr", "irradiance_w_m2")}
     return {key: cast("dict[str, float]", value) for key, value in found.items() if isinstance(value, dict)}
+
+
+def value_in(value: ByBand, band: Band) -> float:
+    """Return the number of a band; see :func:`mono` for a table without it."""
+    return value[band.name] if isinstance(value, dict) and band.name in value else mono(value)
 
 
 def mono(value: ByBand) -> float:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from optsim.core.quantities import Doubles
-from optsim.scene.bands import MONO_NM, mono
+from optsim.scene.bands import MONO, Band, mono, value_in
 from optsim.scene.scene import Scene
-from optsim.scene.sky import looked_up
+from optsim.scene.sky import irradiance, looked_up
 
 # Step of the grid on which the sky is looked at, as a tangent: a fourth of the sun's disc.
 _SKY_STEP = 0.0023
@@ -94,8 +94,26 @@ def _bright_sky(
     n_rows = int(np.ceil(n_cols * rows_over_cols))
     down = ((np.arange(n_rows) + 0.5) / n_rows * 2 - 1) * tan_half_width * rows_over_cols
     directions = across[:, None] * axes[0] + down[:, None, None] * axes[1] + axes[2]
-    wavelength_nm = scene.bands[0].wavelength_nm if scene.bands else MONO_NM
-    over = looked_up(scene.sky, directions, wavelength_nm) / scene.white_w_m2_sr
+    band = scene.bands[0] if scene.bands else MONO
+    over = looked_up(scene.sky, directions, band) / scene.white_w_m2_sr
     decade = np.floor(np.log10(np.maximum(over, 0.1)))
     parts = [decade == number for number in np.unique(decade[decade >= 0])]
     return [BrightLight(float(over[part].mean()), float(part.mean())) for part in parts]
+
+
+def light_ratio(scene: Scene, band: Band, other: Band) -> float:
+    """Light of all lamps and the sky in a band over that in another one, roughly: their power, once each."""
+
+    def power(seen: Band) -> float:
+        lamps = [lamp for lamp in scene.lamps.values() if lamp.lit]
+        area = (np.linalg.norm(np.cross(lamp.edge_u_m, lamp.edge_v_m)) for lamp in lamps)
+        total = sum(
+            np.pi * value_in(lamp.radiance_w_m2_sr, seen) * each
+            for lamp, each in zip(lamps, area, strict=True)
+        )
+        if scene.sky is not None and scene.sky.lit:
+            # The sky lights a ground about as wide as the camera is far.
+            total += irradiance(scene.sky.radiance(seen)) * scene.camera.distance_m**2
+        return float(total)
+
+    return power(band) / power(other)

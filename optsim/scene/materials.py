@@ -1,4 +1,4 @@
-"""Materials: reflection of a surface, by kind; a reflectance is a number, or one for each band."""
+"""Materials: reflection of a surface, by kind; a reflectance is a number, one for each band, or a colour."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag, field_validator
 
 from optsim.core.config import Part
 from optsim.core.errors import ConfigError
-from optsim.scene.bands import ShareByBand
+from optsim.scene.bands import Colour, ShareByBand
 from optsim.scene.fields import Positive, Share
 from optsim.scene.textures import check_texture
 
@@ -31,6 +31,9 @@ class Diffuse(Part):
     ----------
     reflectance : float or dict
         Hemispherical reflectance in the band, or a table of it by band; multiplies the texture, if any.
+    colour : str, tuple or None
+        Instead: an sRGB colour such as ``"#c04020"``, or three linear reflectances for R, G and B. A band
+        takes its channel of it, and of the picture; a band without a channel their luminance.
     texture : str or None
         Name in :mod:`optsim.scene.textures`.
     picture : str or None
@@ -43,6 +46,7 @@ class Diffuse(Part):
 
     kind: Literal["diffuse"] = "diffuse"
     reflectance: ShareByBand = 0.5
+    colour: Colour | None = Field(default=None, exclude=True)
     texture: str | None = None
     picture: str | None = Field(default=None, exclude=True)
     sha256: str = ""
@@ -61,7 +65,7 @@ class Plastic(Part):
 
     Parameters
     ----------
-    reflectance, texture, picture, sha256, tile_m
+    reflectance, colour, texture, picture, sha256, tile_m
         Properties of the base, as for :class:`Diffuse`.
     ior : float
         Refractive index of the coat.
@@ -71,6 +75,7 @@ class Plastic(Part):
 
     kind: Literal["plastic"] = "plastic"
     reflectance: ShareByBand = 0.5
+    colour: Colour | None = Field(default=None, exclude=True)
     texture: str | None = None
     picture: str | None = Field(default=None, exclude=True)
     sha256: str = ""
@@ -84,12 +89,12 @@ class Plastic(Part):
 class Principled(Part):
     """Material of models from files: B. Burley, "Physically-based shading at Disney", SIGGRAPH 2012.
 
-    In the one band its colour counts by its luminance.
-
     Parameters
     ----------
     reflectance : float or dict
         Base reflectance, multiplies the picture, if any.
+    colour : str, tuple or None
+        Instead: as for :class:`Diffuse`.
     picture, part, sha256 : str, int, str
         Reflectance map: a picture, or the one of a part of a model; hash of the file.
     tile_m : float
@@ -100,6 +105,7 @@ class Principled(Part):
 
     kind: Literal["principled"] = "principled"
     reflectance: ShareByBand = 0.5
+    colour: Colour | None = Field(default=None, exclude=True)
     picture: str | None = Field(default=None, exclude=True)
     part: int | None = None
     sha256: str = ""
@@ -115,8 +121,8 @@ class Metal(Part):
     Parameters
     ----------
     metal : str
-        Chemical symbol. The complex refractive index is the measured one in the renderer's tables; in the one
-        band it is the mean over the luminous spectrum.
+        Chemical symbol. The complex refractive index is the measured one in the renderer's tables, at the
+        wavelength of the band; in a scene without bands it is the mean over the luminous spectrum.
     roughness : float
         Root mean square slope of the facets; 0 is a mirror: lamps cannot be sampled through it, which is
         noisy.

@@ -143,7 +143,7 @@ def _expanded(
         if stated.get("material") is None:
             material = {
                 "kind": "principled",
-                "reflectance": min(surface.reflectance, 1.0),
+                "colour": np.clip(surface.colour, 0, 1).tolist(),
                 "roughness": float(np.clip(surface.roughness, 0.01, 1)),
                 "metallic": float(np.clip(surface.metallic, 0, 1)),
                 "opacity": float(np.clip(surface.opacity, 0, 1)),

@@ -16,14 +16,12 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles, Floats
 from optsim.optics.srgb import srgb_to_linear
+from optsim.scene.bands import Channel, in_channel
 from optsim.scene.geometry import Faces, Mesh
 from optsim.scene.node_animation import NodeAnimation, read_animation, world_matrices
 
 FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
 """Suffix -> axis that points up by the format's own rule; None where files differ."""
-
-# Rec. 709 luminance of linear RGB: the one band's reflectance of a colour (IEC 61966-2-1).
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +32,10 @@ class Surface:
     ----------
     name : str
         Name in the file; may be empty.
-    reflectance : float
-        Luminance of the base colour, linear, 0..1.
-    picture : ndarray of shape (y, x), float32, or None
-        Reflectance map that the base colour multiplies, row 0 at the lower edge.
+    colour : ndarray of shape (3,)
+        Base colour, linear sRGB, 0..1.
+    picture : ndarray of shape (y, x, 3), float32, or None
+        Reflectance map, linear sRGB, that the base colour multiplies, row 0 at the lower edge.
     cutout : ndarray of shape (y, x), float32, or None
         Opacity map, where the file has one.
     opacity, roughness, metallic : float
@@ -45,7 +43,7 @@ class Surface:
     """
 
     name: str
-    reflectance: float
+    colour: Doubles
     picture: Floats | None
     cutout: Floats | None
     opacity: float
@@ -211,10 +209,10 @@ def _surface(geometry: Any) -> Surface:
 
     material = getattr(geometry.visual, "material", None)
     if material is None:
-        color = np.array([0.5, 0.5, 0.5])
+        color: Doubles = np.array([0.5, 0.5, 0.5])
         if getattr(geometry.visual, "kind", None) in ("vertex", "face"):
             color = srgb_to_linear(np.asarray(geometry.visual.main_color[:3], np.float64) / 255)
-        return Surface("", float(color @ _LUMINANCE), None, None, 1.0, 1.0, 0.0)
+        return Surface("", color, None, None, 1.0, 1.0, 0.0)
     if not isinstance(material, PBRMaterial):
         material = material.to_pbr()
     factor = material.baseColorFactor
@@ -225,7 +223,7 @@ def _surface(geometry: Any) -> Surface:
     picture = cutout = None
     if material.baseColorTexture is not None:
         rgba = np.asarray(material.baseColorTexture.convert("RGBA"), np.float64)[::-1] / 255
-        picture = (srgb_to_linear(rgba[..., :3]) @ _LUMINANCE).astype(np.float32)
+        picture = srgb_to_linear(rgba[..., :3]).astype(np.float32)
         if material.alphaMode in ("MASK", "BLEND") and (rgba[..., 3] < 1).any():
             cutout = rgba[..., 3].astype(np.float32)
             if material.alphaMode == "MASK":
@@ -240,7 +238,7 @@ def _surface(geometry: Any) -> Surface:
         rough, metal = float(means[1]), float(means[2])
     return Surface(
         str(material.name or ""),
-        float(color[:3] @ _LUMINANCE),
+        np.asarray(color[:3], np.float64),
         picture,
         cutout,
         opacity,
@@ -249,8 +247,10 @@ def _surface(geometry: Any) -> Surface:
     )
 
 
-def read_picture(path: Path) -> Floats:
+def read_picture(path: Path, channel: Channel | None = None) -> Floats:
     """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR as linear; row 0 at the lower edge.
+
+    Without a channel it is that of the luminance.
 
     Raises
     ------
@@ -258,18 +258,18 @@ def read_picture(path: Path) -> Floats:
         For a file that is no such picture.
     """
     stat = path.stat()
-    return _picture(path, stat.st_mtime_ns, stat.st_size)
+    return _picture(path, channel, stat.st_mtime_ns, stat.st_size)
 
 
 @functools.lru_cache(maxsize=64)
-def _picture(path: Path, _mtime_ns: int, _size: int) -> Floats:
+def _picture(path: Path, channel: Channel | None, _mtime_ns: int, _size: int) -> Floats:
     if path.suffix.lower() == ".exr":
         from optsim.core.files import read_exr
 
         channels, _ = read_exr(path)
         names = [name for name in ("R", "G", "B") if name in channels]
         image = (
-            np.stack([channels[name] for name in names], axis=-1) @ _LUMINANCE
+            in_channel(np.stack([channels[name] for name in names], axis=-1), channel)
             if len(names) == 3
             else next(iter(channels.values()))
         )
@@ -278,4 +278,4 @@ def _picture(path: Path, _mtime_ns: int, _size: int) -> Floats:
 
     with reading(path, "a PNG, JPEG or OpenEXR picture"), Image.open(path) as picture:
         rgb = np.asarray(picture.convert("RGB"), np.float64)[::-1] / 255
-    return (srgb_to_linear(rgb) @ _LUMINANCE).astype(np.float32)
+    return in_channel(srgb_to_linear(rgb), channel).astype(np.float32)

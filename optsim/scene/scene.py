@@ -6,17 +6,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from optsim.core.config import Part, Table, build, read_toml
 from optsim.core.errors import ConfigError, unknown_name
-from optsim.scene.bands import MONO_NM, Band, tables, taken
+from optsim.scene.bands import MONO_NM, Bands, colour_by_band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Flicker, Lamp, flicker_key
-from optsim.scene.materials import Diffuse, Material, Plastic, polarises
+from optsim.scene.materials import Diffuse, Material, Plastic, Principled, polarises
 from optsim.scene.mesh_objects import AnimatedModel, VertexSequence
 from optsim.scene.model_tables import model_table, with_models
 from optsim.scene.movers import BouncingBall, Card, Fan, Pendulum
@@ -69,7 +69,8 @@ class Scene(Part):
     camera : CameraPose
         The camera's pose and motion; its field of view belongs to the camera (``View``).
     bands : tuple of Band
-        Spectral bands; one at a time is rendered, see :meth:`in_band`. None: a single one at 550 nm.
+        Spectral bands; one at a time is rendered, see :meth:`in_band`. In a file ``"srgb"`` stands for three
+        of the names R, G and B at the wavelengths of the sRGB primaries. None: a single one at 550 nm.
     materials, lamps, objects, movers : dict
         By name. Objects named by a keyframed mover move, all others are still.
     sky : PictureSky, SunSky or None
@@ -86,7 +87,7 @@ class Scene(Part):
     white_w_m2_sr: float = Field(gt=0)
     max_depth: int = Field(7, ge=2, le=64)
     camera: CameraPose
-    bands: tuple[Band, ...] = ()
+    bands: Bands = ()
     materials: dict[str, Material]
     lamps: dict[str, Lamp] = Field(default={})
     sky: Sky | None = None
@@ -94,6 +95,18 @@ class Scene(Part):
     movers: dict[str, Mover] = Field(default={})
     static: StaticShapes | None = None
     reserved: bool = False
+
+    @field_validator("materials")
+    @classmethod
+    def _colours_by_band(cls, materials: dict[str, Material], info: ValidationInfo) -> dict[str, Material]:
+        found = dict(materials)
+        for name, material in materials.items():
+            if isinstance(material, Diffuse | Plastic | Principled) and material.colour is not None:
+                if "reflectance" in material.model_fields_set:
+                    raise ValueError(f"{name}: got colour and reflectance, expected one of the two; drop one")
+                share = colour_by_band(material.colour, info.data.get("bands", ()))
+                found[name] = material.model_copy(update={"reflectance": share, "colour": None})
+        return found
 
     @field_validator("movers")
     @classmethod

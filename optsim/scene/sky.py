@@ -18,7 +18,7 @@ from optsim.core.config import Part, Table
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
 from optsim.core.quantities import Doubles, Floats
-from optsim.scene.bands import MONO_NM, PositiveByBand, mono
+from optsim.scene.bands import MONO, Band, PositiveByBand, mono, value_in
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.fields import Positive, Share
 from optsim.scene.models import inside, read_picture
@@ -35,8 +35,8 @@ class PictureSky(Part):
     Parameters
     ----------
     file : str
-        OpenEXR in the scene's folder; of a colour picture the luminance is taken. The upper row is the
-        zenith.
+        OpenEXR in the scene's folder; of a colour picture the band's channel is taken, or the luminance. The
+        upper row is the zenith.
     radiance_w_m2_sr : float or dict
         Radiance of the picture's 1, or a table of it by band.
     rotation_rad : float
@@ -62,9 +62,9 @@ class PictureSky(Part):
         """Azimuth of the map's middle column."""
         return self.rotation_rad
 
-    def radiance(self, _wavelength_nm: float = MONO_NM) -> Floats:
+    def radiance(self, band: Band = MONO) -> Floats:
         """Map of radiance (y, x), W m^-2 sr^-1."""
-        return _read(Path(self.file)) * np.float32(mono(self.radiance_w_m2_sr))
+        return _read(Path(self.file), band) * np.float32(value_in(self.radiance_w_m2_sr, band))
 
     def dimmed(self, factor: float) -> PictureSky:
         """Return the same sky, this many times as bright."""
@@ -103,10 +103,10 @@ class SunSky(Part):
         """Azimuth of the map's middle column: the sun's."""
         return self.azimuth_rad
 
-    def radiance(self, wavelength_nm: float = MONO_NM) -> Floats:
+    def radiance(self, band: Band = MONO) -> Floats:
         """Map of radiance (y, x), W m^-2 sr^-1."""
-        unit = _sunsky(self.elevation_rad, self.turbidity, self.ground_albedo, wavelength_nm)
-        return unit * np.float32(mono(self.irradiance_w_m2))
+        unit = _sunsky(self.elevation_rad, self.turbidity, self.ground_albedo, band.wavelength_nm)
+        return unit * np.float32(value_in(self.irradiance_w_m2, band))
 
     def dimmed(self, factor: float) -> SunSky:
         """Return the same sky, this many times as bright."""
@@ -116,9 +116,9 @@ class SunSky(Part):
 Sky = Annotated[PictureSky | SunSky, Field(discriminator="kind")]
 
 
-def looked_up(sky: PictureSky | SunSky, directions: Doubles, wavelength_nm: float) -> Doubles:
+def looked_up(sky: PictureSky | SunSky, directions: Doubles, band: Band) -> Doubles:
     """Radiance of a sky in some directions (..., 3) in the world, of the nearest texel."""
-    image = sky.radiance(wavelength_nm)
+    image = sky.radiance(band)
     rows, cols = image.shape
     x, y, z = np.moveaxis(directions / np.linalg.norm(directions, axis=-1, keepdims=True), -1, 0)
     row = np.rint(np.arccos(np.clip(z, -1, 1)) / np.pi * (rows - 1)).astype(int)
@@ -172,9 +172,9 @@ def _check(path: Path, where: str) -> None:
         raise ConfigError(f"{where}: got a black picture, expected light; cure: another file")
 
 
-def _read(path: Path) -> Floats:
-    """Luminance of a picture, zenith first."""
-    return np.ascontiguousarray(read_picture(path)[::-1])
+def _read(path: Path, band: Band = MONO) -> Floats:
+    """Picture in a band, zenith first."""
+    return np.ascontiguousarray(read_picture(path, band.channel)[::-1])
 
 
 @functools.lru_cache(maxsize=4)

@@ -17,6 +17,7 @@ import numpy as np
 
 from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.quantities import Doubles, Floats
+from optsim.scene.bands import Channel
 from optsim.scene.charts import CHARTS
 from optsim.scene.surfaces import SURFACES, periodic_blur
 
@@ -239,8 +240,10 @@ def photograph(name: str) -> Traversable:
 
 
 @functools.cache
-def reflectance_map(name: str) -> Floats:
+def reflectance_map(name: str, channel: Channel | None = None) -> Floats:
     """Reflectance of a texture: array of shape (y, x), float32, row 0 at the lower edge.
+
+    Only photographs have colour; without a channel they count by their luma.
 
     Raises
     ------
@@ -252,7 +255,8 @@ def reflectance_map(name: str) -> Floats:
     from PIL import Image
 
     with photograph(name).open("rb") as stream, Image.open(stream) as picture:
-        grey = np.asarray(picture.convert("L"), np.float64)[::-1] / 255
+        mode = picture.convert("L" if channel is None else "RGB")
+        grey = np.asarray(mode.getchannel(channel or "L"), np.float64)[::-1] / 255
     # Paper and paint reflect 3 to 90 %: the photograph's black and white, not the renderer's 0 and 1.
     return (0.03 + 0.87 * grey**2.2).astype(np.float32)
 
