@@ -252,7 +252,7 @@ class _Three:
     def _instant(self, group: int, slot: int, instant: int, half: int, anew: Bools) -> Doubles:
         """Mean over an instant of a slot under one group of lamps, (band, n)."""
         light = np.zeros((3, len(anew)))
-        near, still = np.ones_like(anew), self._still[group] if self._keeps else None
+        near, still = np.full_like(anew, self._traced), self._still[group] if self._keeps else None
         if self._traced:
             rng, times_s = self._times_s(slot, instant, half)
             inside = self._boxes is not None and all(self._boxes.hold(self._plan.scene, t) for t in times_s)
