@@ -252,7 +252,7 @@ class _Three:
     def _instant(self, group: int, slot: int, instant: int, half: int, anew: Bools) -> Doubles:
         """Mean over an instant of a slot under one group of lamps, (band, n)."""
         light = np.zeros((3, len(anew)))
-        near, still = np.ones_like(anew), self._still[group] if self._keeps else None
+        near, still = np.full_like(anew, self._traced), self._still[group] if self._keeps else None
         if self._traced:
             rng, times_s = self._times_s(slot, instant, half)
             inside = self._boxes is not None and all(self._boxes.hold(self._plan.scene, t) for t in times_s)
@@ -278,7 +278,7 @@ class _Three:
         total = np.zeros((3, len(kind)))
         n_all = np.array([0, self._few, self._many])
         # A sample takes a random pose of its equal part of them.
-        places = [
+        places: list[Ints] = [
             np.floor((np.arange(n) + rng.random(n)) / n * len(times_s)).astype(np.int64)
             for n in (0, self._few, self._many)
         ]
