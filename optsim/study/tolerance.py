@@ -106,13 +106,18 @@ def tolerance(
         for mode in modes
         for name in plan.names
     ]
-    record = compute("tolerance", base, said, pieces, place, progress)
+    alone = record = compute("tolerance", base, said, pieces, place, progress)
     rows = sorted_rows([row for result in record["results"].values() for row in result["rows"]])
     drifts = limits_of(rows)
     pieces += _together(base, plan, rows, drifts, common)
     record = compute("tolerance", base, said, pieces, place, progress)
+    # The second call found the tasks of the first.
+    work = {**record["work"], "tasks_done_before": alone["work"]["tasks_done_before"]}
+    add_work(work, {name: count for name, count in alone["work"].items() if name != "tasks_done_before"})
     found = {
         **record,
+        "work": work,
+        "seconds": alone["seconds"] + record["seconds"],
         "compensators": [row for result in record["results"].values() for row in result.get("won", ())],
         "interactions": [
             result["pair"] for result in record["results"].values() if result.get("pair") is not None

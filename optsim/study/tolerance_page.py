@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from optsim.report import plots
 from optsim.report.page import Section, listed, table, write_page
+from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
 from optsim.study.tolerance import WHOLE_BENCH
@@ -108,7 +109,8 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
     if record["refusals"]:
         said = dict.fromkeys(f"{each['parameter']}: {each['message']}" for each in record["refusals"])
         sections.append(Section("Refused", (), [listed(list(said))]))
-    about = [f"{each.name}: {each.about}." for each in ALL.values() if each.about]
+    names = record["plan"]["names"]
+    about = [f"{each.name}: {each.about}." for each in ALL.values() if each.about and each.name in names]
     rests = Section(
         "What the numbers rest on", (), [listed([*assumptions(record), *about]), work_done(record)]
     )
@@ -167,4 +169,5 @@ def _budget(record: dict[str, Any]) -> Section:
         text.append(
             f"{together['within_loss']} of {together['draws']} drawn cameras lose at most {shown(loss)} dB."
         )
-    return Section("All together", text, [plots.bar_plot(rows, title="Loss of all tolerances together")])
+    drawn = plots.bar_plot(rows, title="Loss of all tolerances together")
+    return Section("All together", text, [side_by_side([("Loss of all tolerances together", drawn)])])

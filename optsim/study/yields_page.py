@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from optsim.report import plots
 from optsim.report.page import Section, folded, listed, table, write_page
+from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
 from optsim.study.words import assumptions, work_done
@@ -104,7 +105,7 @@ def _spread(scores: Sequence[float]) -> Markup:
         (f"{low:.2f} to {high:.2f} dB", float(count), f"{count}")
         for count, low, high in zip(counts.tolist(), edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     ]
-    return plots.bar_plot(rows, title="Cameras by their score")
+    return side_by_side([("Cameras by their score", plots.bar_plot(rows, title="Cameras by their score"))])
 
 
 def _sheet(record: dict[str, Any]) -> Markup:
