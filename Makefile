@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup benchmark bench claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup benchmark bench regress planted-faults claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
 
 force:
 
@@ -36,6 +36,12 @@ benchmark: setup ## run time against peers, measured now
 	$(BIN)/optsim benchmark
 
 bench: benchmark
+
+regress: setup ## the regression matrix against its baseline, reports/baselines/regress.json
+	$(BIN)/optsim regress
+
+planted-faults: setup ## does that gate catch faults planted into the code? writes reports/planted_faults.md
+	$(BIN)/python validation/planted_faults.py
 
 claims: setup ## the registered claims over seeds and phases of motion; writes reports/claims.md (90 minutes)
 	$(BIN)/python validation/claims.py

@@ -202,7 +202,7 @@ def test_the_published_mismatch_is_a_drift_of_the_demo():
         (("--vary", "relay.shift_x_px=50,60"), "every value is refused"),
         (("--vary", "relay.shft_x_px=0,1"), "did you mean 'relay.shift_x_px'"),
         (("--vary", "relay.shift_x_px=0,1", "--curves", "knwon"), "did you mean 'known'"),
-        (("--vary", "relay.shift_x_px=0,1", "--methods", "best"), "expected some of adaptive"),
+        (("--vary", "relay.shift_x_px=0,1", "--methods", "best"), "expected one of: adaptive"),
         (("--vary", "relay.shift_x_px=0,1", "--mark", "0.5"), "expected one of the values"),
         (("--vary", "relay.shift_x_px=0,1", "--vary", "relay.shift_x_px=0,1"), "expected two parameters"),
         (("--vary", "reading_px=1,3", "--curves", "unknown"), "no part of the camera"),

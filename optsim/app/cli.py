@@ -33,6 +33,7 @@ from optsim.app.options import (
     with_tolerance,
 )
 from optsim.app.reconstruct import reconstruct_files
+from optsim.app.regress import regress
 from optsim.app.report import remake_reports
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
@@ -304,6 +305,7 @@ app.command("report")(remake_reports)
 app.command("train")(train)
 app.command("compare", cls=UsageIsThree)(compare)
 app.command("accept")(accept)
+app.command("regress")(regress)
 app.command("sweep")(sweep)
 app.command("tolerance")(tolerance)
 app.command("waterfall")(waterfall)
