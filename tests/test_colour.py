@@ -207,6 +207,22 @@ def test_direct_light_on_matt_surfaces_is_a_multiple_of_the_seen_band() -> None:
     assert found.noise["G"] == pytest.approx(0.01 / 1.02, rel=1e-4)
 
 
+@pytest.mark.usefixtures("_renderer")
+def test_a_scene_without_movers_keeps_its_light_in_every_band() -> None:
+    """Nothing is traced again in a slot there: bands come from the still paths alone."""
+    whole = scene(movers={}, lamps={"top": TABLE["lamps"]["top"]})
+    counts = np.full(VIEW.rows * VIEW.cols, 256)
+    with three_channels(whole):
+        stage = Channels(whole, SRGB, VIEW, movers=True)
+        stage.pose(0.0)
+        sums = stage.radiance(counts, np.full_like(counts, 5), np.zeros_like(counts))
+    plain = dict(zip("RGB", sums.reshape(3, VIEW.rows, VIEW.cols) / 256, strict=True))
+    bands = BandLight(whole, "G", VIEW, TIMING, RenderSettings(seed=1), [SLOT], 16)
+    found = bands.of(SLOT, plain["G"].astype(np.float32)).w_m2_sr
+    for name in "RB":
+        assert found[name].mean() == pytest.approx(plain[name].mean(), rel=0.02)
+
+
 @pytest.fixture(scope="module")
 def plain_runs() -> list[dict[str, np.ndarray]]:
     """Slot 1 in each band, rendered plainly: independent runs, at random times in equal parts of the slot."""
