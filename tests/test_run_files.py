@@ -43,7 +43,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
 
 @pytest.fixture(scope="module")
 def drawn() -> list[tuple[str, int, int]]:
-    """Method, frame of its video and of its picture, as the gallery was given them."""
+    """Method, frame of its video and of its picture, as the figures were given them."""
     return []
 
 
@@ -53,9 +53,9 @@ def folder(
 ) -> Path:
     add = Figures.add
 
-    def noted(gallery: Figures, name: str, video: Any, frame: Any) -> None:
-        drawn.append((name, video.index, frame.index))
-        add(gallery, name, video, frame)
+    def noted(figures: Figures, index: int, videos: dict[str, Any], frames: dict[str, Any]) -> None:
+        drawn.extend((name, video.index, frames[name][index].index) for name, video in videos.items())
+        add(figures, index, videos, frames)
 
     where = tmp_path_factory.mktemp("run") / "lab"
     with pytest.MonkeyPatch.context() as patch:
