@@ -238,7 +238,7 @@ def test_the_bench_works_in_the_same_light(wavelength_m):
     # It would not do to take white for a half wave: past one, greys brighter than white have no meaning then.
     blind = replace(bench, white_rad=np.pi)
     if wavelength_m < GREEN:
-        with pytest.raises(BenchError, match=r"level 208 lets 1\.0"):
+        with pytest.raises(BenchError, match=r"level 208 that lets 1\.0"):
             calibrate_from(blind)
     else:
         wrong = calibrate_from(blind).weights(code, None)[0].sum(axis=0)
