@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from optsim.app.options import Json, print_json
+from optsim.app.options import Json, Scheduler, Workers, print_json
 from optsim.core.errors import ConfigError
 
 dataset_app = typer.Typer(
@@ -33,10 +33,8 @@ def build(
     plan: Annotated[
         bool, typer.Option("--plan", help="Build two sequences a scene, then say time, disk and memory.")
     ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes [one a core].")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
-    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="The I-th of N parts of the list, for job arrays.")
     ] = None,

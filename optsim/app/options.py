@@ -32,6 +32,14 @@ Seed = Annotated[int | None, typer.Option(help="Replace the experiment's seed.")
 Backend = Annotated[
     str | None, typer.Option(help="Mitsuba variant to use instead of the one chosen by probing.")
 ]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes [one a core].")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT|FILE.toml",
+        help="Workers of this dask scheduler instead, or of the jobs that a [cluster] table asks for.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout.")]
 Names = Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Which ones; default all.")]
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from optsim.app.options import Json
+from optsim.app.options import Json, Workers
 
 _OUT = Path("reports") / "runs" / "regress"
 
@@ -17,7 +17,7 @@ def regress(
     seeds: Annotated[
         str, typer.Option(metavar="A,B,...", help="Seeds; the baseline has the default ones.")
     ] = "1,2,3,4",
-    workers: Annotated[int | None, typer.Option(help="Processes side by side [one a core].")] = None,
+    workers: Workers = None,
     as_json: Json = False,
 ) -> None:
     """Run the regression matrix (3 scenes, 4 schemes, 2 cameras, 4 seeds) against its baseline."""

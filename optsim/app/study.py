@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from optsim.app.options import ExperimentName, Json, Set, print_json
+from optsim.app.options import ExperimentName, Json, Scheduler, Set, Workers, print_json
 from optsim.core.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
+    from optsim.core.progress import Progress
     from optsim.experiment.experiment import Experiment
     from optsim.study.comparison import Seeds
     from optsim.study.folder import Workplace
 
+Record = dict[str, Any]
 Out = Annotated[Path | None, typer.Option(help="Folder [reports/runs/STUDY-NAME-TIME]; the same goes on.")]
 Methods = Annotated[
     str | None, typer.Option(metavar="NAME,NAME", help="Methods of the experiment to compare; default all.")
@@ -23,10 +27,6 @@ Methods = Annotated[
 Frames = Annotated[int, typer.Option(min=1, max=100, help="Coded frames of the steady phase to score.")]
 SeedRange = Annotated[
     str, typer.Option("--seeds", metavar="LEAST:MOST", help="Seeds of codes and photons, and the cap.")
-]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes [one a core].")]
-Scheduler = Annotated[
-    str | None, typer.Option(metavar="tcp://HOST:PORT", help="Workers of this dask scheduler instead.")
 ]
 
 
@@ -56,8 +56,7 @@ def sweep(
     as_json: Json = False,
 ) -> None:
     """Vary one or two parameters: loss when calibrated, when drifted, and after a quick registration."""
-    from optsim.core.console import page, progress_bars, table
-    from optsim.core.folder_claims import output_folder
+    from optsim.core.console import table
     from optsim.study.point import MODES, parse_axis
     from optsim.study.sweep import SweepPlan
     from optsim.study.sweep import sweep as measure
@@ -75,31 +74,15 @@ def sweep(
         seeds=_seeds(seeds, precision),
         marks=tuple(mark or ()),
     )
-    with output_folder(out, f"sweep-{base.name}") as folder:
-        with progress_bars(quiet=as_json) as progress:
-            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
-        write_sweep_page(folder, record)
-        if as_json:
-            print_json(record)
-        else:
-            names = [axis.label for axis in plan.axes]
-            heads = (*names, "curve", "method", "dB", "change, dB", "±")
-            rows = [
-                [
-                    *(row[n] for n in names),
-                    row["mode"],
-                    row["method"],
-                    row["db"],
-                    row["change_db"],
-                    row["change_half"],
-                ]
-                for row in record["rows"]
-                if row.get("region") == "all"
-            ]
-            page.print(table("", heads, rows))
-            page.print(lead(record))
-            _close(folder, record)
-    _fail(record)
+
+    def said(record: Record) -> list[Any]:
+        names = [axis.label for axis in plan.axes]
+        keys = (*names, "mode", "method", "db", "change_db", "change_half")
+        rows = [[row[key] for key in keys] for row in record["rows"] if row.get("region") == "all"]
+        return [table("", (*names, "curve", "method", "dB", "change, dB", "±"), rows), lead(record)]
+
+    work = partial(measure, base, plan)
+    _study(f"sweep-{base.name}", out, workers, scheduler, as_json, work, write_sweep_page, said)
 
 
 def tolerance(
@@ -127,8 +110,7 @@ def tolerance(
     as_json: Json = False,
 ) -> None:
     """Write the tolerance sheet: the largest change of each parameter that costs at most a loss."""
-    from optsim.core.console import page, progress_bars, table
-    from optsim.core.folder_claims import output_folder
+    from optsim.core.console import table
     from optsim.study.parameters import ALL
     from optsim.study.tolerance import TolerancePlan
     from optsim.study.tolerance import tolerance as measure
@@ -146,20 +128,17 @@ def tolerance(
         # An interval of a tenth of the loss.
         seeds=_seeds(seeds, loss_db / 10),
     )
-    with output_folder(out, f"tolerance-{base.name}") as folder:
-        with progress_bars(quiet=as_json) as progress:
-            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
-        write_tolerance_page(folder, record)
-        if as_json:
-            print_json(record)
-        else:
-            for mode, title in MODES.items():
-                if lines := sheet(record["rows"], mode):
-                    page.print(table(f"{title}: {loss_db:g} dB", HEADS, lines))
-            for said in (*notes(record["rows"]), lead(record)):
-                page.print(said)
-            _close(folder, record)
-    _fail(record)
+
+    def said(record: Record) -> list[Any]:
+        tables = [
+            table(f"{title}: {loss_db:g} dB", HEADS, lines)
+            for mode, title in MODES.items()
+            if (lines := sheet(record["rows"], mode))
+        ]
+        return [*tables, *notes(record["rows"]), lead(record)]
+
+    work = partial(measure, base, plan)
+    _study(f"tolerance-{base.name}", out, workers, scheduler, as_json, work, write_tolerance_page, said)
 
 
 def waterfall(
@@ -180,8 +159,7 @@ def waterfall(
     as_json: Json = False,
 ) -> None:
     """Switch effects on from the ideal camera to the nominal one: what each costs, and its fair share."""
-    from optsim.core.console import page, progress_bars, table
-    from optsim.core.folder_claims import output_folder
+    from optsim.core.console import table
     from optsim.study.comparison import Seeds
     from optsim.study.waterfall import WaterfallPlan, effects_of
     from optsim.study.waterfall import waterfall as measure
@@ -189,18 +167,15 @@ def waterfall(
 
     base = _base(experiment, assignments, methods)
     plan = WaterfallPlan(effects_of(base, _names(effects)), orders, frames, Seeds(seeds, seeds))
-    with output_folder(out, f"waterfall-{base.name}") as folder:
-        with progress_bars(quiet=as_json) as progress:
-            record = measure(base, plan, _workplace(folder, workers, scheduler), progress)
-        write_waterfall_page(folder, record)
-        if as_json:
-            print_json(record)
-        else:
-            for method in dict.fromkeys(row["method"] for row in record["rows"]):
-                page.print(table(f"{method}, everywhere", HEADS, lines_of(record["rows"], method, "all")))
-            page.print(lead(record))
-            _close(folder, record)
-    _fail(record)
+
+    def said(record: Record) -> list[Any]:
+        rows = record["rows"]
+        methods = dict.fromkeys(row["method"] for row in rows)
+        tables = [table(f"{each}, everywhere", HEADS, lines_of(rows, each, "all")) for each in methods]
+        return [*tables, lead(record)]
+
+    work = partial(measure, base, plan)
+    _study(f"waterfall-{base.name}", out, workers, scheduler, as_json, work, write_waterfall_page, said)
 
 
 def yield_(
@@ -238,8 +213,7 @@ def yield_(
     """Draw cameras within a tolerance sheet: how many reach a score, and what the others share."""
     import shlex
 
-    from optsim.core.console import page, progress_bars, table
-    from optsim.core.folder_claims import output_folder
+    from optsim.core.console import page, table
     from optsim.metrics.records import REGIONS
     from optsim.study.compensation import COMPENSATORS
     from optsim.study.point import MODES
@@ -273,15 +247,39 @@ def yield_(
         given = [f"--set {shlex.quote(each)}" for each in assignments or []]
         page.print(" ".join(["optsim run", shlex.quote(experiment), *given, *words]))
         return
-    with output_folder(out, f"yield-{base.name}") as folder:
+
+    def said(record: Record) -> list[Any]:
+        return [table("What failures share", SHARED, shared_lines(record)), lead(record)]
+
+    work = partial(yields, base, plan)
+    _study(f"yield-{base.name}", out, workers, scheduler, as_json, work, write_yield_page, said)
+
+
+def _study(
+    name: str,
+    out: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    as_json: bool,
+    measure: Callable[[Workplace, Progress], Record],
+    write_page: Callable[[Path, Record], object],
+    said: Callable[[Record], list[Any]],
+) -> None:
+    """Measure a study into its folder, write its page, and print its record or what is said of it."""
+    from optsim.core.console import page, progress_bars
+    from optsim.core.folder_claims import output_folder
+    from optsim.study.folder import Workplace
+
+    with output_folder(out, name) as folder:
+        place = Workplace(folder, workers, scheduler, " ".join(["optsim", *sys.argv[1:]]))
         with progress_bars(quiet=as_json) as progress:
-            record = yields(base, plan, _workplace(folder, workers, scheduler), progress)
-        write_yield_page(folder, record)
+            record = measure(place, progress)
+        write_page(folder, record)
         if as_json:
             print_json(record)
         else:
-            page.print(table("What failures share", SHARED, shared_lines(record)))
-            page.print(lead(record))
+            for each in said(record):
+                page.print(each)
             _close(folder, record)
     _fail(record)
 
@@ -313,12 +311,6 @@ def _seeds(text: str, precision: float) -> Seeds:
     if not 1 <= numbers[0] <= numbers[1] <= 1000:
         raise ConfigError(f"--seeds: got {text!r}, expected LEAST:MOST, for example 2:4")
     return Seeds(numbers[0], numbers[1], precision)
-
-
-def _workplace(folder: Path, workers: int | None, scheduler: str | None) -> Workplace:
-    from optsim.study.folder import Workplace
-
-    return Workplace(folder, workers, scheduler, " ".join(["optsim", *sys.argv[1:]]))
 
 
 def _close(folder: Path, record: dict[str, Any]) -> None:

@@ -15,23 +15,21 @@ breaks it, and is *undecided* otherwise. A failure is published, and nothing is 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
-from scipy import special  # type: ignore[import-untyped]
 
 from optsim.metrics.log_error import LogRmse
 from optsim.metrics.pairs import advantage
 from optsim.metrics.pu21 import Pu21Psnr
 from optsim.metrics.records import AREAS, Area, PairRecord, Region, Verdict
+from optsim.metrics.student import half_width
 
 ADAPTIVE = "adaptive"
 """Name of the method that the claims are about."""
 LEAST_DRAWS = 6
-_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -152,13 +150,10 @@ def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | 
     if not found:
         return None
     mean, low, high = float(np.mean(found)), None, None
-    if (n := len(found)) > 1:
-        # Quantile of Student's distribution.
-        times = float(cast("float", special.stdtrit(n - 1, 1 - (1 - _CONFIDENCE) / 2 / n_rivals)))
-        half = times * float(np.std(found, ddof=1)) / math.sqrt(n)
+    if (half := half_width(found, n_rivals)) is not None:
         low, high = mean - half, mean + half
     excluded = float(np.mean([r.excluded for r in records]))
-    return _Rival(name, mean, low, high, n, excluded, float(np.mean(of_all)) if of_all else None)
+    return _Rival(name, mean, low, high, len(found), excluded, float(np.mean(of_all)) if of_all else None)
 
 
 def _verdict(rivals: Sequence[_Rival], margin: float) -> Literal["holds", "fails", "undecided"]:

@@ -17,8 +17,8 @@ import numpy as np
 from scipy import special  # type: ignore[import-untyped]
 
 from optsim.core.quantities import Doubles
+from optsim.metrics.student import CONFIDENCE, quantile
 
-CONFIDENCE = 0.95
 """Probability that no interval of a whole comparison misses its value."""
 POWER = 0.9
 """Probability with which the smallest detectable loss raises the alarm."""
@@ -165,11 +165,11 @@ def judge(found: Estimate, tolerance: float | None, level: float, *, either_way:
         why = "moved beyond the tolerance in a single unit" if moved else ""
         unit: Change = "not judged" if tolerance is None else "cannot tell"
         return Judgement(None, None, unit, "warn" if moved else "", why, None)
-    far = _quantile(found.freedom, 1 - level / 2) * found.error
+    far = quantile(found.freedom, 1 - level / 2) * found.error
     low, high = found.advantage - far, found.advantage + far
     if tolerance is None:
         return Judgement(low, high, "not judged", "", "", None)
-    detectable = max(tolerance, far) + _quantile(found.freedom, POWER) * found.error
+    detectable = max(tolerance, far) + quantile(found.freedom, POWER) * found.error
     significant, beyond = not low <= 0 <= high, abs(found.advantage) > tolerance
     if significant and beyond:
         verdict: Change = "better" if found.advantage > 0 and not either_way else "worse"
@@ -195,10 +195,6 @@ def _alarm(
     if significant and loss > tolerance / 2:
         return "warn", scatter or "significant, within the tolerance"
     return ("warn", scatter) if grown else ("", "")
-
-
-def _quantile(freedom: float, probability: float) -> float:
-    return float(cast("float", special.stdtrit(freedom, probability)))
 
 
 def _f_survival(ratio: float, over: float, under: float) -> float:

@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, cast
+from typing import Protocol, TypeVar
 
 import numpy as np
-from scipy import special  # type: ignore[import-untyped]
 
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Bools, Doubles, Floats, Ints, Reconstruction
 from optsim.metrics.metric import Metric
 from optsim.metrics.photometry import PhotometricScale
 from optsim.metrics.records import PHASES, REGIONS, Coverage, Phase, Region, Score, Series
+from optsim.metrics.student import CONFIDENCE, quantile
 
 TRUTH_NOISE = "truth noise"
 """Method name of the tallies that say what the truth's own noise can certify."""
@@ -315,7 +315,7 @@ def _interval(value: float | None, frames: Sequence[float]) -> tuple[float | Non
     mean = math.fsum(frames) / n
     # Exact sums: the order of the frames cannot change a result.
     error = math.sqrt(math.fsum((each - mean) ** 2 for each in frames) / (n - 1) / n)
-    half = float(cast("float", special.stdtrit(n - 1, 0.975))) * error
+    half = quantile(n - 1, (1 + CONFIDENCE) / 2) * error
     return value - half, value + half
 
 

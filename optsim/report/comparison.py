@@ -16,8 +16,9 @@ from pydantic import Field
 
 from optsim.core.config import flat
 from optsim.core.errors import ConfigError, unknown_name
-from optsim.metrics.comparison import CONFIDENCE, Alarm, Change, Estimate, estimate, judge, row_level
+from optsim.metrics.comparison import Alarm, Change, Estimate, estimate, judge, row_level
 from optsim.metrics.records import Record
+from optsim.metrics.student import CONFIDENCE
 from optsim.metrics.tolerances import tolerance_of
 from optsim.report.baseline import Facts, Run, Scored
 

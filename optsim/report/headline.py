@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
-from scipy import special  # type: ignore[import-untyped]
 
+from optsim.metrics import student
 from optsim.metrics.records import Phase, Region, Score
 from optsim.metrics.scoring import phase_of
 from optsim.report.schema import Results
@@ -20,7 +18,6 @@ REGIONS: tuple[tuple[Region, str], ...] = (
     ("static", "Where it is static"),
     ("all", "Everywhere"),
 )
-CONFIDENCE = 0.95
 _LEAST_FRAMES = 3
 
 
@@ -103,10 +100,7 @@ def by_frame(results: Results, metric: str, region: Region, method: str, phase: 
 
 def half_width(values: Sequence[float]) -> float | None:
     """Half of the 95 % interval of a mean, by Student's distribution; None for fewer than three values."""
-    if (n := len(values)) < _LEAST_FRAMES:
-        return None
-    times = float(cast("float", special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2)))
-    return times * float(np.std(values, ddof=1)) / math.sqrt(n)
+    return None if len(values) < _LEAST_FRAMES else student.half_width(values)
 
 
 def score_half_width(results: Results, row: Row, method: str, phase: Phase) -> float | None:

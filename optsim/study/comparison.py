@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
+from optsim.metrics.student import half_width
 from optsim.study.measurement import Key, Measured, measured
 from optsim.study.point import Point
 from optsim.study.stage import Stage
-
-_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -58,13 +56,7 @@ class Estimate:
 
 def student(values: Sequence[float]) -> Estimate:
     """Mean of independent values and half of its 95 % interval."""
-    from scipy import special  # type: ignore[import-untyped]
-
-    n, mean = len(values), float(np.mean(values))
-    if n < 2:
-        return Estimate(mean, None, n)
-    times = float(cast("float", special.stdtrit(n - 1, (1 + _CONFIDENCE) / 2)))
-    return Estimate(mean, times * float(np.std(values, ddof=1)) / math.sqrt(n), n)
+    return Estimate(float(np.mean(values)), half_width(values), len(values))
 
 
 @dataclass(frozen=True, eq=False)
