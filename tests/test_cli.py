@@ -296,3 +296,28 @@ def test_a_dry_run_says_that_there_is_no_steady_phase(
         assert code == 0
         assert "demo: fine" in told
         assert ("5 coded frames end before the steady phase: take 6" in told) == said
+
+
+def every_command(group, path=()):
+    """All commands below a group, each with the words that call it."""
+    for name, command in getattr(group, "commands", {}).items():
+        yield (*path, name), command
+        yield from every_command(command, (*path, name))
+
+
+def test_help_keeps_what_stands_in_brackets(capsys, monkeypatch):
+    """Rich's markup would take "[one a core]" for a tag, and print nothing."""
+    from typer.main import get_command
+
+    from optsim.app.cli import app
+
+    monkeypatch.setenv("COLUMNS", "200")
+    checked = 0
+    for words, command in every_command(get_command(app)):
+        wanted = [part for each in command.params for part in re.findall(r"\[.*?\]", each.help or "")]
+        if wanted:
+            shown = re.sub(r"[│\s]+", " ", optsim(capsys, monkeypatch, *words, "--help")[1])
+            for part in wanted:
+                assert part in shown, (words, part)
+                checked += 1
+    assert checked > 20

@@ -42,7 +42,9 @@ from optsim.app.trace import trace
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
 
+# Markdown: Rich's own markup would swallow a "[one a core]" in a help text.
 app = typer.Typer(
+    rich_markup_mode="markdown",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

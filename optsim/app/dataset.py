@@ -11,6 +11,7 @@ from optsim.app.options import Json, Scheduler, Workers, print_json
 from optsim.core.errors import ConfigError
 
 dataset_app = typer.Typer(
+    rich_markup_mode="markdown",
     no_args_is_help=True,
     help="Build, read, check and convert data sets.",
     epilog="Start with: optsim dataset build demo --out reports/datasets/demo",

@@ -8,8 +8,13 @@ import typer
 
 from optsim.app.options import ExperimentName, Json, Set, print_json
 
-config_app = typer.Typer(no_args_is_help=True, help="Show a resolved experiment, or the schema of all keys.")
+config_app = typer.Typer(
+    rich_markup_mode="markdown",
+    no_args_is_help=True,
+    help="Show a resolved experiment, or the schema of all keys.",
+)
 cache_app = typer.Typer(
+    rich_markup_mode="markdown",
     no_args_is_help=True,
     help="Show or clear the cache of rendered truth.",
     epilog="OPTSIM_CACHE chooses its folder, OPTSIM_CACHE_MAX_GB its size [20]: the oldest entries go first.",

@@ -9,7 +9,7 @@ import typer
 
 from optsim.app.options import Backend, Json, print_json
 
-scene_app = typer.Typer(no_args_is_help=True, help="Look at scenes and models.")
+scene_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Look at scenes and models.")
 
 
 @scene_app.command("show")
