@@ -11,7 +11,7 @@ from test_scoring import flat, small
 from optsim.calibration import Calibration
 from optsim.camera.camera import CodedCamera
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
-from optsim.decoding import HdrMerge, SparseCoding, Union
+from optsim.decoding import HdrMerge, SparseCoding, Union, hdr_merge
 from optsim.experiment import calibrations, loop
 from optsim.experiment.calibrations import calibrate_all
 from optsim.experiment.experiment import Experiment
@@ -127,3 +127,24 @@ def test_scheme_and_decoder_of_a_method_know_what_the_method_states(monkeypatch:
     names = ["adaptive", "normal", "hdr_mosaic", "random"]
     assert [method.name for method in experiment.methods] == names
     assert told == [(Union, "true"), (HdrMerge, "ideal"), (HdrMerge, "true"), (SparseCoding, "ideal")]
+
+
+def test_a_frame_decoded_alone_is_as_among_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames that nobody reads are only remembered: no image of them is merged, and none is missed."""
+    experiment = small("camera.effects.all=ideal", n_frames=FRAMES)
+    frames, _, known = taken(experiment)
+    every = list(loop.decode(experiment, frames, known))[-1].videos
+    merges = 0
+    given = hdr_merge.merged
+
+    def counted(*of: Any) -> Any:
+        nonlocal merges
+        merges += 1
+        return given(*of)
+
+    monkeypatch.setattr(hdr_merge, "merged", counted)
+    (alone,) = loop.decode(experiment, frames, known, first=FRAMES - 1)
+    assert merges == sum(not isinstance(method.decoder, SparseCoding) for method in experiment.methods)
+    for name, video in alone.videos.items():
+        for field in ("irradiance_w_m2", "valid", "interpolated", "moving", "uncertainty_w_m2"):
+            np.testing.assert_array_equal(getattr(video, field), getattr(every[name], field), err_msg=name)

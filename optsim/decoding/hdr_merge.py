@@ -93,6 +93,9 @@ class HdrMerge(PartialDecoder):
         everywhere = np.ones(calibration.shape, np.bool_)
         for frame, sample in demixed_frames(frames, calibration, crosstalk):
             recent.appendleft(_Kept(sample, demixed_interval(calibration, sample)))
+            if frame.earlier:
+                yield _no_image(frame.index, calibration)
+                continue
             samples = [kept.sample for kept in recent]
             if self.paper_literal:
                 alive = [kept.sample.valid for kept in recent]
@@ -140,6 +143,12 @@ class HdrMerge(PartialDecoder):
 class _Kept:
     sample: DemixedFrame
     bounds: IrradianceInterval
+
+
+def _no_image(index: int, calibration: Calibration) -> Partial:
+    """Stand for an earlier frame's image: dark and not valid."""
+    no, dark = np.zeros(calibration.shape, np.bool_), np.zeros(calibration.shape, np.float32)
+    return Partial(index, dark[None], dark, no, no, no, calibration.slots_per_frame, dark[None])
 
 
 def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, speck_px: int) -> list[Bools]:

@@ -218,7 +218,7 @@ def decode(
     """
     running: dict[str, Iterator[Reconstruction]] = {}
     for m in experiment.methods:
-        asked = _without_video(frames[m.name], first, again)
+        asked = _marked(frames[m.name], first, again)
         running[m.name] = m.decoder.decode(asked, calibrations[experiment.choice_of(m)])
     for index in range(len(next(iter(frames.values())))):
         videos: dict[str, Reconstruction] = {}
@@ -231,13 +231,14 @@ def decode(
             yield Decoded(index, videos, seconds)
 
 
-def _without_video(frames: Sequence[CodedFrame], first: int, again: Collection[int]) -> Iterator[CodedFrame]:
-    """Remove the video request of frames not returned: it takes long, and no later frame needs it."""
+def _marked(frames: Sequence[CodedFrame], first: int, again: Collection[int]) -> Iterator[CodedFrame]:
+    """Mark the frames that are not returned, and remove their request for video, which takes long."""
     for frame in frames:
         if frame.index >= first or frame.index in again:
             yield frame
         else:
-            yield replace(frame, code=replace(frame.code, moving=np.zeros_like(frame.code.moving)))
+            still = replace(frame.code, moving=np.zeros_like(frame.code.moving))
+            yield replace(frame, code=still, earlier=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -76,12 +76,15 @@ class CodedFrame:
         Commanded code.
     negative_light : int
         CCD pixels with negative expected light (Monte-Carlo noise of the truth), exposed as dark.
+    earlier : bool
+        True for a frame that only later ones need: nobody reads its own reconstruction, and none is made.
     """
 
     index: int
     dn: Words
     code: ExposureCode
     negative_light: int = 0
+    earlier: bool = False
 
     def __post_init__(self) -> None:
         checked("dn", self.dn, axes=("y", "x"), dtype=np.uint16, unit="DN")
