@@ -11,7 +11,7 @@ from test_cli import cli  # noqa: F401  a fixture
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.quantities import ExposureCode
 from optsim.experiment.experiment import load_experiment
-from optsim.study.comparison import Seeds, compare, student
+from optsim.study.comparison import Seeds, compare, pool_scatter, student
 from optsim.study.folder import Workplace
 from optsim.study.measurement import measured
 from optsim.study.point import Axis, Point, changed_only, experiment_at, full_key, parse_axis, shares_truth
@@ -146,6 +146,23 @@ def test_student_gives_the_textbook_interval():
     assert student([1.0]).half is None
     assert student([1.0]).below_noise
     assert not student([5.0, 5.1, 4.9]).below_noise
+
+
+def test_intervals_of_a_curve_hold_with_two_seeds_a_point():
+    """Of 400 curves of nine points 95 % of the points lie within; false alarm below 1e-6 (binomial)."""
+    rng, inside = np.random.default_rng(5), 0
+    for _ in range(400):
+        points = [student(pair) for pair in rng.normal(3, 0.7, (9, 2))]
+        curve = {"mode": "known", "method": "a", "region": "all", "seeds": 2, "refused": ""}
+        scores = [
+            curve | {"db": p.mean, "db_half": p.half, "change_db": 0, "change_half": 0.0} for p in points
+        ]
+        other = curve | {"mode": "unknown", "db": 9, "db_half": None, "change_db": 0, "change_half": None}
+        pool_scatter([*scores, other, {"mode": "known", "refused": "too far"}])
+        assert (other["db_half"], other["below_noise"], scores[0]["change_half"]) == (None, True, 0)
+        inside += sum(abs(row["db"] - 3) <= row["db_half"] for row in scores)
+    # The nine points of a curve share an estimate, so they count as one: 5 standard errors.
+    assert inside / 3600 == pytest.approx(0.95, abs=5 * (0.95 * 0.05 / 400) ** 0.5)
 
 
 @pytest.mark.usefixtures("without_workers")

@@ -45,8 +45,8 @@ def sweep(
     mark: Annotated[list[float] | None, typer.Option(help="Show pictures at this value; repeatable.")] = None,
     assignments: Set = None,
     methods: Methods = None,
-    frames: Frames = 3,
-    seeds: SeedRange = "2:4",
+    frames: Frames = 1,
+    seeds: SeedRange = "2:2",
     precision: Annotated[
         float, typer.Option(min=1e-3, help="Half of an interval, dB, at which no seed is added.")
     ] = 0.1,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from optsim.metrics.student import half_width
+from optsim.metrics.student import CONFIDENCE, half_width, quantile
 from optsim.study.measurement import Key, Measured, measured
 from optsim.study.point import Point
 from optsim.study.stage import Stage
@@ -33,6 +34,8 @@ class Seeds:
 
 FEW = Seeds()
 """Seeds by default."""
+PAIR = Seeds(2, 2)
+"""Seeds of a point whose curve knows the scatter, see :func:`pool_scatter`."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,35 @@ def rows_of(compared: Compared, **about: Any) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def pool_scatter(rows: Iterable[dict[str, Any]]) -> None:
+    """Set the intervals of tidy rows anew: the scatter over seeds is that of the whole curve.
+
+    Two seeds alone have an interval nine standard deviations wide; nine points of two seeds know the standard
+    deviation well. It is taken to be the same along a curve: a mode, method and region. The unchanged camera
+    has no scatter against itself and counts for none.
+    """
+    curves: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        if not row["refused"]:
+            curves.setdefault((row["mode"], row["method"], row["region"]), []).append(row)
+    for curve in curves.values():
+        for half in ("db_half", "change_half"):
+            known = [row for row in curve if row[half]]
+            freedom = sum(row["seeds"] - 1 for row in known)
+            if freedom:
+                variance = sum((row["seeds"] - 1) * _variance(row[half], row["seeds"]) for row in known)
+                times = quantile(freedom, (1 + CONFIDENCE) / 2) * math.sqrt(variance / freedom)
+                for row in known:
+                    row[half] = times / math.sqrt(row["seeds"])
+        for row in curve:
+            row["below_noise"] = row["change_half"] is None or abs(row["change_db"]) <= row["change_half"]
+
+
+def _variance(half: float, n: int) -> float:
+    """Variance of values whose mean has this half of a Student interval."""
+    return n * (half / quantile(n - 1, (1 + CONFIDENCE) / 2)) ** 2
 
 
 def _difference(base: Measured, here: Measured) -> dict[Key, float | None]:

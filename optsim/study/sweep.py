@@ -14,7 +14,7 @@ from optsim.core.errors import ConfigError, GeometryError
 from optsim.core.progress import Progress, silent
 from optsim.experiment.experiment import Experiment
 from optsim.metrics.records import REGIONS
-from optsim.study.comparison import FEW, Estimate, Seeds, add_work, compare, rows_of
+from optsim.study.comparison import PAIR, Estimate, Seeds, add_work, compare, pool_scatter, rows_of
 from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
 from optsim.study.point import Axis, Mode, Point, changed_only, experiment_at
@@ -38,15 +38,15 @@ class SweepPlan:
     frames : int
         Coded frames to score.
     seeds : Seeds
-        How many, and until when.
+        How many, and until when. Two are enough: intervals take the scatter of all points of a curve.
     marks : tuple of float
         Values of the first axis whose pictures are kept.
     """
 
     axes: tuple[Axis, ...]
     modes: tuple[Mode, ...] = ("known", "unknown", "compensated")
-    frames: int = 3
-    seeds: Seeds = FEW
+    frames: int = 1
+    seeds: Seeds = PAIR
     marks: tuple[float, ...] = ()
 
     def points(self) -> list[tuple[Any, ...]]:
@@ -105,6 +105,7 @@ def sweep(base: Experiment, plan: SweepPlan, place: Workplace, progress: Progres
     }
     record = compute("sweep", base, said, pieces, place, progress)
     rows = [row for result in record["results"].values() for row in result["rows"]]
+    pool_scatter(rows)
     write_table(place.folder, record, rows)
     return {**record, "rows": rows}
 

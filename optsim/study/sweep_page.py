@@ -49,7 +49,7 @@ def write_sweep_page(folder: Path, record: dict[str, Any]) -> None:
             "What it costs",
             [
                 *(f"{mode.capitalize()}: {MODES[mode]}." for mode in record["plan"]["modes"]),
-                "Bands are 95 % intervals over paired seeds.",
+                "Bands are 95 % intervals over paired seeds, with the scatter of the whole curve.",
             ],
             drawn if drawn else [_grids(rows, names, methods)],
         ),

@@ -50,6 +50,8 @@ class TolerancePlan:
         Cameras of the Monte-Carlo budget.
     interactions : bool
         Whether the worst five are measured in pairs.
+    compensators : tuple of str
+        What is tried against each drift: names of compensators, and :data:`WHOLE_BENCH`.
     frames, seeds
         As of a sweep.
     """
@@ -60,6 +62,7 @@ class TolerancePlan:
     known: bool = True
     draws: int = 8
     interactions: bool = True
+    compensators: tuple[str, ...] = (*COMPENSATORS, WHOLE_BENCH)
     frames: int = 3
     seeds: Seeds = FEW
 
@@ -98,11 +101,14 @@ def tolerance(
             raise unknown_name("region", region, REGIONS)
     if not plan.names or not math.isfinite(plan.loss_db) or plan.loss_db <= 0:
         raise ConfigError(f"--loss: got {plan.loss_db:g} dB, expected more than 0")
+    for name in plan.compensators:
+        if name not in (allowed := (*COMPENSATORS, WHOLE_BENCH)):
+            raise unknown_name("compensator", name, allowed)
     said = asdict(plan)
     common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
     modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)
     pieces = [
-        Piece(f"limits/{name}-{mode}", _find_limits, (*common, name, mode))
+        Piece(f"limits/{name}-{mode}", _find_limits, (*common, name, mode, list(plan.compensators)))
         for mode in modes
         for name in plan.names
     ]
@@ -209,6 +215,7 @@ def _find_limits(
     seeds: dict[str, Any],
     name: str,
     mode: Mode,
+    compensators: Sequence[str],
 ) -> None:
     """Search both signs of a parameter in one mode; what drifted is then compensated. In a worker."""
     stage, parameter, pick = stage_of(text, frames), ALL[name], deciding(regions)
@@ -235,7 +242,8 @@ def _find_limits(
         limit = largest_change(loss, loss_db, first, most)
         rows.append(_row(name, mode, sign, limit, seen, regions))
         if mode == "unknown" and limit.value > 0:
-            won += _compensate(stage, name, sign * limit.value, regions, Seeds(**seeds), work)
+            drift = {name: sign * limit.value}
+            won += _compensate(stage, drift, compensators, regions, Seeds(**seeds), work)
     write_result(folder, work, rows=rows, won=won, refusals=refusals)
 
 
@@ -267,9 +275,15 @@ def _row(
 
 
 def _compensate(
-    stage: Stage, name: str, change: float, regions: Sequence[str], seeds: Seeds, work: dict[str, int]
+    stage: Stage,
+    drift: dict[str, float],
+    compensators: Sequence[str],
+    regions: Sequence[str],
+    seeds: Seeds,
+    work: dict[str, int],
 ) -> list[dict[str, Any]]:
-    """Measure what each compensator wins back of a drift."""
+    """Measure what each compensator wins back of a parameter's drift."""
+    ((name, change),) = drift.items()
     pick = deciding(regions)
     before = compare(stage, point_at(stage, {name: change}, "unknown"), seeds, pick)
     add_work(work, before.work)
@@ -277,7 +291,7 @@ def _compensate(
     if worst is None:
         return []
     rows: list[dict[str, Any]] = []
-    for compensator in (*COMPENSATORS, WHOLE_BENCH):
+    for compensator in compensators:
         if compensator == WHOLE_BENCH:
             point = point_at(stage, {name: change}, "known")
         else:
