@@ -41,6 +41,7 @@ from optsim.app.study import sweep, tolerance, waterfall, yield_
 from optsim.app.trace import trace
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.memory import keep_freed_memory
 
 # Markdown: Rich's own markup would swallow a "[one a core]" in a help text.
 app = typer.Typer(
@@ -354,5 +355,6 @@ def init(
 
 def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
+    keep_freed_memory()
     command = typer.main.get_command(app)
     raise SystemExit(guarded(lambda: command.main(standalone_mode=False)))

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from optsim.core.errors import ConfigError, OptsimError
+from optsim.core.memory import keep_freed_memory
 from optsim.core.progress import Progress, silent
 from optsim.core.threads import CORES
 from optsim.tasks.cluster import read_cluster, running
@@ -138,6 +139,7 @@ def _why(error: BaseException) -> str:
 
 def _attempt(root: Path, task: Task) -> tuple[str, str]:
     """Do a task in a worker; what the user can mend is not tried again."""
+    keep_freed_memory()
     try:
         return make_folder(root, task), ""
     except OptsimError as error:
