@@ -21,7 +21,8 @@ from optsim.core.quantities import Doubles, Floats
 from optsim.scene.bands import MONO, Band, PositiveByBand, mono, value_in
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.fields import Positive, Share
-from optsim.scene.models import inside, read_picture
+from optsim.scene.models import inside
+from optsim.scene.pictures import read_picture
 
 # A texel is a third of the sun's disc.
 _ROWS, _COLS = 1025, 2048
