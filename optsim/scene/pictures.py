@@ -9,12 +9,13 @@ import numpy as np
 
 from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
+from optsim.core.foreign.rgbe import rgbe_pixels
 from optsim.core.quantities import Doubles, Floats
 from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.bands import Channel, in_channel
 
-LINEAR = (".exr",)
-"""Suffixes of pictures of linear light."""
+LINEAR = (".exr", ".hdr")
+"""Suffixes of pictures of linear light: OpenEXR and Radiance."""
 MAPS = ("normal_map", "roughness_map", "metallic_map")
 """Keys of a material's maps of raw numbers."""
 # Channel of a map of one number; glTF 2.0 packs both into one picture. Of grey it is all the same.
@@ -24,7 +25,7 @@ _LENGTHS = (0.8, 1.2)
 
 
 def read_picture(path: Path, channel: Channel | None = None) -> Floats:
-    """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR as linear; row 0 at the lower edge.
+    """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR and Radiance as linear; row 0 at the lower edge.
 
     Without a channel it is that of the luminance.
 
@@ -117,9 +118,11 @@ def _values(path: Path) -> Doubles:
         names = [name for name in ("R", "G", "B") if name in channels]
         chosen = names if len(names) == 3 else list(channels)[:1]
         return np.stack([channels[name] for name in chosen], axis=-1).astype(np.float64)
+    if path.suffix.lower() == ".hdr":
+        return rgbe_pixels(path).astype(np.float64)
     from PIL import Image
 
-    with reading(path, "a PNG, JPEG or OpenEXR picture"), Image.open(path) as picture:
+    with reading(path, "a PNG, JPEG, OpenEXR or Radiance picture"), Image.open(path) as picture:
         if picture.mode.startswith("I"):
             # Pillow would clip grey of 16 bits at 255.
             return np.asarray(picture, np.float64)[..., None] / 65535
