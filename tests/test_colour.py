@@ -21,7 +21,7 @@ from optsim.render.channels import Channels, three_channels
 from optsim.report.pictures import tinted
 from optsim.scene import load_scene
 from optsim.scene.bands import SRGB
-from optsim.scene.models import read_picture
+from optsim.scene.pictures import read_picture
 from optsim.scene.scene import Scene
 from optsim.scene.textures import reflectance_map
 

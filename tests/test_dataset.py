@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from optsim.app.cli import app
 from optsim.core.config import build
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import write_exr, write_json, write_png8, write_png16
 from optsim.dataset import DatasetSpec, build_dataset, load_spec, open_dataset
-from optsim.dataset.building import CHECKS, finish
+from optsim.dataset.building import CHECKS, _own, _take_back, finish
 from optsim.dataset.consistency import consistency
 from optsim.dataset.exports import EXPORTS
+from optsim.dataset.filters import content
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
 from optsim.render import choose_backend
@@ -34,7 +36,7 @@ def spec_of(**changes) -> DatasetSpec:
     return build(DatasetSpec, {**SPEC, **changes}, where="spec.toml")
 
 
-def write_slot(path: Path, slot: int, *, flow_col: float = -0.5) -> None:
+def write_slot(path: Path, slot: int, *, flow_col: float = -0.5, moving: int = 0) -> None:
     """A wall that faces a camera which moves to the right by half a sample a slot."""
     focal, depth = 10.0, 2.0
     poses = [np.eye(4) for _ in range(3)]
@@ -55,10 +57,8 @@ def write_slot(path: Path, slot: int, *, flow_col: float = -0.5) -> None:
         **{f"flow.{way}.row": 0 * full for way in ("forward", "backward")},
         "flow.forward.col": np.float32(flow_col) * full,
         "flow.backward.col": 0.5 * full,
-        **{
-            name: np.zeros((ROWS, COLS), np.uint32)
-            for name in ("moving", "occluded.forward", "occluded.backward")
-        },
+        **{name: np.zeros((ROWS, COLS), np.uint32) for name in ("occluded.forward", "occluded.backward")},
+        "moving": (np.arange(ROWS * COLS) < moving).astype(np.uint32).reshape(ROWS, COLS),
     }
     write_exr(
         path,
@@ -77,20 +77,26 @@ def write_slot(path: Path, slot: int, *, flow_col: float = -0.5) -> None:
 @pytest.fixture
 def folder(tmp_path) -> Path:
     """Two sequences as a build leaves them, with numbers that are easy to tell apart."""
-    spec, root = spec_of(), tmp_path / "set"
-    for sequence in spec.sequences():
+    root = tmp_path / "set"
+    write_sequences(root)
+    finish(spec_of(), root, "exr", recipe=False)
+    return root
+
+
+def write_sequences(root: Path) -> None:
+    """Write the folders of both sequences; the mover of the second fills a quarter of its pictures."""
+    for sequence in spec_of().sequences():
         place = root / sequence.name
         for slot in range(SLOTS):
-            write_slot(place / "truth" / f"slot{slot:06d}.exr", slot)
+            mover = 12 if sequence.split == "test" else 0
+            write_slot(place / "truth" / f"slot{slot:06d}.exr", slot, moving=mover)
         seed = place / "seed1"
         write_png16(seed / "frames/adaptive/000000.png", np.arange(48, dtype=np.uint16).reshape(6, 8) * 300)
         write_png8(seed / "masks/adaptive/000000.png", np.eye(4, dtype=np.uint8) * 255)
         levels = {f"slot{slot:02d}": np.full((4, 4), 10 * slot, np.float32) for slot in range(36)}
         write_exr(seed / "codes/adaptive/000000.exr", levels, attributes={}, half=True)
         write_exr(seed / "reconstructions/adaptive/000000.exr", levels, attributes={}, half=True)
-        write_json(place / CHECKS, consistency(place / "truth"))
-    finish(spec, root, "exr", recipe=False)
-    return root
+        write_json(place / CHECKS, consistency(place / "truth") | content(place / "truth"))
 
 
 def test_arrays_come_back_with_units_and_axes(folder):
@@ -124,7 +130,7 @@ def test_the_lines_of_the_manual_read_it(folder, monkeypatch, capsys):
 
 def test_the_spec_of_the_manual_can_be_built(tmp_path):
     page = (Path(__file__).parents[1] / "docs/how-to/datasets.md").read_text()
-    text = re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)[0]
+    text = "".join(re.findall(r"^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)[:2])
     (tmp_path / "spec.toml").write_text(text)
     spec = load_spec(str(tmp_path / "spec.toml"))
     check_spec(spec)
@@ -206,6 +212,77 @@ def test_shards_and_transforms_hold_the_samples(folder, tmp_path):
     assert (tmp_path / "nerf/test/wheel-1-main/images/000002.png").is_file()
 
 
+def test_the_content_of_slots_is_measured(folder):
+    found = content(folder / "test/wheel-1-main/truth")
+    # All move by half a sample; Y is a ramp from 0.1 to 1, one more in each slot.
+    ends = np.percentile(1 + np.linspace(0.1, 1.0, ROWS * COLS), (1, 99.9))
+    expected = {"moving_share": 0.25, "speed_px": 0.5, "range_stops": np.log2(ends[1] / ends[0])}
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_filters_drop_sequences_and_the_card_counts_them(tmp_path, capsys):
+    root = tmp_path / "set"
+    write_sequences(root)
+    ranges = {"moving_share": [0.01, 0.6], "noise_share": [0, 0.05], "speed_px": [0, 0.6]}
+    spec = spec_of(filter=ranges)
+    finish(spec, root, "exr", recipe=False)
+    dataset = open_dataset(root)
+    assert (len(dataset.train), len(dataset.test)) == (0, 1)
+    assert verify(dataset) == []
+    assert "train/" not in (root / "manifest.jsonl").read_text()
+    counts = {each["key"]: each["dropped"] for each in dataset.card["filters"]}
+    assert counts == {"moving_share": {"train/wheel-main-main": 0.0}, "speed_px": {}, "noise_share": {}}
+    # What is left of it tells a later build that it was made.
+    left = {path.name for path in (root / "train/wheel-main-main").iterdir()}
+    assert left == {"filtered.json", CHECKS}
+    text = (root / "README.md").read_text()
+    assert "1 of 2 sequences lie inside all filters" in text
+    assert "over the slots | 0.01 | 0.6 | 1 |" in text
+    with pytest.raises(SystemExit) as ended:
+        app(["dataset", "show", str(root)])
+    assert ended.value.code == 0
+    assert "filter moving_share from 0.01 to 0.6: 1 of 2 dropped" in capsys.readouterr().out
+    # Stopped while it drops: the same again.
+    finish(spec, root, "exr", recipe=False)
+    assert open_dataset(root).card["filters"] == dataset.card["filters"]
+
+
+def test_filters_that_leave_nothing_are_said_and_remove_nothing(tmp_path):
+    write_sequences(tmp_path)
+    spec = spec_of(filter={"moving_share": [0.5, 0.6], "negative_share": [0, 0.1]})
+    with pytest.raises(
+        ConfigError, match=r"moving_share from 0\.5 to 0\.6: 2 of 2 dropped; negative_share"
+    ) as caught:
+        finish(spec, tmp_path, "exr", recipe=False)
+    assert "\n" not in str(caught.value)
+    assert len(list(tmp_path.rglob("slot*.exr"))) == 2 * SLOTS
+    assert not (tmp_path / "dataset.json").exists()
+
+
+def test_a_number_that_was_not_measured_is_outside():
+    spec = spec_of(filter={"noise_share": [0, 1]})
+    assert spec.filter.failed({"negative_share": 0.0}) == ["noise_share"]
+    assert spec.filter.failed({"noise_share": 1.0}) == []
+    assert spec_of().filter.failed({}) == []
+
+
+def test_other_filters_are_a_build_of_the_same_spec(folder):
+    write_json(folder / "spec.json", spec_of().model_dump(mode="json"))
+    strict = spec_of(filter={"moving_share": [0.01, 1]})
+    _own(folder, strict)
+    assert not (folder / "dataset.json").exists()
+    finish(strict, folder, "exr", recipe=False)
+    gone = folder / "train/wheel-main-main"
+    _take_back(folder, strict)
+    assert (gone / "filtered.json").is_file()
+    # Wider again: it is made anew, the other one stays.
+    _take_back(folder, spec_of())
+    assert not gone.exists()
+    assert (folder / "test/wheel-1-main/truth").is_dir()
+    with pytest.raises(StorageError, match="a build of another spec"):
+        _own(folder, spec_of(half=True))
+
+
 def test_statistics_add_up(folder):
     found = statistics(open_dataset(folder))
     assert found["val"]["samples"] == 0
@@ -213,7 +290,7 @@ def test_statistics_add_up(folder):
         assert sum(found[split]["stops"].values()) == pytest.approx(1)
         assert sum(found[split]["speeds_px"].values()) == pytest.approx(1)
         assert found[split]["speeds_px"][">= 0.3"] == pytest.approx(1)
-        assert found[split]["moving"] == [0, 0, 0]
+        assert found[split]["moving"] == ([0, 0, 0] if split == "train" else [0.25, 0.25, 0.25])
 
 
 def test_an_unfinished_set_and_one_of_another_version_are_refused(folder, tmp_path):
@@ -257,6 +334,13 @@ def test_a_scene_and_variation_is_in_one_split_whatever_camera_or_seed():
         ({"schemes": ["adaptve"]}, "did you mean 'adaptive'"),
         ({"cameras": {"a": {"objective": {"f_numbr": 4}}}}, "did you mean 'f_number'"),
         ({"licens": "x"}, "licens"),
+        ({"filter": {"moving": [0, 1]}}, "filter.moving"),
+        (
+            {"filter": {"moving_share": [0.6, 0.1]}},
+            r"got \[0.6, 0.1\], expected the smaller end",
+        ),
+        ({"filter": {"speed_px": [0, float("inf")]}}, "filter.speed_px"),
+        ({"filter": {"speed_px": 3}}, "filter.speed_px"),
         ({"experiment": "dem"}, "did you mean 'demo'"),
     ],
 )

@@ -192,7 +192,7 @@ def test_keys_of_footage_exist(folder: Path) -> None:
 
 def test_all_toml_is_toml() -> None:
     found = [tomllib.loads(code) for _, code in blocks("toml")]
-    assert len(found) == 10
+    assert len(found) == 11
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -13,7 +13,8 @@ from optsim.core.errors import ConfigError, OptsimError
 from optsim.core.quantities import View
 from optsim.render import choose_backend, render_passes
 from optsim.scene import load_scene
-from optsim.scene.models import read_model, read_picture
+from optsim.scene.models import read_model
+from optsim.scene.pictures import read_picture
 
 SCENE = """
 name = "models"

@@ -381,7 +381,7 @@ def test_a_picture_with_nan_is_refused(tmp_path):
     [
         ("none.exr", "no such file"),
         ("../sky.exr", "expected a path inside"),
-        ("sky.png", "expected an OpenEXR"),
+        ("sky.png", "expected OpenEXR or Radiance"),
     ],
 )
 def test_a_picture_must_be_a_file_of_the_scene(tmp_path, name, message):

@@ -42,7 +42,10 @@ def build(
 ) -> None:
     """Build a data set: every scene, variation, camera and seed of SPEC. Stopped, it goes on."""
     from optsim.core.console import people, progress_bars
+    from optsim.core.files import read_record
     from optsim.dataset import build_dataset, forecast, load_spec
+    from optsim.dataset.filters import lines
+    from optsim.dataset.reading import CARD
 
     loaded = load_spec(spec)
     folder = out or Path("reports") / "datasets" / loaded.name
@@ -68,6 +71,10 @@ def build(
             progress=progress,
         )
     people.print(f"{len(outcome.made)} sequences made, {len(outcome.found)} were there: {folder}")
+    if (folder / CARD).is_file():
+        card = read_record(folder / CARD)
+        for line in lines(card["filters"], card["built"]):
+            people.print(f"filter {line}")
     _fail(outcome.failed)
 
 
@@ -111,8 +118,9 @@ def verify_files(folder: Folder) -> None:
 
 @dataset_app.command("show")
 def show(folder: Folder, as_json: Json = False) -> None:
-    """List the sequences of a data set, and what was checked."""
+    """List the sequences of a data set, what was checked, and what filters dropped."""
     from optsim.dataset import open_dataset
+    from optsim.dataset.filters import lines
 
     card = open_dataset(folder).card
     if as_json:
@@ -124,6 +132,8 @@ def show(folder: Folder, as_json: Json = False) -> None:
         typer.echo(f"  {each['name']}{seeds}")
     for check in card["checks"].values():
         typer.echo(f"{check['what']}: {check['worst']:.3g} ({check['in']})")
+    for line in lines(card["filters"], card.get("built", len(card["sequences"]))):
+        typer.echo(f"filter {line}")
 
 
 @dataset_app.command("stats")

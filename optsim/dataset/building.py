@@ -13,13 +13,14 @@ from typing import Any, Literal
 import numpy as np
 
 from optsim.core.cache import hash_of
-from optsim.core.errors import StorageError
+from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import CLAIM, read_record, write_json, write_text
 from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
 from optsim.dataset.card import card, croissant, manifest_lines, readme
 from optsim.dataset.consistency import consistency
 from optsim.dataset.contact_sheet import write_contact_sheet
+from optsim.dataset.filters import DROPPED, content, drop, lines, take_back
 from optsim.dataset.reading import CARD, MANIFEST, Sample
 from optsim.dataset.sequence import make_sequence
 from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
@@ -118,6 +119,7 @@ def build_dataset(
         When the folder holds other files.
     """
     _own(folder, spec)
+    _take_back(folder, spec)
     if recipe and not only and (folder / CARD).is_file() and read_record(folder / CARD)["recipe"]:
         # Its sequences are gone on purpose.
         return Outcome((), tuple(each.name for each in spec.sequences()), {})
@@ -166,19 +168,38 @@ def forecast(
 
 
 def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> None:
-    """Write manifest, contact sheet, card, Croissant metadata and README: all sequences must be there."""
-    sequences = spec.sequences()
-    checks = {each.name: read_record(folder / each.name / CHECKS) for each in sequences}
+    """Drop what filters drop, and write manifest, contact sheet, card, Croissant metadata and README.
+
+    All sequences must be there.
+
+    Raises
+    ------
+    ConfigError
+        When filters drop all of them.
+    """
+    found = {each.name: read_record(folder / each.name / CHECKS) for each in spec.sequences()}
+    failed = {name: spec.filter.failed(numbers) for name, numbers in found.items()}
+    filters = spec.filter.counts(found)
+    sequences = [each for each in spec.sequences() if not failed[each.name]]
+    if not sequences:
+        raise ConfigError(
+            f"filter: got no sequence inside ({'; '.join(lines(filters, len(found)))}), expected some; "
+            f"cure: wider ranges (measured numbers: SEQUENCE/{CHECKS})"
+        )
+    for name, keys in failed.items():
+        if keys:
+            drop(folder / name, {key: found[name].get(key) for key in keys}, keep=CHECKS)
+    checks = {each.name: found[each.name] for each in sequences}
     write_contact_sheet(folder / SHEET, [_sample(folder, spec, each) for each in sequences[:24]])
-    lines = manifest_lines(folder, sequences)
-    write_text(folder / MANIFEST, "".join(lines))
-    digest = hashlib.sha256("".join(lines).encode()).hexdigest()
-    about = card(spec, sequences, checks, layout, digest, recipe=recipe)
+    listed = "".join(manifest_lines(folder, sequences))
+    write_text(folder / MANIFEST, listed)
+    digest = hashlib.sha256(listed.encode()).hexdigest()
+    about = card(spec, sequences, checks, layout, digest, recipe=recipe, filters=filters)
     write_json(folder / "croissant.json", croissant(about))
-    write_text(folder / "README.md", readme(about, checks))
+    write_text(folder / "README.md", readme(about))
     if recipe:
-        for each in sequences:
-            shutil.rmtree(folder / each.name)
+        for name in found:
+            shutil.rmtree(folder / name)
     # Last: its presence marks a complete data set.
     write_json(folder / CARD, about)
 
@@ -192,7 +213,7 @@ def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], la
     """Fill the folder of a sequence, in a worker."""
     make_sequence(folder, dict(spec), dict(sequence))
     if not (folder / CHECKS).is_file():
-        write_json(folder / CHECKS, consistency(folder / "truth"))
+        write_json(folder / CHECKS, consistency(folder / "truth") | content(folder / "truth"))
     for hidden in folder.rglob(f"{CLAIM}*"):
         hidden.unlink(missing_ok=True)
     if layout == "npy":
@@ -206,7 +227,10 @@ def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], la
 
 
 def _own(folder: Path, spec: DatasetSpec) -> None:
-    """Check a spec and write it into its folder, or refuse a folder of another one."""
+    """Check a spec and write it into its folder, or refuse a folder of another one.
+
+    Filters may change: they decide about what is made, not how. The card is then written anew.
+    """
     check_spec(spec)
     table, path = spec.model_dump(mode="json"), folder / _SPEC
     with claimed_file(path):
@@ -216,8 +240,19 @@ def _own(folder: Path, spec: DatasetSpec) -> None:
                     f"--out {folder}: got a folder that isn't empty and holds no build; cure: choose another"
                 )
             write_json(path, table)
-        elif read_record(path) != table:
-            raise StorageError(
-                f"--out {folder}: got a build of another spec ({path}), expected this one; "
-                "cure: choose another folder"
-            )
+        elif (known := read_record(path)) != table:
+            if {**known, "filter": None} != {**table, "filter": None}:
+                raise StorageError(
+                    f"--out {folder}: got a build of another spec ({path}), expected this one; "
+                    "cure: choose another folder"
+                )
+            (folder / CARD).unlink(missing_ok=True)
+            write_json(path, table)
+
+
+def _take_back(folder: Path, spec: DatasetSpec) -> None:
+    """Remove what is left of sequences that filters dropped and no longer do: they are made again."""
+    for each in spec.sequences():
+        place = folder / each.name
+        if (place / DROPPED).is_file() and not spec.filter.failed(read_record(place / CHECKS)):
+            take_back(place)

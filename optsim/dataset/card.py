@@ -34,9 +34,10 @@ def card(
     manifest_sha256: str,
     *,
     recipe: bool,
+    filters: Sequence[Record],
 ) -> Record:
-    """Content of ``dataset.json``."""
-    cameras = {name: _camera(spec, sequences, name) for name in spec.cameras}
+    """Content of ``dataset.json``; sequences and checks are those that filters keep."""
+    cameras = {name: _camera(spec, name) for name in spec.cameras}
     return {
         "kind": KIND,
         "name": spec.name,
@@ -67,16 +68,17 @@ def card(
             }
             for each in sequences
         ],
-        "filters": [],
+        "built": len(spec.sequences()),
+        "filters": list(filters),
         "checks": {
             name: _worst(name, checks) for name in _CHECKS if any(name in each for each in checks.values())
         },
     }
 
 
-def _camera(spec: DatasetSpec, sequences: Sequence[SequencePlan], name: str) -> Record:
+def _camera(spec: DatasetSpec, name: str) -> Record:
     """Rates, exposure, gain and noise of a camera, in the terms of its data sheet."""
-    sequence = next(each for each in sequences if each.camera == name)
+    sequence = next(each for each in spec.sequences() if each.camera == name)
     experiment = spec.experiment_of(sequence, spec.seeds[0])
     camera, view = experiment.camera, experiment.camera.view
     slot_s = experiment.timing.slot_s
@@ -206,7 +208,25 @@ def croissant(about: Record) -> Record:
     }
 
 
-def readme(about: Record, checks: Mapping[str, Record]) -> str:
+def _filtered(about: Record) -> list[str]:
+    """Lines about filters: what each dropped, or that none did."""
+    kept, built = len(about["sequences"]), about["built"]
+    if not about["filters"]:
+        return [f"No sequence was filtered out: {kept} of {built} kept."]
+    return [
+        f"{kept} of {built} sequences lie inside all filters and are kept.",
+        "",
+        "| filter | from | to | dropped |",
+        "| --- | ---: | ---: | ---: |",
+        *(
+            f"| `{each['key']}`: {each['what']} | {each['range'][0]:g} | {each['range'][1]:g} | "
+            f"{len(each['dropped'])} |"
+            for each in about["filters"]
+        ),
+    ]
+
+
+def readme(about: Record) -> str:
     """Write README.md of a data set: content, use, and results of the checks."""
     counts = Counter(each["split"] for each in about["sequences"])
     camera = next(iter(about["cameras"].values()))
@@ -241,7 +261,7 @@ def readme(about: Record, checks: Mapping[str, Record]) -> str:
             for each in about["checks"].values()
         ),
         "",
-        f"No sequence was filtered out: {len(checks)} of {len(checks)} kept.",
+        *_filtered(about),
     ]
     if about["recipe"]:
         lines += ["", "Only the recipe is kept: `optsim dataset regenerate . NAME` makes a sequence again."]

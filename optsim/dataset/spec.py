@@ -15,6 +15,7 @@ from pydantic import Field, field_validator, model_validator
 
 from optsim.core.config import Part, Table, build, flat, read_toml
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.dataset.filters import Filter
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.scene.variation import is_number
 
@@ -94,6 +95,8 @@ class DatasetSpec(Part):
         Radiance, normals and albedo in 16 bit; depth, flow, ids and noise never.
     split : Share
         The part held out.
+    filter : Filter
+        Ranges of what is measured in a sequence; one outside of any is dropped once it is made.
     """
 
     name: str = Field(
@@ -110,6 +113,7 @@ class DatasetSpec(Part):
     reconstruct: bool = False
     half: bool = False
     split: Share = Share()
+    filter: Filter = Filter()
 
     @field_validator("scenes", mode="before")
     @classmethod

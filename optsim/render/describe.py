@@ -20,7 +20,8 @@ from optsim.scene.camera_pose import CameraPose
 from optsim.scene.geometry import Mesh
 from optsim.scene.lamps import Lamp
 from optsim.scene.materials import Diffuse, Glass, Material, Metal, Plastic, Principled
-from optsim.scene.models import FORMATS, Surface, read_model, read_picture
+from optsim.scene.models import FORMATS, Surface, read_model
+from optsim.scene.pictures import read_map, read_picture
 from optsim.scene.scene import Scene
 from optsim.scene.sky import PictureSky, SunSky
 from optsim.scene.static_shapes import StaticShapes
@@ -28,6 +29,8 @@ from optsim.scene.textures import outside_map, reflectance_map
 
 # Mitsuba offsets rays from a surface by at least 1e-4 units, so scenes nearer than this get a smaller unit.
 _SMALL_M = 0.25
+# Least roughness of a map: as of a model's number.
+_SMOOTHEST = 0.01
 _IMAGES = ("bitmap", "envmap")  # plugins that read an image file
 
 
@@ -167,6 +170,7 @@ def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float, bands
 
 def _surface(mi: Any, material: Material, bands: tuple[Band, ...]) -> dict[str, Any]:
     """Describe a material; both sides are equal, except for glass, which transmits."""
+    opacity: dict[str, Any] | float | None = None
     match material:
         case Diffuse():
             inside: dict[str, Any] = {"type": "diffuse", "reflectance": _reflectance(mi, material, bands)}
@@ -182,12 +186,10 @@ def _surface(mi: Any, material: Material, bands: tuple[Band, ...]) -> dict[str, 
             inside = {
                 "type": "principled",
                 "base_color": _reflectance(mi, material, bands),
-                "roughness": material.roughness,
-                "metallic": material.metallic,
+                "roughness": _scaled(mi, material, "roughness_map", material.roughness),
+                "metallic": _scaled(mi, material, "metallic_map", material.metallic),
             }
             opacity = _opacity(mi, material)
-            if opacity is not None:
-                return {"type": "mask", "opacity": opacity, "bsdf": {"type": "twosided", "bsdf": inside}}
         case Metal():
             inside = {"type": "conductor", **_index(mi, material.metal, bands)}
             if material.roughness > 0:
@@ -195,7 +197,37 @@ def _surface(mi: Any, material: Material, bands: tuple[Band, ...]) -> dict[str, 
         case Glass():
             kind = "thindielectric" if material.thin else "dielectric"
             return {"type": kind, "int_ior": material.ior, "ext_ior": 1.0}
-    return {"type": "twosided", "bsdf": inside}
+    both: dict[str, Any] = {"type": "twosided", "bsdf": inside}
+    normals = _map(material, "normal_map") if isinstance(material, Diffuse | Principled) else None
+    if normals is not None:
+        # Outside of both sides: a bump is a dent from behind. Radiance is the cosine's to the mapped normal:
+        # Mitsuba's softened terminator takes 0.1 % and more from it.
+        both = {
+            "type": "normalmap",
+            "normalmap": _bitmap(mi, normals, "repeat"),
+            "use_shadowing_function": False,
+            "bsdf": both,
+        }
+    return both if opacity is None else {"type": "mask", "opacity": opacity, "bsdf": both}
+
+
+def _map(material: Diffuse | Principled, key: str) -> Floats | None:
+    """Read a material's map of raw numbers, from a picture or from a model."""
+    name = getattr(material, key)
+    if name is None:
+        return None
+    if isinstance(material, Principled) and Path(name).suffix.lower() in FORMATS:
+        return read_model(Path(name)).parts[material.part or 0][0].maps[key]
+    return read_map(Path(name), key)
+
+
+def _scaled(mi: Any, material: Principled, key: str, number: float) -> dict[str, Any] | float:
+    """Describe a map times a number, or the number."""
+    values = _map(material, key)
+    if values is None:
+        return number
+    least = _SMOOTHEST if key == "roughness_map" else 0.0
+    return _bitmap(mi, np.maximum(values * np.float32(number), np.float32(least)), "repeat")
 
 
 def _reflectance(

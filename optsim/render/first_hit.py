@@ -48,6 +48,8 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
     matt_only : bool
         Leave out normals and the reflectance under a coat: evaluating them takes longer than tracing.
     """
+    import drjit as dr
+
     first = loaded.ray_intersect_preliminary(ray)
     hit = first.is_valid()
     if hit is False:
@@ -60,6 +62,11 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
     names = ("reflectance",) if matt_only else ("reflectance", "diffuse_reflectance")
     known = [name for name in names if hit is not True or material.has_attribute(name, True)]
     albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
+    if not matt_only:
+        # A normal map names no attribute of what is below it; of matt surfaces alone this is the albedo.
+        matt = (material.flags() & (int(mi.BSDFFlags.Glossy) | int(mi.BSDFFlags.Delta))) == 0
+        reflected = mi.unpolarized_spectrum(material.eval_diffuse_reflectance(surface, hit))
+        albedo = dr.select(matt & hit, reflected[0], albedo)
     normal, flat = surface.sh_frame.n, surface.n
     shape = first.shape_index if hit is True else _shape_index(mi, loaded, first, hit)
     return FirstHit(first.t, shape, first.prim_index, first.prim_uv, normal, flat, albedo)

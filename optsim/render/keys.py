@@ -75,9 +75,13 @@ class Span:
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
     def matt(self, trajectory: Trajectory) -> bool:
-        """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected."""
+        """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected.
+
+        A normal map changes irradiance finer than key poses know it.
+        """
         scene = self.plan.scene
-        return isinstance(scene.materials[scene.singles()[trajectory.name].material], Diffuse)
+        material = scene.materials[scene.singles()[trajectory.name].material]
+        return isinstance(material, Diffuse) and material.normal_map is None
 
     def eased(self, target: float, parts: int) -> float:
         """Relax a target for one of several poses: only the slot's mean must reach the stated one."""

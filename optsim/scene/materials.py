@@ -38,8 +38,12 @@ class Diffuse(Part):
         Name in :mod:`optsim.scene.textures`.
     picture : str or None
         File in the scene's folder instead: PNG or JPEG as sRGB reflectance, OpenEXR as linear reflectance.
+    normal_map : str or None
+        File in the scene's folder with normals in tangent space, raw: 2 values - 1 is the direction, its x
+        along the texture's u, its y along v (upwards, as in glTF). It changes what light does, and neither
+        the shape nor the normals of passes.
     sha256 : str
-        Hash of this file; set when the scene is read.
+        Hash of these files; set when the scene is read.
     tile_m : float
         Length of one texture tile along the surface, m (texture coordinates of movers count as metres).
     """
@@ -49,6 +53,7 @@ class Diffuse(Part):
     colour: Colour | None = Field(default=None, exclude=True)
     texture: str | None = None
     picture: str | None = Field(default=None, exclude=True)
+    normal_map: str | None = Field(default=None, exclude=True)
     sha256: str = ""
     tile_m: Positive = 1.0
 
@@ -96,7 +101,12 @@ class Principled(Part):
     colour : str, tuple or None
         Instead: as for :class:`Diffuse`.
     picture, part, sha256 : str, int, str
-        Reflectance map: a picture, or the one of a part of a model; hash of the file.
+        Reflectance map: a picture, or the one of a part of a model; hash of all files.
+    normal_map : str or None
+        As for :class:`Diffuse`.
+    roughness_map, metallic_map : str or None
+        Files in the scene's folder with raw numbers, 0..1, which the numbers below multiply: the green and
+        the blue channel, as in glTF, or grey.
     tile_m : float
         Length of one texture tile in texture coordinates.
     roughness, metallic, opacity : float
@@ -107,6 +117,9 @@ class Principled(Part):
     reflectance: ShareByBand = 0.5
     colour: Colour | None = Field(default=None, exclude=True)
     picture: str | None = Field(default=None, exclude=True)
+    normal_map: str | None = Field(default=None, exclude=True)
+    roughness_map: str | None = Field(default=None, exclude=True)
+    metallic_map: str | None = Field(default=None, exclude=True)
     part: int | None = None
     sha256: str = ""
     tile_m: Positive = 1.0

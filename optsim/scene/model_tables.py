@@ -7,7 +7,7 @@ names. So all that is known of objects holds for models.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,8 +16,11 @@ import numpy as np
 from optsim.core.config import Table
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
+from optsim.scene.gltf import gltf_parts, morphs, moving_animations
 from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
+from optsim.scene.model_files import check_files, model_hash
 from optsim.scene.models import FORMATS, inside, read_model
+from optsim.scene.pictures import MAPS, read_map
 
 # Size over distance to the camera's target beyond which a model is taken to be in another unit.
 _LARGEST, _SMALLEST = 200.0, 1e-4
@@ -67,16 +70,33 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
                 if material is not None:
                     materials[key] = material
     for name, material in list(materials.items()):
-        if isinstance(material, Mapping) and "picture" in material and "sha256" not in material:
+        if isinstance(material, Mapping) and "sha256" not in material:
             stated = cast("Table", material)
-            file = inside(folder, str(stated["picture"]), f"{where}: materials.{name}.picture")
-            materials[name] = {**stated, "picture": str(file), "sha256": content_hash(file)}
+            materials[name] = {**stated, **_pictures(stated, folder, f"{where}: materials.{name}")}
     for name, mover in movers.items():
         if _kind(mover) == "keyframed" and isinstance(mover.get("objects"), list):
             listed = [part for key in mover["objects"] for part in parts.get(key, [key])]
             movers[name] = {**mover, "objects": listed}
     changed = {"objects": objects, "movers": movers, "materials": materials}
     return {**table, **{key: value for key, value in changed.items() if value or key in table}}
+
+
+def _pictures(material: Table, folder: Path, where: str) -> Table:
+    """Paths of a material's pictures and maps, which are checked, and the hash of all."""
+    listed = [key for key in ("picture", *MAPS) if key in material]
+    files = {key: inside(folder, str(material[key]), f"{where}.{key}") for key in listed}
+    for key, file in files.items():
+        if key != "picture":
+            read_map(file, key)
+    hashes = [f"{key} {content_hash(file)}" for key, file in files.items()]
+    if not files:
+        return {}
+    whole = content_hash(files["picture"]) if listed == ["picture"] else _digest(hashes)
+    return {**{key: str(file) for key, file in files.items()}, "sha256": whole}
+
+
+def _digest(hashes: Iterable[str]) -> str:
+    return hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
 def _animated(
@@ -92,11 +112,23 @@ def _animated(
         raise ConfigError(f"{place}.{extra[0]}: got it beside an animation, expected one of the two; drop it")
     found: Table = {}
     parts = _expanded(own, name, folder, place, distance_m)
-    model = read_model(Path(parts[0][1][0]["file"]))
-    if not model.moves():
+    file = Path(parts[0][1][0]["file"])
+    header, _ = gltf_parts(file) if file.suffix.lower() in (".glb", ".gltf") else ({}, b"")
+    moving = moving_animations(header)
+    if len(moving) > 1:
         raise ConfigError(
-            f'{place}.animation: got "play", but the nodes of {own["file"]} rest (skins and morph targets '
-            "are not read); cure: leave it out, or export the vertices and take a mover of kind vertices"
+            f"{place}.animation: got {len(moving)} of them in {own['file']} ({', '.join(moving)}), "
+            "expected one; cure: export the one to play"
+        )
+    if morphs(header):
+        raise ConfigError(
+            f"{place}.animation: {own['file']} moves morph targets, which are not read; cure: export the "
+            "vertices and take a mover of kind vertices"
+        )
+    if not read_model(file).moves():
+        raise ConfigError(
+            f'{place}.animation: got "play", but the nodes of {own["file"]} rest; cure: leave it out, or '
+            "export the vertices and take a mover of kind vertices"
         )
     for key, (part, material) in parts:
         further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
@@ -112,6 +144,7 @@ def _expanded(
     """Objects and materials that a model becomes."""
     stated = dict(item)
     file = inside(folder, str(stated.get("file", "")), f"{where}.file")
+    check_files(file, folder, f"{where}.file", shown=stated.get("material") is None)
     model = read_model(file)
     up, unit = stated.get("up") or FORMATS[file.suffix.lower()], stated.get("unit")
     if up not in UPRIGHT:
@@ -124,7 +157,7 @@ def _expanded(
             f"{where}.unit: got none, expected one of {', '.join(UNITS_M)}, as {file.suffix} files have no "
             'unit; cure: unit = "mm", or height_m = 0.3 to scale it to a height'
         )
-    stated |= {"file": str(file), "sha256": content_hash(file), "up": up}
+    stated |= {"file": str(file), "sha256": model_hash(file), "up": up}
     low, high = upright(model, up)
     height_m = stated.get("height_m")
     # Anything else is refused when the object is built.
@@ -141,6 +174,11 @@ def _expanded(
         key = name if len(model.parts) == 1 else f"{name}-{number}"
         material: Table | None = None
         if stated.get("material") is None:
+            if surface.lost:
+                raise ConfigError(
+                    f"{where}.file: {file.name}: {surface.lost} cannot be read, expected PNG or JPEG by a "
+                    "name without spaces; cure: export it again, or give the object a material of the scene"
+                )
             material = {
                 "kind": "principled",
                 "colour": np.clip(surface.colour, 0, 1).tolist(),
@@ -148,8 +186,12 @@ def _expanded(
                 "metallic": float(np.clip(surface.metallic, 0, 1)),
                 "opacity": float(np.clip(surface.opacity, 0, 1)),
             }
+            shown = [key for key in MAPS if key in surface.maps]
             if surface.picture is not None or surface.cutout is not None:
-                material |= {"picture": str(file), "sha256": stated["sha256"], "part": number}
+                shown.append("picture")
+            if shown:
+                material |= dict.fromkeys(shown, str(file))
+                material |= {"sha256": stated["sha256"], "part": number}
         found.append((key, ({**stated, "material": stated.get("material") or key, "part": number}, material)))
     return found
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import functools
 import logging
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,9 +17,11 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles, Floats
 from optsim.optics.srgb import srgb_to_linear
-from optsim.scene.bands import Channel, in_channel
 from optsim.scene.geometry import Faces, Mesh
+from optsim.scene.gltf import StatedMaterial, check_readable, gltf_parts, stated_materials
+from optsim.scene.model_files import files_of
 from optsim.scene.node_animation import NodeAnimation, read_animation, world_matrices
+from optsim.scene.pictures import checked_map
 
 FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
 """Suffix -> axis that points up by the format's own rule; None where files differ."""
@@ -40,6 +43,11 @@ class Surface:
         Opacity map, where the file has one.
     opacity, roughness, metallic : float
         0..1.
+    maps : dict
+        Maps of raw numbers by the keys of :data:`optsim.scene.pictures.MAPS`: normals (y, x, 3), whose
+        vectors are 2 values - 1; roughness and metallic (y, x), which the numbers above multiply.
+    lost : str
+        A texture that the file states and that could not be read; empty if there is none.
     """
 
     name: str
@@ -49,6 +57,8 @@ class Surface:
     opacity: float
     roughness: float
     metallic: float
+    maps: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    lost: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +111,15 @@ def read_model(path: Path) -> Model:
     Raises
     ------
     ConfigError
-        For a missing or damaged file, another format, no faces, indices out of range, or numbers that are
-        not finite.
+        For a missing or damaged file, another format, no faces, indices out of range, numbers that are
+        not finite, or what :func:`optsim.scene.gltf.check_readable` refuses.
     """
     if path.suffix.lower() not in FORMATS:
         raise ConfigError(f"{path}: got {path.suffix!r}, expected one of: {', '.join(FORMATS)}")
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; cure: put the model into the scene's folder")
-    stat = path.stat()
-    return _read(path, stat.st_mtime_ns, stat.st_size)
+    stats = [file.stat() for file in files_of(path)]
+    return _read(path, tuple((stat.st_mtime_ns, stat.st_size) for stat in stats))
 
 
 def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
@@ -130,12 +140,17 @@ def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> P
 
 
 @functools.lru_cache(maxsize=64)
-def _read(path: Path, _mtime_ns: int, _size: int) -> Model:
+def _read(path: Path, _changed: tuple[tuple[int, int], ...]) -> Model:
     import trimesh
 
     # What it warns of leaves no triangles, which is refused below.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     with reading(path, "a model with triangles", "export it again, for example as GLB"):
+        stated: dict[str, StatedMaterial] = {}
+        if path.suffix.lower() in (".glb", ".gltf"):
+            header, _ = gltf_parts(path)
+            check_readable(path, header)
+            stated = stated_materials(path, header)
         scene = cast("Any", trimesh.load_scene(path, process=False))
         found: list[tuple[Surface, Mesh]] = []
         played: list[tuple[int, Doubles]] = []
@@ -149,8 +164,9 @@ def _read(path: Path, _mtime_ns: int, _size: int) -> Model:
                 continue
             mesh, bad = _mesh(path, name, geometry, np.asarray(matrix, np.float64))
             dropped += bad
-            if len(mesh.faces):
-                found.append((_surface(geometry), mesh))
+            surface = _surface(path, geometry, stated)
+            for part in _by_hand(surface, mesh):
+                found.append(part)
                 if animation is not None:
                     above = scene.graph.transforms.parents.get(node)
                     played.append((numbers.get(node, numbers.get(above, -1)), np.asarray(geometry.vertices)))
@@ -203,7 +219,33 @@ def _mesh(path: Path, name: str, geometry: Any, matrix: Doubles) -> tuple[Mesh, 
     return Mesh(vertices, kept, texture), int((~good).sum())
 
 
-def _surface(geometry: Any) -> Surface:
+def _by_hand(surface: Surface, mesh: Mesh) -> list[tuple[Surface, Mesh]]:
+    """Split a part where its picture is mirrored, for the renderer takes a normal map's y from its x.
+
+    What is mirrored has its pictures turned over, so that they look the same, and the map's x with them.
+    """
+    if "normal_map" not in surface.maps:
+        return [(surface, mesh)] if len(mesh.faces) else []
+    corners = mesh.uv[mesh.faces]
+    (across, up), (further, higher) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    mirrored = across * higher < up * further
+    # Copies: they are changed here.
+    maps = {key: image[:, ::-1].copy() for key, image in surface.maps.items()}
+    maps["normal_map"][..., 0] = 1 - maps["normal_map"][..., 0]
+    over = replace(
+        surface,
+        picture=None if surface.picture is None else np.ascontiguousarray(surface.picture[:, ::-1]),
+        cutout=None if surface.cutout is None else np.ascontiguousarray(surface.cutout[:, ::-1]),
+        maps=maps,
+    )
+    parts = [
+        (surface, replace(mesh, faces=mesh.faces[~mirrored])),
+        (over, replace(mesh, faces=mesh.faces[mirrored], uv=mesh.uv * (-1, 1))),
+    ]
+    return [part for part in parts if len(part[1].faces)]
+
+
+def _surface(path: Path, geometry: Any, stated: Mapping[str, StatedMaterial]) -> Surface:
     """Read what the file says of a geometry's material; plain grey where it says nothing."""
     from trimesh.visual.material import PBRMaterial
 
@@ -215,6 +257,8 @@ def _surface(geometry: Any) -> Surface:
         return Surface("", color, None, None, 1.0, 1.0, 0.0)
     if not isinstance(material, PBRMaterial):
         material = material.to_pbr()
+    about = stated.get(str(material.name or ""), StatedMaterial({}, 1.0))
+    lost = [f"{key} ({picture})" for key, picture in about.textures.items() if getattr(material, key) is None]
     factor = material.baseColorFactor
     # trimesh holds the linear factors of glTF in 8 bits.
     color = (
@@ -228,54 +272,35 @@ def _surface(geometry: Any) -> Surface:
             cutout = rgba[..., 3].astype(np.float32)
             if material.alphaMode == "MASK":
                 cutout = (cutout >= (material.alphaCutoff or 0.5)).astype(np.float32)
-    opacity = float(color[3]) if material.alphaMode == "BLEND" and len(color) > 3 else 1.0
-    # glTF 2.0: both factors are 1 by default; of their map the means are taken.
-    rough, metal = 1.0, 1.0
-    if material.metallicRoughnessTexture is not None:
-        means = (
-            np.asarray(material.metallicRoughnessTexture.convert("RGB"), np.float64).mean(axis=(0, 1)) / 255
-        )
-        rough, metal = float(means[1]), float(means[2])
+    # glTF 2.0: both factors are 1 by default.
     return Surface(
         str(material.name or ""),
         np.asarray(color[:3], np.float64),
         picture,
         cutout,
-        opacity,
-        rough * (1.0 if material.roughnessFactor is None else float(material.roughnessFactor)),
-        metal * (1.0 if material.metallicFactor is None else float(material.metallicFactor)),
+        float(color[3]) if material.alphaMode == "BLEND" and len(color) > 3 else 1.0,
+        1.0 if material.roughnessFactor is None else float(material.roughnessFactor),
+        1.0 if material.metallicFactor is None else float(material.metallicFactor),
+        _maps(path, material, about.normal_scale),
+        ", ".join(lost),
     )
 
 
-def read_picture(path: Path, channel: Channel | None = None) -> Floats:
-    """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR as linear; row 0 at the lower edge.
+def _maps(path: Path, material: Any, normal_scale: float) -> dict[str, Floats]:
+    """Read the maps of raw numbers of a glTF material, row 0 at the lower edge."""
+    found: dict[str, Floats] = {}
+    if material.metallicRoughnessTexture is not None:
+        packed = _raw(material.metallicRoughnessTexture)
+        # glTF 2.0, section 3.9.2: roughness is green, metal is blue.
+        found = {"roughness_map": packed[..., 1], "metallic_map": packed[..., 2]}
+    if material.normalTexture is not None:
+        coded = checked_map(_raw(material.normalTexture), "normal_map", f"{path}: normalTexture")
+        slopes = (coded - 0.5) * np.array([normal_scale, normal_scale, 1.0], np.float32)
+        length = np.linalg.norm(slopes, axis=-1, keepdims=True)
+        found["normal_map"] = slopes / np.maximum(2 * length, 1e-6) + np.float32(0.5)
+    return {key: np.ascontiguousarray(image, np.float32) for key, image in found.items()}
 
-    Without a channel it is that of the luminance.
 
-    Raises
-    ------
-    StorageError
-        For a file that is no such picture.
-    """
-    stat = path.stat()
-    return _picture(path, channel, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=64)
-def _picture(path: Path, channel: Channel | None, _mtime_ns: int, _size: int) -> Floats:
-    if path.suffix.lower() == ".exr":
-        from optsim.core.files import read_exr
-
-        channels, _ = read_exr(path)
-        names = [name for name in ("R", "G", "B") if name in channels]
-        image = (
-            in_channel(np.stack([channels[name] for name in names], axis=-1), channel)
-            if len(names) == 3
-            else next(iter(channels.values()))
-        )
-        return np.ascontiguousarray(image[::-1], np.float32)
-    from PIL import Image
-
-    with reading(path, "a PNG, JPEG or OpenEXR picture"), Image.open(path) as picture:
-        rgb = np.asarray(picture.convert("RGB"), np.float64)[::-1] / 255
-    return in_channel(srgb_to_linear(rgb), channel).astype(np.float32)
+def _raw(picture: Any) -> Floats:
+    """Values of a picture as they are stored, 0..1, row 0 at the lower edge."""
+    return np.asarray(picture.convert("RGB"), np.float32)[::-1] / np.float32(255)

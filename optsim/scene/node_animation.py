@@ -2,14 +2,12 @@
 # pyright: reportUnknownArgumentType=false
 """Animations of the nodes of a glTF file, which trimesh leaves out: translation, rotation and scale in time.
 
-Skins and morph targets are not read: they deform, and a ``vertices`` mover does that.
+Skins and morph targets are refused: they deform, and a ``vertices`` mover does that.
 """
 
 from __future__ import annotations
 
 import base64
-import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,7 @@ from numpy.typing import NDArray
 
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles
+from optsim.scene.gltf import gltf_parts
 
 _PATHS = ("translation", "rotation", "scale")
 _SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
@@ -122,7 +121,7 @@ def read_animation(path: Path) -> NodeAnimation | None:
         For a damaged file.
     """
     with reading(path, "a glTF 2.0 file", "export it again, for example as GLB"):
-        header, binary = _parts(path)
+        header, binary = gltf_parts(path)
         for animation in header.get("animations", []):
             channels = [
                 _channel(header, binary, path, animation["samplers"][each["sampler"]], each["target"])
@@ -133,20 +132,6 @@ def read_animation(path: Path) -> NodeAnimation | None:
             if channels:
                 return NodeAnimation(tuple(channels), header["nodes"])
     return None
-
-
-def _parts(path: Path) -> tuple[dict[str, Any], bytes]:
-    """JSON and binary chunk of a file; plain glTF has no chunk."""
-    content = path.read_bytes()
-    if content[:4] != b"glTF":
-        return json.loads(content), b""
-    chunks: dict[bytes, bytes] = {}
-    at = 12
-    while at + 8 <= len(content):
-        length, kind = struct.unpack_from("<I4s", content, at)
-        chunks.setdefault(kind, content[at + 8 : at + 8 + length])
-        at += 8 + length
-    return json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b"")
 
 
 def _channel(

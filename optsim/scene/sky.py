@@ -21,7 +21,8 @@ from optsim.core.quantities import Doubles, Floats
 from optsim.scene.bands import MONO, Band, PositiveByBand, mono, value_in
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.fields import Positive, Share
-from optsim.scene.models import inside, read_picture
+from optsim.scene.models import inside
+from optsim.scene.pictures import LINEAR, read_picture
 
 # A texel is a third of the sun's disc.
 _ROWS, _COLS = 1025, 2048
@@ -35,8 +36,8 @@ class PictureSky(Part):
     Parameters
     ----------
     file : str
-        OpenEXR in the scene's folder; of a colour picture the band's channel is taken, or the luminance. The
-        upper row is the zenith.
+        OpenEXR or Radiance (``.hdr``) in the scene's folder; of a colour picture the band's channel is taken,
+        or the luminance. The upper row is the zenith.
     radiance_w_m2_sr : float or dict
         Radiance of the picture's 1, or a table of it by band.
     rotation_rad : float
@@ -153,8 +154,10 @@ def with_sky(table: Table, folder: Path, where: str) -> Table:
 
 def _check(path: Path, where: str) -> None:
     """Check a sky's picture."""
-    if path.suffix.lower() != ".exr":
-        raise ConfigError(f"{where}: got {path.name!r}, expected an OpenEXR; cure: convert it to .exr")
+    if path.suffix.lower() not in LINEAR:
+        raise ConfigError(
+            f"{where}: got {path.name!r}, expected OpenEXR or Radiance (.exr, .hdr); cure: convert it to .exr"
+        )
     image = _read(path)
     rows, cols = image.shape
     if abs(cols - 2 * rows) > 1 or rows < 3:

@@ -67,8 +67,8 @@ class Passes:
     distance_m : ndarray of shape (y, x), float32
         Distance along the ray, from the pinhole to the surface point, m.
     normal : ndarray of shape (y, x, 3), float32
-        Unit shading normal in the world (interpolated between vertices where an object is smooth), on the
-        camera's side: its product with the viewing ray is not positive.
+        Unit shading normal in the world (interpolated between vertices where an object is smooth, without a
+        material's normal map), on the camera's side: its product with the viewing ray is not positive.
     albedo : ndarray of shape (y, x), float32
         Diffuse reflectance in the band, 0..1; of the base under a coat; 0 for metal, glass and lamps.
     ids : ndarray of shape (y, x), uint32
