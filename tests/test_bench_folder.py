@@ -18,6 +18,7 @@ from optsim.camera.bench_folder import UNFINISHED, take_bench
 from optsim.camera.camera import CodedCamera
 from optsim.camera.laboratory import FEW_FRAMES, measure_bench
 from optsim.core.errors import StorageError
+from optsim.core.files import read_tiff16
 
 SIZE = ("--set", "camera.panel_rows=30", "--set", "camera.panel_cols=40")
 CLI = Callable[..., tuple[int, str, str]]
@@ -75,6 +76,17 @@ def test_a_bench_that_was_stopped_has_the_images_of_one_that_was_not(folder: Pat
         np.testing.assert_array_equal(ours.dn, theirs.dn, err_msg=name)
     assert len(list(folder.glob("*.png"))) == 60 - 4  # no glare on so small a panel
     assert not (folder / UNFINISHED).exists()
+
+
+def test_images_may_be_tiff(camera: CodedCamera, in_memory: Bench, tmp_path: Path) -> None:
+    def stop(*_: object) -> None:
+        raise Stop
+
+    rng = np.random.default_rng(11)
+    with pytest.raises(Stop):
+        take_bench(camera, rng, tmp_path, about={}, frames=FEW_FRAMES, suffix="tiff", progress=stop)
+    darks = sorted(tmp_path.glob("*.tiff"))
+    np.testing.assert_array_equal(np.stack([read_tiff16(each) for each in darks]), in_memory.darks)
 
 
 def test_its_calibration_is_that_of_the_images_in_memory(folder: Path, in_memory: Bench) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_bench import Camera
 
 from optsim.calibration import Bench, Flat, Patches, calibrate_from
 from optsim.core.errors import BenchError
-from optsim.core.files import write_png16
+from optsim.core.files import read_png16, write_png16, write_tiff16
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,30 @@ def test_a_bench_survives_the_disk(folder: Path) -> None:
             assert same(getattr(bench, field.name), getattr(back, field.name)), field.name
     assert back.files["dots[1]"] == tuple(str(folder / f"dots-01-{k:02d}.png") for k in (0, 1))
     assert calibrate_from(back).response == calibrate_from(bench).response
+
+
+def test_a_bench_may_be_of_tiff_and_other_numbers_are_refused(folder: Path, tmp_path: Path) -> None:
+    text = (folder / "bench.json").read_text()
+    (tmp_path / "bench.json").write_text(text.replace(".png", ".tif"))
+    for file in folder.glob("*.png"):
+        write_tiff16(tmp_path / f"{file.stem}.tif", read_png16(file))
+    there, here = Bench.read(folder), Bench.read(tmp_path)
+    for (name, one), (_, two) in zip(there.groups(), here.groups(), strict=True):
+        assert same(one, two), name
+    assert same(there.darks, here.darks)
+    dark = here.darks[0]
+    for wrong, said in (
+        (dark.astype(np.float32), "float32"),
+        (dark.astype(np.uint8), "uint8"),
+        (np.stack([dark, dark]), "2 pages"),
+        (np.stack([dark] * 3, axis=-1), "3 channels"),
+    ):
+        tifffile.imwrite(tmp_path / "dark-00.tif", wrong)
+        with pytest.raises(BenchError, match=rf"dark-00\.tif.*{said}.*lists it under darks"):
+            Bench.read(tmp_path)
+    (tmp_path / "dark-00.tif").write_bytes(b"II*\0")
+    with pytest.raises(BenchError, match=r"dark-00\.tif cannot be read as TIFF"):
+        Bench.read(tmp_path)
 
 
 @settings(max_examples=10, deadline=None)

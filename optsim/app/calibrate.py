@@ -17,7 +17,7 @@ from optsim.app.options import (
     refuse_without,
     with_tolerance,
 )
-from optsim.core.errors import ConfigError
+from optsim.core.errors import ConfigError, unknown_name
 
 
 def laboratory(
@@ -29,11 +29,15 @@ def laboratory(
     few: Annotated[
         bool, typer.Option("--few", help="60 images instead of about 150, with wider intervals.")
     ] = False,
+    image_format: Annotated[
+        str, typer.Option("--format", help="Format of the images, 16 bit: png or tiff.")
+    ] = "png",
 ) -> None:
-    """Take the images of a virtual bench, as a real laboratory would: 16-bit PNG and a manifest.
+    """Take the images of a virtual bench, as a real laboratory would: 16-bit images and a manifest.
 
     They are those that 'optsim run' calibrates from. Stopped, it goes on where it was.
     """
+    from optsim.calibration.bench_images import WRITERS
     from optsim.calibration.choice import BENCH_FILE
     from optsim.camera.bench_folder import take_bench
     from optsim.camera.laboratory import ALL_FRAMES, FEW_FRAMES
@@ -42,6 +46,8 @@ def laboratory(
     from optsim.experiment.calibrations import bench_noise
     from optsim.experiment.experiment import load_experiment
 
+    if image_format not in WRITERS:
+        raise unknown_name("format", image_format, WRITERS)
     loaded = load_experiment(experiment, with_tolerance(assignments, tolerance), seed=seed)
     with progress_bars() as progress:
         made = take_bench(
@@ -50,6 +56,7 @@ def laboratory(
             out,
             about={"experiment": loaded.name, "seed": loaded.seed},
             frames=FEW_FRAMES if few else ALL_FRAMES,
+            suffix=image_format,
             progress=progress,
         )
     if not made:
@@ -71,6 +78,13 @@ def calibrate(
         str | None,
         typer.Option(metavar="EXPERIMENT", help="Score against the camera of this experiment."),
     ] = None,
+    before: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Earlier calibration: flag this one unless it explains held-out images better.",
+        ),
+    ] = None,
     assignments: Set = None,
     as_json: Json = False,
 ) -> None:
@@ -79,13 +93,16 @@ def calibrate(
     'optsim run' and 'optsim reconstruct' take the file with --calibration. --set is of --truth.
     """
     from optsim.calibration import Bench, write_calibration
-    from optsim.calibration.estimate import measure_calibration
+    from optsim.calibration.estimate import calibrate_from, measure_calibration
+    from optsim.calibration.held_out import check_same_camera, explained, held_out
+    from optsim.calibration.stored import read_calibration
     from optsim.core.console import page, people, progress_bars
     from optsim.core.files import writable_folder, write_json
     from optsim.experiment.calibration_record import (
         bench_camera,
         calibration_record,
         field_images,
+        with_before,
         with_truth,
     )
     from optsim.experiment.experiment import load_experiment
@@ -99,12 +116,18 @@ def calibrate(
         refuse_without("--truth", "--truth EXPERIMENT", {"--set": assignments})
     writable_folder(out.parent, "--out", "choose another one")
     known = None if truth is None else load_experiment(truth, assignments or [])
+    earlier = None if before is None else read_calibration(before)
     images = Bench.read(bench)
+    rest, spared = (images, ()) if before is None else held_out(images)
+    if earlier is not None:
+        check_same_camera(earlier, images, before)
     with progress_bars(quiet=as_json) as progress:
         measured = measure_calibration(images, reading_px, progress)
     record = calibration_record(measured, images, bench)
     if known is not None:
         record = with_truth(record, measured, images, bench_camera(known), known.name)
+    if before is not None and earlier is not None:
+        record = with_before(record, explained(earlier, calibrate_from(rest, reading_px), spared), before)
     write_calibration(out, measured.calibration)
     write_json(out.with_suffix(".json"), record.as_json())
     pixel_map = measured.pixel_map

@@ -37,7 +37,7 @@ from optsim.app.regress import regress
 from optsim.app.report import remake_reports
 from optsim.app.scene import check, scene_app
 from optsim.app.skips import show_skip_check
-from optsim.app.study import sweep, tolerance, waterfall, yield_
+from optsim.app.study import operators, sweep, tolerance, waterfall, yield_
 from optsim.app.trace import trace
 from optsim.app.train import train
 from optsim.core.errors import ConfigError, unknown_name
@@ -310,6 +310,7 @@ app.command("compare", cls=UsageIsThree)(compare)
 app.command("accept")(accept)
 app.command("regress")(regress)
 app.command("sweep")(sweep)
+app.command("operators")(operators)
 app.command("tolerance")(tolerance)
 app.command("waterfall")(waterfall)
 app.command("yield")(yield_)

@@ -1,4 +1,4 @@
-"""Commands of studies: ``optsim sweep``, ``tolerance``, ``waterfall`` and ``yield``."""
+"""Commands of studies: ``optsim sweep``, ``operators``, ``tolerance``, ``waterfall`` and ``yield``."""
 
 from __future__ import annotations
 
@@ -83,6 +83,49 @@ def sweep(
 
     work = partial(measure, base, plan)
     _study(f"sweep-{base.name}", out, workers, scheduler, as_json, work, write_sweep_page, said)
+
+
+def operators(
+    experiment: ExperimentName,
+    assignments: Set = None,
+    methods: Methods = None,
+    frames: Frames = 3,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds of codes and photons.")] = 3,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Decode the same frames with the ideal, the calibrated, a blindly moved and the true operator.
+
+    With a drift (--set drift.relay.shift_x_px=0.5) the calibration is of the camera before it.
+    """
+    from optsim.core.console import table
+    from optsim.study.comparison import Seeds
+    from optsim.study.operators import OperatorsPlan
+    from optsim.study.operators import operators as measure
+    from optsim.study.operators_page import (
+        FOUND,
+        HEADS,
+        SHORT,
+        found_lines,
+        lead,
+        lines_of,
+        write_operators_page,
+    )
+
+    base = _base(experiment, assignments, methods)
+    plan = OperatorsPlan(frames, Seeds(seeds, seeds))
+
+    def said(record: Record) -> list[Any]:
+        names = dict.fromkeys(row["method"] for row in record["rows"])
+        tables = [table(f"{name}, PU21-PSNR, dB", HEADS, lines_of(record["rows"], name)) for name in names]
+        lines = [[line[column] for column in SHORT] for line in found_lines(record)]
+        found = table("found blind (true)", [FOUND[column] for column in SHORT], lines)
+        return [*tables, found, lead(record)]
+
+    work = partial(measure, base, plan)
+    _study(f"operators-{base.name}", out, workers, scheduler, as_json, work, write_operators_page, said)
 
 
 def tolerance(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optsim.calibration.record import Table
-from optsim.core.files import write_png16
+from optsim.core.files import write_png16, write_tiff16
 from optsim.core.quantities import Bytes, Words
 
 
@@ -91,18 +91,22 @@ class Step:
 Group = Flat | Patches | Step
 
 
-def write_images(folder: Path, stem: str, dn: Words) -> list[str]:
-    """Write frames as 16-bit PNG, and return the names of their files."""
-    names = [f"{stem}-{i:02d}.png" for i in range(len(dn))]
+WRITERS = {"png": write_png16, "tiff": write_tiff16}
+"""Formats of images: their suffix, and what writes them."""
+
+
+def write_images(folder: Path, stem: str, dn: Words, suffix: str = "png") -> list[str]:
+    """Write frames as 16-bit images of a format in :data:`WRITERS`, and return the names of their files."""
+    names = [f"{stem}-{i:02d}.{suffix}" for i in range(len(dn))]
     for name, image in zip(names, dn, strict=True):
-        write_png16(folder / name, image)
+        WRITERS[suffix](folder / name, image)
     return names
 
 
-def write_group(folder: Path, stem: str, group: Group) -> dict[str, Any]:
+def write_group(folder: Path, stem: str, group: Group, suffix: str = "png") -> dict[str, Any]:
     """Write the images of a group, and return its table of the manifest."""
     table: dict[str, Any] = {key: value for key, value in vars(group).items() if key != "dn"}
-    return {**table, "files": write_images(folder, stem, group.dn)}
+    return {**table, "files": write_images(folder, stem, group.dn, suffix)}
 
 
 def read_flat(table: Table) -> Flat:

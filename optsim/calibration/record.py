@@ -13,7 +13,7 @@ import numpy as np
 
 from optsim.calibration.choice import BENCH_FILE
 from optsim.core.errors import BenchError, OptsimError, StorageError, ValueCheckError, nearest_name
-from optsim.core.files import read_json, read_png16
+from optsim.core.files import read_json, read_words
 from optsim.core.quantities import Words
 
 RECORD = BENCH_FILE
@@ -137,7 +137,7 @@ def _read_images(paths: Sequence[str], place: str) -> Words:
     images: list[Words] = []
     for path in paths:
         try:
-            images.append(read_png16(Path(path)))
+            images.append(read_words(Path(path)))
         except (StorageError, ValueCheckError, OSError) as error:
             named = error if isinstance(error, OptsimError) else f"{path}: {error}"
             raise BenchError(

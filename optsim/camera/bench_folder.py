@@ -33,6 +33,7 @@ def take_bench(
     *,
     about: Mapping[str, Any],
     frames: Frames = ALL_FRAMES,
+    suffix: str = "png",
     progress: Progress = silent,
 ) -> bool:
     """Take a bench into a folder; the images are those of :func:`measure_bench`, bit by bit.
@@ -49,6 +50,8 @@ def take_bench(
         Notes of the manifest.
     frames : Frames
         How many images.
+    suffix : str
+        Format of the images: "png" or "tiff".
     progress : Progress
         Told after each setting.
 
@@ -65,7 +68,7 @@ def take_bench(
     # Other code may take other images.
     code = hash_files(["optsim/**/*.py"])
     counts = vars(frames) | {"delays": [*frames.delays]}
-    key = hash_of(camera.model_dump(mode="json"), _state(rng), counts, code)
+    key = hash_of(camera.model_dump(mode="json"), _state(rng), counts, suffix, code)
     with claimed(folder):
         begun = _begun(folder, key)
         if begun is None:
@@ -78,11 +81,12 @@ def take_bench(
         for index, (name, take) in enumerate(planned[done:], done):
             group = take()
             if name == "darks":
-                tables[name] = write_images(folder, "dark", group.dn)
+                tables[name] = write_images(folder, "dark", group.dn, suffix)
             elif name in _SINGLE:
-                tables[name] = write_group(folder, name, group)
+                tables[name] = write_group(folder, name, group, suffix)
             else:
-                tables[name].append(write_group(folder, f"{name}-{len(tables[name]):02d}", group))
+                stem = f"{name}-{len(tables[name]):02d}"
+                tables[name].append(write_group(folder, stem, group, suffix))
             record = {"key": key, "done": index + 1, "noise": _state(rng), "tables": tables}
             write_json(folder / UNFINISHED, record)
             progress("bench", index + 1, len(planned))

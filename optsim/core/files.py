@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
-"""Guarded, atomic writers of EXR, 16-bit PNG and JSON, and their readers. Every file is written through them.
+"""Guarded, atomic writers of EXR, 16-bit PNG, TIFF and JSON, and their readers. All files go through them.
 
 The OpenEXR binding writes wrong pixels without an error for arrays that are not C-contiguous (openexr#1929).
 It also returns short channel groups padded with foreign memory. So every image goes through
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from optsim.core.errors import StorageError, ValueCheckError
 from optsim.core.foreign.exr import exr_header, only_part
 from optsim.core.foreign.png import png_head, png_pixels
+from optsim.core.foreign.tiff import grey_pixels
 
 _HALF_MAX = 65504.0
 _BLOCK = 1 << 20  # bytes read at a time for a checksum
@@ -305,3 +306,38 @@ def read_png16(path: Path) -> NDArray[np.uint16]:
         colour = "grey" if head.channels == 1 else "RGB"
         raise ValueCheckError(f"{path}: got {colour} of {head.bits} bits, expected 16-bit greyscale")
     return png_pixels(path, head)
+
+
+def write_tiff16(path: Path, image: NDArray[np.uint16]) -> None:
+    """Write a (y, x) uint16 image losslessly as uncompressed 16-bit greyscale TIFF."""
+    import tifffile
+
+    if image.ndim != 2 or image.dtype != np.uint16:
+        raise ValueCheckError(
+            f"{path.name}: got {image.dtype} of shape {image.shape}, expected (y, x) uint16"
+        )
+    with atomic(path) as temporary:
+        tifffile.imwrite(temporary, np.ascontiguousarray(image), photometric="minisblack", metadata=None)
+
+
+def read_tiff16(path: Path) -> NDArray[np.uint16]:
+    """Read a 16-bit greyscale TIFF of one page as (y, x) uint16.
+
+    Raises
+    ------
+    StorageError, ValueCheckError
+        When the file is missing or unreadable, or of another kind.
+    """
+    pixels = grey_pixels(path)
+    if pixels.dtype != np.uint16:
+        raise ValueCheckError(f"{path}: got pixels of {pixels.dtype}, expected 16-bit greyscale (uint16)")
+    return pixels.astype(np.uint16, copy=False)
+
+
+TIFF = (".tif", ".tiff")
+"""Suffixes of TIFF files."""
+
+
+def read_words(path: Path) -> NDArray[np.uint16]:
+    """Read a 16-bit greyscale PNG, or TIFF by its suffix: errors of :func:`read_png16`."""
+    return read_tiff16(path) if path.suffix.lower() in TIFF else read_png16(path)

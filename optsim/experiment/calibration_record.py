@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from optsim.calibration import Bench, Calibration
 from optsim.calibration.estimate import Measured
+from optsim.calibration.held_out import Explained
 from optsim.calibration.orientation import in_words
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.camera.true_calibration import true_calibration
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import planned
+from optsim.metrics.student import half_width
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.report.calibration_page import (
     INTERVAL_SIGMAS,
     CalibrationRecord,
     Coverage,
+    HeldOut,
     Quantity,
     TruthScore,
 )
@@ -233,6 +237,32 @@ def with_truth(
         ],
     )
     return record.model_copy(update={"quantities": quantities, "score": score})
+
+
+def with_before(record: CalibrationRecord, compared: Sequence[Explained], before: Path) -> CalibrationRecord:
+    """Add how an earlier calibration and this one explain held-out images: one that isn't better is flagged.
+
+    Parameters
+    ----------
+    record : CalibrationRecord
+        Of this calibration.
+    compared : sequence of Explained
+        Each held-out image; the later calibration is made from the others.
+    before : Path
+        File of the earlier calibration.
+    """
+    gains = [each.before - each.after for each in compared]
+    gain, half = float(np.mean(gains)), half_width(gains) or 0.0
+    found = HeldOut(
+        before=str(before),
+        n_images=len(compared),
+        before_sigmas=float(np.mean([each.before for each in compared])),
+        after_sigmas=float(np.mean([each.after for each in compared])),
+        gain_sigmas=gain,
+        gain_half=half,
+        better=gain > half,
+    )
+    return record.model_copy(update={"held_out": found, "remarks": [found.said, *record.remarks]})
 
 
 def map_off_px(measured: Measured, camera: CodedCamera) -> Doubles:

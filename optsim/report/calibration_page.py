@@ -101,6 +101,42 @@ class TruthScore(Record):
     coverage: list[Coverage]
 
 
+class HeldOut(Record):
+    """A calibration against an earlier one, on images of the bench that were held out.
+
+    Parameters
+    ----------
+    before : str
+        File of the earlier calibration.
+    n_images : int
+        Images held out.
+    before_sigmas, after_sigmas : float
+        Rms deviation of the images from what each predicts, in standard deviations of the noise.
+    gain_sigmas, gain_half : float
+        Mean difference of both over the images, and half of its 95 % interval.
+    better : bool
+        Whether the later one explains them better than the earlier one, beyond that interval.
+    """
+
+    before: str
+    n_images: int
+    before_sigmas: float
+    after_sigmas: float
+    gain_sigmas: float
+    gain_half: float
+    better: bool
+
+    @property
+    def said(self) -> str:
+        """The comparison in a sentence, with a flag where the later one isn't better."""
+        flag = "" if self.better else "Flag: not better than before. "
+        return (
+            f"{flag}{self.n_images} held-out images are {self.after_sigmas:.2f} standard deviations of their "
+            f"noise off, with {self.before} {self.before_sigmas:.2f}: "
+            f"{self.gain_sigmas:+.2f} ± {self.gain_half:.2f}."
+        )
+
+
 class CalibrationRecord(Record):
     """Everything of a calibration that its page says.
 
@@ -128,6 +164,8 @@ class CalibrationRecord(Record):
         What was refused, extrapolated, or could not be told.
     score : TruthScore or None
         Against the true camera.
+    held_out : HeldOut or None
+        Against an earlier calibration; its sentence is the first remark.
     """
 
     bench: str
@@ -142,6 +180,7 @@ class CalibrationRecord(Record):
     edges_off_px: dict[str, float]
     remarks: list[str]
     score: TruthScore | None = None
+    held_out: HeldOut | None = None
 
     def quantity(self, key: str) -> Quantity:
         """Return a quantity by its key."""

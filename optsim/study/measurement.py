@@ -135,8 +135,8 @@ def _measure(stage: Stage, point: Point) -> Measured:
         pictures |= {name: video.irradiance_w_m2[slot] for name, video in decoded.videos.items()}
     choice = experiment.calibration_choice
     return Measured(
-        _pooled(stage.board, tallies, DB),
-        _pooled(stage.board, tallies, next(m.name for m in metrics.ALL if m.unit == "stops")),
+        pooled(stage.board, tallies, DB),
+        pooled(stage.board, tallies, next(m.name for m in metrics.ALL if m.unit == "stops")),
         float(sum(t.counts.sum() for t in tallies) / max(1, sum(t.samples.sum() for t in tallies))),
         known[choice].map_residual_px,
         values,
@@ -157,7 +157,8 @@ def _other_stage(text: str, scored: tuple[int, ...]) -> Stage:
     return make_stage(build(Experiment, json.loads(text), where="point"), scored)
 
 
-def _pooled(board: ScoreBoard, tallies: list[FrameTally], metric: str) -> dict[Key, float | None]:
+def pooled(board: ScoreBoard, tallies: list[FrameTally], metric: str) -> dict[Key, float | None]:
+    """Score of each method and region over the frames that were tallied, by the name of a metric."""
     return {
         (score.method, region): score.value
         for score in board.records(tallies)

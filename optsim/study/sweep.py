@@ -15,12 +15,12 @@ from optsim.core.progress import Progress, silent
 from optsim.experiment.experiment import Experiment
 from optsim.metrics.records import REGIONS
 from optsim.study.comparison import PAIR, Estimate, Seeds, add_work, compare, pool_scatter, rows_of
+from optsim.study.crops import PICTURES
 from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
 from optsim.study.point import Axis, Mode, Point, changed_only, experiment_at
 from optsim.study.stage import stage_of
 
-PICTURES = "pictures.npz"
 REGISTRATION = ("registration",)
 _MOST_POINTS = 2000
 

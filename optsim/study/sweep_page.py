@@ -6,18 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
-from optsim.core.files import write_png8
-from optsim.core.quantities import Floats
-from optsim.metrics.error_maps import best_corner
 from optsim.report import plots
-from optsim.report.page import Section, folded, listed, strip, table, write_page
+from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
-from optsim.report.pictures import enlarge, rgb, tone_curve_for
+from optsim.study.crops import SAID, cropped
 from optsim.study.folder import PAGE
-from optsim.study.sweep import PICTURES, labels
+from optsim.study.sweep import labels
 from optsim.study.words import assumptions, shown, signed, work_done
 
 MODES = {
@@ -27,7 +23,6 @@ MODES = {
 }
 REGIONS = {"all": "everywhere", "moving": "where it moves", "static": "where it is static"}
 _STYLES = {"known": "s0", "unknown": "s1", "compensated": "s2"}
-_CROP, _SIDE_PX = 3, 320
 Rows = Sequence[dict[str, Any]]
 
 
@@ -201,33 +196,7 @@ def _crops(folder: Path, record: dict[str, Any], name: str) -> list[Section]:
     """Show reconstructions at the marked values, in the window where the modes differ most."""
     parts: list[Markup] = []
     for task, result in record["results"].items():
-        file = folder / task / PICTURES
-        if not file.is_file():
-            continue
-        with np.load(file) as arrays:
-            images: dict[str, Floats] = {key: arrays[key] for key in arrays.files}
-        truth = images["truth"]
-        tone = tone_curve_for(np.maximum(truth, 0))
-        window = _window(images)
-        value = result["values"][0]
-        strips: list[tuple[str, str]] = []
-        for key, image in images.items():
-            grey = tone.apply(np.maximum(image[window], 0))
-            path = Path("pictures") / f"{task.replace('/', '-')}-{key.replace(' ', '-')}.png"
-            write_png8(folder / path, rgb(enlarge(grey, max(1, _SIDE_PX // grey.shape[0]))))
-            strips.append((path.as_posix(), key))
-        parts += [Markup("<h3>{} = {}</h3>").format(name, shown(value)), strip(strips)]
-    if not parts:
-        return []
-    said = "One slot of the last scored frame, one tone curve for all: the window with the largest errors."
-    return [Section("How it looks", [said], parts)]
-
-
-def _window(images: dict[str, Floats]) -> tuple[slice, slice]:
-    """Find the window, a third of the panel each way, with the largest error of any reconstruction."""
-    truth = images["truth"]
-    error = np.max([np.abs(image - truth) for image in images.values()], axis=0)
-    error = np.minimum(error, np.percentile(error, 99))
-    rows, cols = (max(1, side // _CROP) for side in error.shape)
-    row, col = best_corner(error.astype(np.float64), (rows, cols))
-    return slice(row, row + rows), slice(col, col + cols)
+        shown_here = cropped(folder, task)
+        if shown_here is not None:
+            parts += [Markup("<h3>{} = {}</h3>").format(name, shown(result["values"][0])), shown_here]
+    return [Section("How it looks", [SAID], parts)] if parts else []

@@ -3,38 +3,17 @@
 
 from __future__ import annotations
 
-import logging
-import threading
-from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from optsim.core.errors import StorageError, ValueCheckError
-from optsim.core.foreign import DEFLATE_LIMIT, check_memory, reading
+from optsim.core.errors import StorageError
 from optsim.core.foreign.h273 import primaries_at
-from optsim.footage.recording.film import Pixels, Recording, Says, as_recording, with_channels
-
-_WHAT = "TIFF"
-_CURE = "copy it again, whole, or write it uncompressed, one page a frame"
-_MIN_IS_WHITE, _MIN_IS_BLACK, _RGB = 0, 1, 2
-_FORMATS = (1, 2, 3)  # SampleFormat: whole numbers without and with a sign, floats
-_ALPHA = (1, 2)
-# Tag Orientation: transformation of stored rows and columns to the upright image.
-_TURNS: dict[int, Callable[[Pixels], Pixels]] = {
-    1: lambda stored: stored,
-    2: lambda stored: stored[:, ::-1],
-    3: lambda stored: stored[::-1, ::-1],
-    4: lambda stored: stored[::-1],
-    5: lambda stored: stored.swapaxes(0, 1),
-    6: lambda stored: np.rot90(stored, -1),
-    7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1),
-    8: lambda stored: np.rot90(stored),
-}
-_NOT_A_FRAME = 0b101  # NewSubfileType: a smaller version of another page, or its mask
+from optsim.core.foreign.tiff import opened, page_pixels
+from optsim.footage.recording.film import Pixels, Recording, Says, as_recording
 
 
 def tiff(path: Path) -> Pixels:
@@ -47,7 +26,7 @@ def tiff(path: Path) -> Pixels:
 
 def tiff_stack(path: Path) -> Recording:
     """Open a TIFF file of one page a frame."""
-    with _opened(path) as tiff:
+    with opened(path) as tiff:
         n_frames = len(tiff.pages)
         if n_frames == 0:
             raise StorageError(f"{path} holds no frames")
@@ -71,96 +50,11 @@ def tiff_stack(path: Path) -> Recording:
         raise StorageError(f"{path}: {n_planes} frames in {n_frames} pages; cure: write one page a frame")
 
     def pages(first: int) -> Iterator[Pixels]:
-        with _opened(path) as tiff:
+        with opened(path) as tiff:
             for index, page in enumerate(islice(tiff.pages, first, None), first):
-                yield _page(f"{path}, page {index}", page.aspage(), path.stat().st_size)
+                yield page_pixels(f"{path}, page {index}", page.aspage(), path.stat().st_size)
 
     return as_recording((path,), n_frames, pages, says=says)
-
-
-class _Refusal(logging.Handler):
-    """Raise errors that the library only logs: pages that it leaves out, strips that it cuts."""
-
-    def __init__(self) -> None:
-        logging.Handler.__init__(self, logging.WARNING)
-        self._thread = threading.get_ident()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Raise an error of the reading thread; ignore other records."""
-        if record.levelno >= logging.ERROR and record.thread == self._thread:
-            raise ValueError(record.getMessage())
-
-
-@contextmanager
-def _opened(path: Path) -> Generator[Any, None, None]:
-    import tifffile
-
-    handler, logger = _Refusal(), logging.getLogger("tifffile")
-    logger.addHandler(handler)
-    try:
-        with reading(path, _WHAT, _CURE), tifffile.TiffFile(path) as tiff:
-            yield tiff
-    finally:
-        logger.removeHandler(handler)
-
-
-def _page(where: str, page: Any, file_bytes: int) -> Pixels:
-    """Pixels of a page in upright orientation, array (y, x, channel)."""
-    tags, shape = page.tags, page.shape
-    if page.subfiletype & _NOT_A_FRAME:
-        raise _unlike(where, "NewSubfileType", page.subfiletype, "a frame, no smaller version or mask")
-    photometric = int(tags.valueof(262, _MIN_IS_BLACK))
-    if photometric not in (_MIN_IS_WHITE, _MIN_IS_BLACK, _RGB):
-        raise _unlike(where, "PhotometricInterpretation", page.photometric, "grey or RGB")
-    formats = set(np.atleast_1d(tags.valueof(339, 1)).tolist())
-    if len(formats) != 1 or not formats <= set(_FORMATS):
-        raise _unlike(where, "SampleFormat", sorted(formats), "whole numbers or floats, all of one kind")
-    bits = page.bitspersample
-    if not isinstance(bits, int):
-        raise _unlike(where, "BitsPerSample", bits, "as many for each sample")
-    if set(page.extrasamples) & set(_ALPHA):
-        raise _unlike(where, "ExtraSamples", "alpha", "none; transparency is no light")
-    across, down = (_ratio(tags.valueof(code)) for code in (282, 283))
-    if across and down and abs(across / down - 1) > 1e-3:
-        raise _unlike(where, "XResolution and YResolution", f"{across:g} and {down:g}", "square pixels")
-    orientation = tags.valueof(274, 1)
-    if orientation not in _TURNS:
-        raise _unlike(where, "Orientation", orientation, "1 to 8")
-    if page.axes not in ("YX", "YXS", "SYX"):
-        raise ValueCheckError(f"{where}: a page has axes {page.axes}, expected YX, YXS or SYX")
-    _check_segments(where, page, bits, file_bytes)
-    # In one thread: log records of other threads could not be told apart.
-    pixels = with_channels(page.asarray(maxworkers=1))
-    if page.axes == "SYX":
-        pixels = np.moveaxis(pixels.reshape(shape), 0, -1)
-    if photometric == _MIN_IS_WHITE:
-        if pixels.dtype.kind != "u":
-            raise _unlike(
-                where, "PhotometricInterpretation", f"min-is-white of {pixels.dtype}", "min-is-black"
-            )
-        pixels = pixels.dtype.type(2**bits - 1) - pixels
-    return np.ascontiguousarray(_TURNS[orientation](pixels))
-
-
-def _check_segments(where: str, page: Any, bits: int, file_bytes: int) -> None:
-    """Refuse strips or tiles that were never written, and sizes that the file can't hold."""
-    sizes, offsets = page.databytecounts, page.dataoffsets
-    expected = int(np.prod(page.chunked))
-    held = [at > 0 and size > 0 and at + size <= file_bytes for at, size in zip(offsets, sizes, strict=False)]
-    if len(offsets) != len(sizes) or sum(held) < expected:
-        raise StorageError(
-            f"{where}: {sum(held)} of {expected} strips or tiles are in the file, expected all; cure: copy "
-            "it again, whole"
-        )
-    declared, packed = page.size * bits / 8, sum(sizes)
-    most = {1: 1, 8: DEFLATE_LIMIT, 32946: DEFLATE_LIMIT}.get(int(page.compression), np.inf)
-    if declared > most * packed:
-        said = " x ".join(map(str, page.shape))
-        raise StorageError(
-            f"{where}: declares {said} samples of {bits} bits, but holds {packed} bytes of them; cure: "
-            "copy it again, whole"
-        )
-    check_memory(Path(where), page.nbytes, _WHAT)
 
 
 def _says(page: Any) -> Says:
@@ -172,13 +66,3 @@ def _says(page: Any) -> Says:
     found = np.reshape(np.asarray(declared, float), (-1, 2))
     places = found[:, 0] / found[:, 1]
     return Says(curve, primaries_at(places.tolist()))
-
-
-def _ratio(value: tuple[int, int] | None) -> float:
-    """Rational number of a tag; 0 where there is none."""
-    return value[0] / value[1] if value and value[1] else 0.0
-
-
-def _unlike(where: str, tag: str, got: object, expected: str) -> ValueCheckError:
-    said = getattr(got, "name", got)
-    return ValueCheckError(f"{where}: tag {tag} says {said}, expected {expected}; cure: convert the file")

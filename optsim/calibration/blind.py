@@ -1,0 +1,295 @@
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
+"""Blind registration: how far the panel's image has moved since the calibration, from coded frames alone.
+
+Frames of static light with different codes must agree on that light. Read beside its centre, a panel pixel
+has its neighbour's light too, which follows the neighbour's code, and the frames disagree. The search moves
+them back until they agree best. Frames that took no part in it decide whether that is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.calibration.calibration import Calibration
+from optsim.calibration.demixed import (
+    LEAST_EXPOSURE,
+    DemixedFrame,
+    SaturationPrior,
+    demixed_frames,
+    noise_variance,
+    separate,
+)
+from optsim.core.errors import ConfigError
+from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Words
+
+# Relative error of a predicted frame beside noise, by fringing for example. A sensible default.
+_MODEL_ERROR = 0.1
+# Residuals count in full up to so many standard deviations: light that moves must not decide.
+_BOUND_SIGMAS = 3.0
+# A pixel tells where it is if the exposures beside it differ by this share of its own.
+_LEAST_CONTRAST = 0.2
+# The search begins on a lattice of shifts up to a panel pixel away, so far apart; panel pixels.
+_REACH, _STEP = 1.0, 0.5
+# Its first step from there, panel pixels, and what ends it, CCD pixels and residual.
+_FIRST_STEP, _LAST_STEP_PX, _LAST_GAIN, _MOST_TRIALS = 0.1, 0.02, 1e-4, 100
+# Held-out frames are compared in squares of the panel, panel pixels. Few squares or pixels tell nothing.
+_SQUARE_PX, _FEWEST_SQUARES, _FEWEST_PIXELS = 6, 8, 5
+# Standard errors over the squares by which the residual must fall.
+_SIGMAS = 3.0
+_FEWEST_FRAMES = 4
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How far the panel's image has moved on the CCD since the calibration.
+
+    Parameters
+    ----------
+    shift_y_px, shift_x_px : float
+        Shift of its middle, CCD pixels.
+    rotation_rad : float
+        Rotation about the CCD's middle, from x towards y.
+    """
+
+    shift_y_px: float = 0.0
+    shift_x_px: float = 0.0
+    rotation_rad: float = 0.0
+
+    def now(self, y: Doubles, x: Doubles, ccd_shape: tuple[int, int]) -> tuple[Doubles, Doubles]:
+        """Where the light of CCD pixels is now; pixel centres are whole numbers."""
+        down, right = y + 0.5 - ccd_shape[0] / 2, x + 0.5 - ccd_shape[1] / 2
+        return (
+            y + self.shift_y_px + self.rotation_rad * right,
+            x + self.shift_x_px - self.rotation_rad * down,
+        )
+
+
+NOT_MOVED = Registration()
+
+
+@dataclass(frozen=True)
+class Blind:
+    """Outcome of a blind registration.
+
+    Parameters
+    ----------
+    registration : Registration
+        What is believed; :data:`NOT_MOVED` where nothing is.
+    before, after : float
+        Residual of the frames that were held out, without and with it, 0 to 1.
+    sigmas : float
+        By how many of its standard errors it fell, or would have.
+    why : str
+        Why nothing is believed; empty where something is.
+    """
+
+    registration: Registration = NOT_MOVED
+    before: float = 0.0
+    after: float = 0.0
+    sigmas: float = 0.0
+    why: str = ""
+
+
+def registered_blind(frames: Sequence[CodedFrame], calibration: Calibration) -> Blind:
+    """Search for the panel's image in the coded frames themselves.
+
+    Every other frame is searched: for a shift, then for a rotation with it. Each is believed if the residual
+    of the frames between falls by more than its scatter over the panel. A magnification is not searched for:
+    on a film of 24 x 32 panel pixels, moving back by the true one scored lower than leaving the frames.
+
+    Parameters
+    ----------
+    frames : sequence of CodedFrame
+        A recording, in its order.
+    calibration : Calibration
+        Of the camera before its image moved.
+    """
+    if len(frames) < _FEWEST_FRAMES:
+        return Blind(why=f"got {len(frames)} frames, expected at least {_FEWEST_FRAMES}")
+    try:
+        samples = [sample for _, sample in demixed_frames(frames, calibration, "undone")]
+    except ConfigError as error:
+        return Blind(why=str(error))
+
+    def searched(at: Registration) -> _Agreement:
+        return _agreement(frames[1::2], samples[1::2], calibration, at)
+
+    def held_out(at: Registration) -> dict[tuple[int, int], float]:
+        return _agreement(frames[::2], samples[::2], calibration, at).squares()
+
+    start = held_out(NOT_MOVED)
+    if min(len(start), len(searched(NOT_MOVED).squares())) < _FEWEST_SQUARES:
+        return Blind(why="neighbours have the same exposures, and nothing tells where they are")
+    outcome = Blind(before=_mean(start), after=_mean(start))
+    lattice = np.arange(-_REACH, _REACH + _STEP / 2, _STEP) * calibration.ratio
+    trials = [Registration(float(y), float(x)) for y in lattice for x in lattice]
+    best = min(trials, key=lambda at: searched(at).residual)
+    for n_free in (2, 3):
+        best = _refined(lambda at: searched(at).residual, best, n_free, calibration)
+        old, new = held_out(outcome.registration), held_out(best)
+        gains = np.array([old[place] - new[place] for place in old if place in new])
+        if len(gains) < _FEWEST_SQUARES:
+            continue
+        sigmas = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-12))
+        if sigmas > _SIGMAS:
+            outcome = replace(outcome, registration=best, after=_mean(new), sigmas=sigmas)
+        elif outcome.registration == NOT_MOVED:
+            outcome = replace(outcome, sigmas=sigmas)
+    if outcome.registration == NOT_MOVED:
+        return replace(outcome, why="no movement explains the held-out frames better than none")
+    return outcome
+
+
+def moved_back(
+    frames: Sequence[CodedFrame], calibration: Calibration, registration: Registration
+) -> tuple[CodedFrame, ...]:
+    """Interpolate frames to where the calibration expects the panel's image.
+
+    Only pixels that the calibration reads are filled. Black level and gain of single CCD pixels no longer fit
+    there. Beside a saturated pixel all count as saturated.
+
+    Parameters
+    ----------
+    frames : sequence of CodedFrame
+        As taken.
+    calibration : Calibration
+        Of the camera before its image moved.
+    registration : Registration
+        How far it has moved.
+    """
+    if registration == NOT_MOVED:
+        return tuple(frames)
+    row, col = _read_pixels(calibration)
+    place = registration.now(row.astype(np.float64), col.astype(np.float64), calibration.ccd_shape)
+    limit, full_dn = float(calibration.saturation_dn.min()), float(np.ceil(calibration.saturation_dn.max()))
+    found: list[CodedFrame] = []
+    for frame in frames:
+        dn: Words = np.zeros_like(frame.dn)
+        dn[row, col] = _interpolated(frame.dn, place, limit, full_dn)
+        found.append(replace(frame, dn=dn))
+    return tuple(found)
+
+
+def _read_pixels(calibration: Calibration) -> tuple[Any, Any]:
+    """Rows and columns of the CCD pixels in all readout windows."""
+    read = np.zeros(calibration.ccd_shape, np.bool_)
+    half = calibration.reading_px // 2
+    for down in range(-half, half + 1):
+        for right in range(-half, half + 1):
+            read[
+                (calibration.pick_row + down).clip(0, read.shape[0] - 1),
+                (calibration.pick_col + right).clip(0, read.shape[1] - 1),
+            ] = True
+    rows, cols = np.nonzero(read)
+    return rows, cols
+
+
+def _interpolated(dn: Words, place: tuple[Doubles, Doubles], limit: float, full_dn: float) -> Words:
+    """Read a frame between its pixels by a cubic spline; saturated where a pixel beside the place is."""
+    from scipy import ndimage
+
+    read = cast("Callable[..., Floats]", ndimage.map_coordinates)
+    light = read(dn.astype(np.float32), place, order=3, mode="nearest")
+    whole = np.rint(np.clip(light, 0, np.iinfo(dn.dtype).max))
+    full = dn >= limit
+    if full.any():
+        beside = read(full.astype(np.float32), place, order=1, mode="nearest") > 0
+        whole = np.where(beside, max(full_dn, float(dn.max())), np.minimum(whole, limit - 1))
+    return whole.astype(dn.dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class _Agreement:
+    """How far frames disagree on one static light, 0 to 1, and the pixels that can tell: (frame, v, u)."""
+
+    losses: Doubles
+    telling: Bools
+
+    @property
+    def residual(self) -> float:
+        """Mean of the losses; 1 where no pixel tells anything."""
+        return float(self.losses[self.telling].mean()) if self.telling.any() else 1.0
+
+    def squares(self) -> dict[tuple[int, int], float]:
+        """Residual of each square of the panel that tells something."""
+        _, rows, cols = self.losses.shape
+        found: dict[tuple[int, int], float] = {}
+        for v in range(0, rows, _SQUARE_PX):
+            for u in range(0, cols, _SQUARE_PX):
+                square = slice(None), slice(v, v + _SQUARE_PX), slice(u, u + _SQUARE_PX)
+                if np.count_nonzero(self.telling[square]) >= _FEWEST_PIXELS:
+                    found[v, u] = float(self.losses[square][self.telling[square]].mean())
+        return found
+
+
+def _agreement(
+    frames: Sequence[CodedFrame],
+    samples: Sequence[DemixedFrame],
+    calibration: Calibration,
+    at: Registration,
+) -> _Agreement:
+    """Compare frames, moved back, with the static light that explains all of them best."""
+    signals: list[Floats] = []
+    measured: list[Floats] = []
+    usable: list[Bools] = []
+    unknown = SaturationPrior.unknown(calibration.shape)
+    for frame, sample in zip(moved_back(frames, calibration, at), samples, strict=True):
+        # The weights, which take longest, do not depend on where the frame is read.
+        seen = calibration.observe(frame)
+        moved = replace(sample, measured=seen.signal, signal=seen.signal, saturated=seen.saturated)
+        demixed = separate(calibration, moved, unknown)
+        signals.append(demixed.signal)
+        measured.append(demixed.measured)
+        usable.append(
+            demixed.valid & ~demixed.saturated & ~demixed.tainted & (sample.exposure > LEAST_EXPOSURE)
+        )
+    exposure, use = np.stack([sample.exposure for sample in samples]), np.stack(usable)
+
+    def variance(light: Floats | Doubles) -> Doubles:
+        return noise_variance(calibration, light.astype(np.float32)) + (_MODEL_ERROR * light) ** 2
+
+    signal = np.where(use, np.stack(signals), 0)
+    rough = np.maximum(signal.sum(axis=0) / np.maximum((exposure * use).sum(axis=0), LEAST_EXPOSURE), 0)
+    weight = use / variance(rough * exposure)
+    pooled = (weight * exposure * signal).sum(axis=0) / np.maximum((weight * exposure**2).sum(axis=0), 1e-30)
+    direct = (np.maximum(pooled, 0) * exposure).astype(np.float32)
+    mixed = np.stack([calibration.mix(light) for light in direct])
+    squared = (np.stack(measured) - mixed).astype(np.float64) ** 2 / variance(mixed)
+    apart = np.max([np.abs(np.gradient(exposure, axis=axis)) for axis in (1, 2)], axis=0)
+    return _Agreement(squared / (squared + _BOUND_SIGMAS**2), use & (apart > _LEAST_CONTRAST / 2 * exposure))
+
+
+def _refined(
+    residual: Callable[[Registration], float], begin: Registration, n_free: int, calibration: Calibration
+) -> Registration:
+    """Registration of least residual near another, by a simplex over its first parameters."""
+    from scipy.optimize import minimize
+
+    # As displacements at the longer side's middle, all parameters are CCD pixels.
+    reach = max(calibration.ccd_shape) / 2
+    start = [begin.shift_y_px, begin.shift_x_px, begin.rotation_rad * reach][:n_free]
+
+    def of(place: Sequence[float]) -> Registration:
+        shift_y, shift_x, *turned = (float(each) for each in place)
+        return Registration(shift_y, shift_x, *(each / reach for each in turned))
+
+    options = {
+        "initial_simplex": np.array(start)
+        + np.concatenate([np.zeros((1, n_free)), _FIRST_STEP * calibration.ratio * np.eye(n_free)]),
+        "xatol": _LAST_STEP_PX,
+        "fatol": _LAST_GAIN,
+        "maxfev": _MOST_TRIALS,
+    }
+
+    def trial(place: Sequence[float]) -> float:
+        return residual(of(place))
+
+    return of(cast("Any", minimize)(trial, start, method="Nelder-Mead", options=options).x)
+
+
+def _mean(squares: dict[tuple[int, int], float]) -> float:
+    return float(np.mean(list(squares.values())))
