@@ -273,6 +273,11 @@ def load_check(effect: str) -> ModuleType:
     return module
 
 
+def test_every_metric_is_scored_by_another_program_too() -> None:
+    program = (Path(__file__).parents[1] / "validation" / "scores" / "reference.py").read_text()
+    assert [m.kind for m in metrics.ALL if f'"{m.kind}": ' not in program] == []
+
+
 def test_pu21_validation_holds_and_can_fail() -> None:
     check = load_check("pu21")
     assert abs(check.measure()) <= check.TOLERANCE < abs(check.perturbed())

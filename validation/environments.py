@@ -23,6 +23,8 @@ _PYTHONS: dict[str, tuple[tuple[int, int], ...]] = {
     "emva1288": ((3, 11), (3, 12)),
     # Package prysm: MIT.
     "field_psf": ((3, 11), (3, 12), (3, 13), (3, 14)),
+    # Package sewar: MIT; package permetrics: GPL-3.0.
+    "scores": ((3, 11), (3, 12), (3, 13), (3, 14)),
 }
 
 

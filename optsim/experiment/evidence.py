@@ -50,6 +50,7 @@ EFFECTS: dict[str, str] = {
     "hdr_wedge": "HDR merge over four decades",
     "static_hdr": "HDR merge of still pictures at four exposures, ideal weights and no panel",
     "pu21": "PU21 encoding of the scores",
+    "scores": "every metric by region, and the intervals of scores",
     "panel_response": "first-order liquid-crystal response with history, late rows and unequal fields",
     "sync_jitter": "panel late on the shutter's clock, row by row, with jitter",
     "panel_uniformity": "reflectivity over the panel, and pixels that stand still",
