@@ -56,6 +56,11 @@ class Score(Record):
     low: float | None = None
     high: float | None = None
 
+    @property
+    def half(self) -> float | None:
+        """Half of the interval."""
+        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
 
 class Coverage(Record):
     """Share of a region that a method holds valid, and of that the share filled from neighbours."""

@@ -103,9 +103,11 @@ def half_width(values: Sequence[float]) -> float | None:
     return None if len(values) < _LEAST_FRAMES else student.half_width(values)
 
 
-def score_half_width(results: Results, row: Row, method: str, phase: Phase) -> float | None:
-    """Half of the interval of a score, from the scatter of the coded frames of its phase."""
-    return half_width(list(by_frame(results, row.metric, row.region, method, phase).values()))
+def score_half_width(results: Results, score: Score) -> float | None:
+    """Half of the interval of a score, which runs of before leave to the scatter of their coded frames."""
+    if score.half is not None:
+        return score.half
+    return half_width(list(by_frame(results, score.metric, score.region, score.method, score.phase).values()))
 
 
 @dataclass(frozen=True)

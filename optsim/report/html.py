@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,7 +12,7 @@ from optsim.core.files import write_text
 from optsim.metrics.claims import measured
 from optsim.metrics.records import Phase
 from optsim.metrics.scoring import phase_of
-from optsim.report import curves, headline, plots, verdict, words
+from optsim.report import class_table, curves, headline, plots, verdict, words
 from optsim.report.schema import Results, check_results
 
 if TYPE_CHECKING:
@@ -93,14 +94,11 @@ def _context(results: Results) -> dict[str, object]:
         "quality": verdict.quality(results, phase) if phase else "",
         "faults": verdict.faults(results, phase) if phase else [],
         "rows": rows,
-        "halves": {
-            (row.region, name): headline.score_half_width(results, row, name, phase)
-            for row in rows
-            for name in results.methods
-            if phase
-        },
+        "half": partial(headline.score_half_width, results),
         "n_frames": _n_frames(results, phase),
         "tables": [(p, headline.table(results.scores, results.methods, p)) for p in reached],
+        "class_rows": class_table.class_rows(results),
+        "class_frames": class_table.frames_of(results.class_series),
         "ceilings": {p: headline.ceilings(results, p) for p in reached},
         "coverage": {(c.phase, c.region, c.method): c for c in results.coverage},
         "uncertainty": [u for u in results.uncertainty if u.phase == phase and u.n],

@@ -78,8 +78,9 @@ def _entries(path: Path, runs: Sequence[tuple[Path, Results]]) -> list[Entry]:
             continue
         row = lines[0].row
         halves = {
-            name: words.plus_minus(headline.score_half_width(results, row, name, phases[0]), row.unit)
-            for name in results.methods
+            score.method: words.plus_minus(headline.score_half_width(results, score), row.unit)
+            for score in row.scores
+            if score is not None
         }
         link = quote(os.path.relpath(folder.resolve(), path.resolve().parent))
         stills = [p for p in results.pictures if p.section == "compare"]

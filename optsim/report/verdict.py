@@ -68,16 +68,12 @@ def quality(results: Results, phase: Phase) -> str:
     """Say how large the relative error of the best method is, and how sure the truth is."""
     name, metric = subject(results, phase), LogRmse().name
     found = [
-        s.value
-        for s in results.scores
-        if (s.method, s.metric, s.region, s.phase) == (name, metric, "all", phase)
+        s for s in results.scores if (s.method, s.metric, s.region, s.phase) == (name, metric, "all", phase)
     ]
-    value = next(iter(found), None)
-    if value is None:
+    score = next(iter(found), None)
+    if score is None or score.value is None:
         return ""
-    half = words.plus_minus(
-        headline.half_width(list(headline.by_frame(results, metric, "all", name, phase).values())), "stops"
-    )
+    value, half = score.value, words.plus_minus(headline.score_half_width(results, score), "stops")
     said = " ".join(filter(None, [f"errs by {words.score(value, 'stops')}", half, "stops"]))
     said += f" ({words.per_cent_of_stops(value)})"
     sure = headline.ceilings(results, phase).get(("all", metric))

@@ -28,6 +28,8 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 def score(value: float | None, unit: str) -> str:
     """Write a score with the decimals that suit its unit; a dash for None."""
+    if unit == "share":
+        return share(value)
     return "–" if value is None else f"{value:.{_DECIMALS.get(unit, 3)}f}".replace("-", "−")
 
 
@@ -56,18 +58,14 @@ _METRICS = {
     "PU21-PSNR": "quality as seen (PSNR)",
     "log-RMSE": "relative error",
     "PSNR": "quality in linear light (PSNR)",
-    "PSNR-Y": "quality in linear luminance (PSNR)",
-    "mu-law PSNR": "quality after a mu-law curve (PSNR)",
-    "mu-PSNR": "quality after a mu-law curve (PSNR)",
-    "SSIM": "structure as seen",
+    "mu-law-PSNR": "quality after a mu-law curve (PSNR)",
     "PU21-SSIM": "structure as seen",
-    "MS-SSIM": "structure as seen, coarse to fine",
     "PU21-MS-SSIM": "structure as seen, coarse to fine",
     "relMSE": "relative squared error",
     "SMAPE": "symmetric relative error",
-    "Delta E ITP": "colour difference",
-    "HDR-FLIP": "difference when flipped",
-    "ColorVideoVDP": "quality as seen in motion",
+    "difference-PSNR": "steadiness from slot to slot (PSNR)",
+    "one-gain PU21-PSNR": "quality as seen, one gain forgiven (PSNR)",
+    "valid share": "share held valid",
 }
 
 
