@@ -66,10 +66,11 @@ def matrix(
             [*small, f"scene.name={scene}", f"name={scene}-{camera}", *CAMERAS[camera]],
             seed=seed,
         )
-        # In this order a worker finds the operators of its camera still in memory.
+        # In this order a worker finds the operators of its camera still in memory, and workers that begin
+        # side by side render different scenes.
         for camera in cameras
-        for scene in scenes
         for seed in seeds
+        for scene in scenes
     ]
 
 
