@@ -18,6 +18,7 @@ from optsim.study.point import Axis, Point, changed_only, experiment_at, full_ke
 from optsim.study.stage import frames_to_score, make_stage
 from optsim.study.sweep import SweepPlan, sweep
 from optsim.study.sweep_page import write_sweep_page
+from optsim.study.words import assumptions
 
 SHIFT = "camera.relay.shift_x_px"
 ONE = Seeds(1, 1)
@@ -231,3 +232,12 @@ def test_bad_input_ends_in_one_line_before_any_work(cli, words, said, tmp_path):
     assert code == 2
     assert said in shown
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("most", "said"), [(2, "over 2 seeds of"), (4, "over 2 to 4 seeds of")])
+def test_a_page_says_whether_seeds_are_added(most, said):
+    plan = {"frames": 1, "seeds": {"least": 2, "most": most, "wanted_db": 0.1}}
+    experiment = {"seed": 1, "n_frames": 10, "camera": {"latency_frames": 1}}
+    line = assumptions({"plan": plan, "experiment": experiment})[1]
+    assert said in line
+    assert ("Seeds are added" in line) == (most > 2)

@@ -14,9 +14,8 @@ from optsim.report.page import plots as side_by_side
 from optsim.study.crops import SAID, cropped
 from optsim.study.folder import PAGE
 from optsim.study.operators import DIFFERENCES, OPERATORS
-from optsim.study.words import assumptions, signed, work_done
+from optsim.study.words import REGIONS, assumptions, level, signed, work_done
 
-REGIONS = {"all": "everywhere", "moving": "where it moves", "static": "where it is static"}
 HEADS = ("", *REGIONS.values())
 FOUND = (
     "method",
@@ -48,7 +47,7 @@ def _cell(row: dict[str, Any] | None) -> str:
         return "–"
     if row["what"] in DIFFERENCES:
         return signed(row["db"], row["db_half"]) + (" (not told from noise)" if row["below_noise"] else "")
-    return f"{row['db']:.2f}" if row["db_half"] is None else f"{row['db']:.2f} ± {row['db_half']:.2f}"
+    return level(row["db"], row["db_half"])
 
 
 def found_lines(record: dict[str, Any]) -> list[tuple[str, ...]]:

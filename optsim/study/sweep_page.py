@@ -14,14 +14,13 @@ from optsim.report.page import plots as side_by_side
 from optsim.study.crops import SAID, cropped
 from optsim.study.folder import PAGE
 from optsim.study.sweep import labels
-from optsim.study.words import assumptions, shown, signed, work_done
+from optsim.study.words import REGIONS, assumptions, level, shown, signed, work_done
 
 MODES = {
     "known": "calibrated with the change",
     "unknown": "drifted after the calibration",
     "compensated": "drifted, then shift and rotation put back from one frame pair",
 }
-REGIONS = {"all": "everywhere", "moving": "where it moves", "static": "where it is static"}
 _STYLES = {"known": "s0", "unknown": "s1", "compensated": "s2"}
 Rows = Sequence[dict[str, Any]]
 
@@ -121,12 +120,12 @@ def _words(rows: Rows, names: Sequence[str], method: str) -> Markup:
     lines: dict[str, dict[str, str]] = {}
     for row in here:
         where = f"{', '.join(shown(row[name]) for name in names)}, {row['mode']}"
-        level = f"{row['db']:.2f}" if row["db_half"] is None else f"{row['db']:.2f} ± {row['db_half']:.2f}"
+        scored = level(row["db"], row["db_half"])
         lines.setdefault(where, {})[row["region"]] = (
-            f"{level} ({signed(row['change_db'], row['change_half'])})"
+            f"{scored} ({signed(row['change_db'], row['change_half'])})"
         )
         if row["region"] == "all":
-            bars.append((where, max(row["db"], 0.0), f"{level} dB"))
+            bars.append((where, max(row["db"], 0.0), f"{scored} dB"))
     cells = [[where, *(found.get(region, "–") for region in REGIONS)] for where, found in lines.items()]
     caption = f"{method}: PU21-PSNR in dB, and in brackets the change against the unchanged experiment"
     plot = plots.bar_plot(bars, title=f"PU21-PSNR of {method}, everywhere")

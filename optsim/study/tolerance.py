@@ -26,6 +26,8 @@ from optsim.study.search import Limit, largest_change
 from optsim.study.stage import Stage, stage_of
 
 WHOLE_BENCH = "whole bench"
+REMEDIES = (*COMPENSATORS, WHOLE_BENCH)
+"""What is tried against a drift."""
 _WORST = 5
 # Where the bench knows the change, a search goes as far as this, in a bad specimen's changes.
 _BAD_SPECIMENS = 3.0
@@ -51,7 +53,7 @@ class TolerancePlan:
     interactions : bool
         Whether the worst five are measured in pairs.
     compensators : tuple of str
-        What is tried against each drift: names of compensators, and :data:`WHOLE_BENCH`.
+        What is tried against each drift, out of :data:`REMEDIES`.
     frames, seeds
         As of a sweep.
     """
@@ -62,7 +64,7 @@ class TolerancePlan:
     known: bool = True
     draws: int = 8
     interactions: bool = True
-    compensators: tuple[str, ...] = (*COMPENSATORS, WHOLE_BENCH)
+    compensators: tuple[str, ...] = REMEDIES
     frames: int = 3
     seeds: Seeds = FEW
 
@@ -102,8 +104,8 @@ def tolerance(
     if not plan.names or not math.isfinite(plan.loss_db) or plan.loss_db <= 0:
         raise ConfigError(f"--loss: got {plan.loss_db:g} dB, expected more than 0")
     for name in plan.compensators:
-        if name not in (allowed := (*COMPENSATORS, WHOLE_BENCH)):
-            raise unknown_name("compensator", name, allowed)
+        if name not in REMEDIES:
+            raise unknown_name("compensator", name, REMEDIES)
     said = asdict(plan)
     common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
     modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)

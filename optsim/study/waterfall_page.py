@@ -14,10 +14,9 @@ from optsim.report.page import Section, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.waterfall import chart_rows
-from optsim.study.words import assumptions, signed, work_done
+from optsim.study.words import REGIONS, assumptions, signed, work_done
 
 HEADS = ("effect", "step, dB", "share, dB", "least step", "most")
-REGIONS = {"all": "everywhere", "moving": "where it moves", "static": "where it is static"}
 Rows = Sequence[dict[str, Any]]
 
 

@@ -21,6 +21,15 @@ _COUNTS = {
 }
 
 
+REGIONS = {"all": "everywhere", "moving": "where it moves", "static": "where it is static"}
+"""Regions of scores, in words."""
+
+
+def level(db: float, half: float | None) -> str:
+    """Write a score in dB with its interval."""
+    return f"{db:.2f}" if half is None else f"{db:.2f} ± {half:.2f}"
+
+
 def signed(value: float | None, half: float | None = None) -> str:
     """Write a change in dB with its interval."""
     if value is None:
@@ -38,12 +47,15 @@ def assumptions(record: dict[str, Any]) -> list[str]:
     """Say what the figures of a study rest on."""
     plan, experiment = record["plan"], record["experiment"]
     seeds = plan["seeds"]
+    over, added = f"{seeds['most']} seed{'s' if seeds['most'] > 1 else ''}", ""
+    if seeds["least"] < seeds["most"]:
+        over = f"{seeds['least']} to {over}"
+        added = f" Seeds are added until half of its 95 % interval is {seeds['wanted_db']:g} dB."
     said = [
         f"Scores are PU21-PSNR of {plan['frames']} coded frame{'s' if plan['frames'] > 1 else ''} of the "
         "steady phase, on the pixels that all methods hold valid, against the light on the panel.",
-        f"A change is the mean over {seeds['least']} to {seeds['most']} seeds of codes and photons, each "
-        "against the unchanged camera at the same seed. Seeds are added until half of its 95 % interval is "
-        f"{seeds['wanted_db']:g} dB.",
+        f"A change is the mean over {over} of codes and photons, each against the unchanged camera at the "
+        f"same seed.{added}",
         f"The bench has one seed, {experiment['seed']}: intervals leave its noise out.",
         "The light level is that of the unchanged camera, unless the lens or the scene changes.",
     ]
