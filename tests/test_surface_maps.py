@@ -104,11 +104,23 @@ def test_a_roughness_map_is_two_plates_side_by_side(tmp_path):
 
 
 @pytest.mark.usefixtures("_renderer")
-def test_passes_keep_the_normals_of_the_shape_and_the_albedo(tmp_path):
+@pytest.mark.parametrize("backend", ["scalar_rgb", None])
+@pytest.mark.parametrize(
+    ("text", "albedo"),
+    [
+        ('reflectance = 0.4\nnormal_map = "n.exr"', 0.4),
+        ('kind = "principled"\nreflectance = 0.4\nmetallic = 0.7\nroughness = 0.3', 0.4),
+        ('kind = "principled"\nreflectance = 0.4\nnormal_map = "n.exr"', 0.4),
+        ('kind = "principled"\nreflectance = 0.4\nopacity = 0.9999999', 0.4),
+        ('kind = "plastic"\nreflectance = 0.4\nroughness = 0.1', 0.4),
+        ('kind = "metal"\nmetal = "Cu"\nroughness = 0.2', 0.0),
+    ],
+)
+def test_passes_have_the_normals_of_the_shape_and_the_albedo(tmp_path, text, albedo, backend):
     write_normal(tmp_path / "n.exr", (0.6, 0, 0.8))
-    found = render_passes(scene(tmp_path, 'reflectance = 0.4\nnormal_map = "n.exr"'), VIEW, 0.0, 0.01)
+    found = render_passes(scene(tmp_path, text), VIEW, 0.0, 0.01, backend=backend)
     np.testing.assert_allclose(found.normal, np.broadcast_to([0, -1, 0], found.normal.shape), atol=1e-6)
-    np.testing.assert_allclose(found.albedo, 0.4, rtol=1e-5)
+    np.testing.assert_allclose(found.albedo, albedo, rtol=1e-5)
 
 
 @pytest.mark.usefixtures("_renderer")

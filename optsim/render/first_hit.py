@@ -24,7 +24,7 @@ class FirstHit:
     normal, flat_normal
         Shading normal and the triangle's own.
     albedo
-        Diffuse reflectance; 0 where there is no diffuse part.
+        Diffuse reflectance, of ``principled`` its base colour; 0 where there is no diffuse part.
     """
 
     distance: Any
@@ -56,17 +56,18 @@ def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> Fir
         return FirstHit(np.inf, 0, 0, [0.0] * 2, [0.0] * 3, [0.0] * 3, 0.0)
     surface = first.compute_surface_interaction(ray, mi.RayFlags.UV if matt_only else mi.RayFlags.All)
     material = surface.bsdf(ray)
-    # Attributes with the reflectance of a material's diffuse part. Mitsuba's own eval_diffuse_reflectance is
-    # no albedo: it evaluates the gloss, which exceeds 1. Materials without the attribute give 0 in a
-    # wavefront, and an error for a single ray.
+    # Attributes with the reflectance of a material's diffuse part. Materials without the attribute give 0 in
+    # a wavefront, and an error for a single ray.
     names = ("reflectance",) if matt_only else ("reflectance", "diffuse_reflectance")
     known = [name for name in names if hit is not True or material.has_attribute(name, True)]
     albedo = sum((material.eval_attribute(name, surface, hit)[0] for name in known), start=0.0 * first.t)
     if not matt_only:
-        # A normal map names no attribute of what is below it; of matt surfaces alone this is the albedo.
-        matt = (material.flags() & (int(mi.BSDFFlags.Glossy) | int(mi.BSDFFlags.Delta))) == 0
+        # Maps of normals and opacity name no attribute of what is below them. Mitsuba's own albedo is one of
+        # matt and principled surfaces alone: of plastic and metal it evaluates the gloss, which exceeds 1.
+        bare = (material.flags() & int(mi.BSDFFlags.DiffuseReflection)) == 0
+        coated = material.has_attribute("diffuse_reflectance", hit)
         reflected = mi.unpolarized_spectrum(material.eval_diffuse_reflectance(surface, hit))
-        albedo = dr.select(matt & hit, reflected[0], albedo)
+        albedo = dr.select(bare | coated, albedo, reflected[0])
     normal, flat = surface.sh_frame.n, surface.n
     shape = first.shape_index if hit is True else _shape_index(mi, loaded, first, hit)
     return FirstHit(first.t, shape, first.prim_index, first.prim_uv, normal, flat, albedo)

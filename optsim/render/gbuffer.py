@@ -42,7 +42,8 @@ class Hits:
     normal : ndarray of shape (n, 3), float64
         Unit shading normal in the world, on the ray's side.
     albedo : ndarray of shape (n,), float64
-        Diffuse reflectance in the band, 0..1; of the base under a coat; 0 where there is no diffuse part.
+        Diffuse reflectance in the band, 0..1: of the base under a coat; of ``principled`` the base colour; 0
+        where there is no diffuse part.
     """
 
     distance_m: Doubles
