@@ -12,7 +12,15 @@ from optsim.study.folder import Workplace
 from optsim.study.parameters import ALL
 from optsim.study.search import largest_change
 from optsim.study.stage import frames_to_score, make_stage
-from optsim.study.tolerance import TolerancePlan, budget, deciding, point_at, tolerance, worst_loss
+from optsim.study.tolerance import (
+    TolerancePlan,
+    budget,
+    deciding,
+    point_at,
+    sorted_rows,
+    tolerance,
+    worst_loss,
+)
 from optsim.study.tolerance_page import lead, sheet, write_tolerance_page
 
 
@@ -59,6 +67,41 @@ def test_all_together_by_root_sum_of_squares():
     found = budget(rows, drawn, 1.0)
     assert found["rss_db"] == pytest.approx(math.sqrt((9 + 1) / 2 + 4))
     assert (found["mean_db"], found["within_loss"], found["draws"]) == (1.0, 1, 2)
+
+
+def test_an_end_that_costs_no_loss_makes_no_offender():
+    def row(parameter, sign, status, room):
+        return {
+            "parameter": parameter,
+            "mode": "unknown",
+            "sign": sign,
+            "status": status,
+            "room": room,
+            "value": room,
+            "value_half": None,
+            "db_per_unit": None,
+            "method": "hdr_mosaic",
+            "region": "static",
+        }
+
+    rows = sorted_rows(
+        [
+            row("tilt", 1, "refused beyond", 0.1),
+            row("tilt", -1, "not reached", 2.0),
+            row("shift_x", 1, "found", 0.8),
+            row("shift_x", -1, "refused beyond", 0.2),
+            row("contrast", 1, "found", 0.5),
+        ]
+    )
+    lines = [(name, down, up, costs, room) for name, down, up, _, costs, _, room in sheet(rows, "unknown")]
+    assert lines == [
+        ("contrast", "–", "+0.5", "hdr_mosaic, static", "0.50"),
+        ("shift_x", "≥ −0.2", "+0.8", "hdr_mosaic, static", "0.80"),
+        ("tilt", "≥ −2", "≥ +0.1", "–", "≥ 0.10"),
+    ]
+    record = {"rows": rows, "plan": {"loss_db": 1.0}, "budget": {"mean_db": None}}
+    assert lead(record) == "A loss of 1 dB is reached first by a drift of contrast: +0.5 % of light."
+    assert "by no drift alone" in lead(record | {"rows": rows[-2:]})
 
 
 @pytest.fixture(scope="module")

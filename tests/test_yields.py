@@ -58,6 +58,14 @@ def test_a_sheet_is_shipped_or_a_file_or_a_finished_study(tmp_path):
         read_sheet(str(tmp_path / "study"))
 
 
+@pytest.mark.parametrize("end", [0, 1], ids=["down", "up"])
+@pytest.mark.parametrize("name", ALL)
+def test_every_bad_specimen_of_the_demo_can_be_built(name, end):
+    demo = load_experiment("demo")
+    change = (-1, 1)[end] * read_sheet("machining")[name][end]
+    load_experiment("demo", [f"{key}={value!r}" for key, value in ALL[name].changes(demo, change).items()])
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -31,6 +31,8 @@ class Tolerated:
         Change at which a search begins, largest one that is tried, and a bad specimen's; key's own unit.
     about : str
         What it stands for, where the name does not say all.
+    signs : tuple of int
+        Which way it may change: upwards first.
     """
 
     name: str
@@ -42,6 +44,12 @@ class Tolerated:
     most: float
     usual: float
     about: str = ""
+    signs: tuple[int, ...] = (1, -1)
+
+    @property
+    def bad_specimen(self) -> tuple[float, float]:
+        """Largest change of a bad specimen downwards and upwards, both positive, in the key's own unit."""
+        return (self.usual if -1 in self.signs else 0.0), (self.usual if 1 in self.signs else 0.0)
 
     def changes(self, experiment: Experiment, change: float) -> dict[str, Any]:
         """Keys and values of the experiment changed by so much."""
@@ -92,7 +100,8 @@ ALL: dict[str, Tolerated] = {
             5e-3,
             0.5,
             0.0763,
-            "depolarised by the panel; half of it passes where the panel is dark",
+            "depolarised by the panel; half of it passes where the panel is dark, and less of it is no fault",
+            signs=(1,),
         ),
         Tolerated(
             "response",

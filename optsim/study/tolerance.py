@@ -31,7 +31,6 @@ REMEDIES = (*COMPENSATORS, WHOLE_BENCH)
 _WORST = 5
 # Where the bench knows the change, a search goes as far as this, in a bad specimen's changes.
 _BAD_SPECIMENS = 3.0
-_SIGNS = (1, -1)
 
 
 @dataclass(frozen=True)
@@ -148,12 +147,21 @@ def limits_of(rows: Sequence[dict[str, Any]], mode: str = "unknown") -> dict[str
 
 def sorted_rows(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Sort by mode, then the worst offenders first: least room over a bad specimen's change."""
-    held = list(rows)
-    room: dict[tuple[str, str], float] = {}
-    for row in held:
-        key = row["mode"], row["parameter"]
-        room[key] = min(room.get(key, math.inf), row["room"])
-    return sorted(held, key=lambda r: (r["mode"] == "known", room[r["mode"], r["parameter"]], r["parameter"]))
+    ends: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        ends.setdefault((row["mode"], row["parameter"]), []).append(row)
+    parameters = sorted(ends, key=lambda key: (key[0] == "known", room_of(least_room(ends[key])), key[1]))
+    return [row for key in parameters for row in ends[key]]
+
+
+def least_room(ends: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the end of a parameter that fails first: an end that never costs the loss does not."""
+    return min(ends, key=room_of)
+
+
+def room_of(row: dict[str, Any]) -> tuple[bool, float]:
+    """Sort by this: ends that cost the loss come before those that do not."""
+    return row["status"] != "found", row["room"]
 
 
 def worst_loss(found: Compared, regions: Sequence[str]) -> tuple[Key, Estimate] | None:
@@ -197,7 +205,7 @@ def _together(
 
 def _nearer(ends: tuple[float, float]) -> float:
     down, up = ends
-    return up if up <= down else -down
+    return up if down == 0 or 0 < up <= down else -down
 
 
 def point_at(stage: Stage, changes: dict[str, float], mode: Mode, compensators: Sequence[str] = ()) -> Point:
@@ -225,7 +233,7 @@ def _find_limits(
     rows: list[dict[str, Any]] = []
     won: list[dict[str, Any]] = []
     refusals: list[dict[str, Any]] = []
-    for sign in _SIGNS:
+    for sign in parameter.signs:
         seen: dict[float, Compared] = {}
 
         def loss(change: float, sign: int = sign, seen: dict[float, Compared] = seen) -> Any:

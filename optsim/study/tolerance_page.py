@@ -13,7 +13,7 @@ from optsim.report.page import Section, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
-from optsim.study.tolerance import WHOLE_BENCH
+from optsim.study.tolerance import WHOLE_BENCH, least_room
 from optsim.study.words import assumptions, shown, signed, work_done
 
 HEADS = ("parameter", "down", "up", "unit", "costs first", "dB a unit", "room")
@@ -30,7 +30,7 @@ def sheet(rows: Rows, mode: str) -> list[tuple[str, ...]]:
     lines: list[tuple[str, ...]] = []
     for name in dict.fromkeys(row["parameter"] for row in rows if row["mode"] == mode):
         ends = {row["sign"]: row for row in rows if (row["parameter"], row["mode"]) == (name, mode)}
-        least = min(ends.values(), key=lambda row: row["room"])
+        least = least_room(list(ends.values()))
         slopes = [row["db_per_unit"] for row in ends.values() if row["db_per_unit"] is not None]
         lines.append(
             (
@@ -40,7 +40,7 @@ def sheet(rows: Rows, mode: str) -> list[tuple[str, ...]]:
                 ALL[name].unit,
                 f"{least['method']}, {least['region']}" if least["status"] == "found" else "–",
                 f"{max(slopes):.3g}" if slopes else "–",
-                f"{least['room']:.2f}",
+                f"{_STATUS.get(least['status'], '')}{least['room']:.2f}",
             )
         )
     return lines
@@ -63,18 +63,20 @@ def notes(rows: Rows) -> list[str]:
 
 def lead(record: dict[str, Any]) -> str:
     """Say in a sentence which parameter is the worst offender, and what all cost together."""
-    lines = sheet(record["rows"], "unknown")
-    worst = lines[0] if lines else None
+    name, down, up, unit, costs, *_ = sheet(record["rows"], "unknown")[0]
+    loss = f"A loss of {record['plan']['loss_db']:g} dB"
+    if costs == "–":
+        said = f"{loss} is reached by no drift alone"
+    else:
+        ends = " to ".join(end for end in (down, up) if end != "–")
+        said = f"{loss} is reached first by a drift of {name}: {ends} {unit}"
     together = record["budget"]
-    said = [f"A loss of {record['plan']['loss_db']:g} dB"]
-    if worst is not None:
-        said.append(f"is reached first by {worst[0]}: {worst[1]} to {worst[2]} {worst[3]}")
     if together["mean_db"] is not None:
-        said.append(
-            f"all at once cost {together['rss_db']:.2f} dB by root sum of squares and "
+        said += (
+            f". All drifts at once cost {together['rss_db']:.2f} dB by root sum of squares and "
             f"{together['mean_db']:.2f} dB on average in {together['draws']} drawn cameras"
         )
-    return "; ".join([" ".join(said[:2]), *said[2:]]) + "."
+    return f"{said}."
 
 
 def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
@@ -94,7 +96,7 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
                     "Change of the score that costs first, at the drift of the sheet, before and after each "
                     f"compensator alone. The {WHOLE_BENCH} is a new calibration."
                 ],
-                [_won(record["compensators"])],
+                [table(*won_back(record["compensators"]), "Change of PU21-PSNR, dB")],
             )
         )
     sections.append(_budget(record))
@@ -127,9 +129,10 @@ def _end(row: dict[str, Any] | None, sign: str) -> str:
     return f"{_STATUS.get(row['status'], '')}{sign}{row['value']:.3g}{half}"
 
 
-def _won(compensators: Rows) -> Markup:
+def won_back(compensators: Rows) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return heads and lines of what each compensator wins back: changes of the score, dB."""
     names = list(dict.fromkeys(row["compensator"] for row in compensators))
-    lines: list[list[str]] = []
+    lines: list[tuple[str, ...]] = []
     for parameter, change in dict.fromkeys((row["parameter"], row["change"]) for row in compensators):
         here = [r for r in compensators if (r["parameter"], r["change"]) == (parameter, change)]
         after = {
@@ -138,8 +141,8 @@ def _won(compensators: Rows) -> Markup:
         }
         drift = f"{change:+.3g} {here[0]['unit']}".replace("-", "−")
         before = signed(here[0]["before_db"], here[0]["before_half"])
-        lines.append([parameter, drift, before, *(after.get(name, "–") for name in names)])
-    return table(("parameter", "drift", "before", *names), lines, "Change of PU21-PSNR, dB")
+        lines.append((parameter, drift, before, *(after.get(name, "–") for name in names)))
+    return ("parameter", "drift", "before", *names), lines
 
 
 def _pairs(interactions: Rows) -> Markup:

@@ -87,7 +87,7 @@ def read_sheet(name_or_path: str) -> Sheet:
     """
     path = Path(name_or_path).expanduser()
     if name_or_path == MACHINING:
-        return {name: (each.usual, each.usual) for name, each in ALL.items()}
+        return {name: each.bad_specimen for name, each in ALL.items()}
     if path.is_dir() or path.name == STUDY:
         return limits_of(read_study(path, "tolerance")["rows"])
     sheet: Sheet = {}
