@@ -6,6 +6,7 @@ from small_study import load, without_workers, write_experiment  # noqa: F401  a
 from test_cli import cli  # noqa: F401  a fixture
 
 from optsim.core.errors import ConfigError
+from optsim.report import plots
 from optsim.study.comparison import Seeds
 from optsim.study.folder import Workplace
 from optsim.study.point import Point, experiment_at
@@ -80,6 +81,29 @@ def test_orders_come_with_their_reverse_and_a_refused_camera_ends_only_its_own()
     kept = kept_orders(found, [("a", "b", "c"), ("c", "b", "a")])
     assert kept == [("c", "b", "a")]
     assert {row["step_db"] for row in steps_of(found, [("a", "b", "c"), ("c", "b", "a")], 2)} == {None}
+
+
+def test_the_lead_names_only_what_the_seeds_tell():
+    def row(effect, share, half):
+        common = {"place": 0, "method": "adaptive", "region": "all", "total_db": -1.0, "total_half": 0.2}
+        return {"effect": effect, "share_db": share, "share_half": half, **common}
+
+    rows = [row("bend", -0.5, 1.3), row("contrast", -0.4, 0.3), row("read_noise", 0.5, 0.2)]
+    assert lead({"rows": rows}).endswith("; most costs: contrast −0.40 ± 0.30.")
+    assert lead({"rows": rows[::2]}).endswith("these seeds tell no effect's share from 0.")
+
+
+def test_words_of_a_bar_keep_off_its_label():
+    rows = [("fringing", -0.54, "−0.54 ± 1.37"), ("read_noise", 0.51, "+0.51 ± 2.49")]
+    figure = plots.signed_figure(rows)
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    words = [text.get_window_extent() for text in axes.texts]
+    inside = axes.get_window_extent()
+    assert len(words) == len(rows)
+    for box in words:
+        assert inside.x0 <= box.x0
+        assert box.x1 <= inside.x1
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ import numpy as np
 from optsim.core.files import write_text
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.report.markdown import markdown_table
+from optsim.report.plots import write_signed_bars
 from optsim.study.comparison import Seeds
 from optsim.study.folder import Workplace, chosen_methods
 from optsim.study.measurement import measured
@@ -30,13 +31,14 @@ from optsim.study.tolerance import TolerancePlan, tolerance
 from optsim.study.tolerance_page import HEADS, MODES, lead, notes, sheet, won_back, write_tolerance_page
 from optsim.study.waterfall import WaterfallPlan, effects_of, waterfall
 from optsim.study.waterfall_page import HEADS as STEPS
+from optsim.study.waterfall_page import bars_of, lines_of, write_waterfall_page
 from optsim.study.waterfall_page import lead as waterfall_lead
-from optsim.study.waterfall_page import lines_of, write_waterfall_page
 from optsim.study.yields import MACHINING, YieldPlan, read_sheet, yields
 from optsim.study.yields_page import write_yield_page
 
 OUT = Path("reports") / "tolerances.md"
 KEPT = Path("reports") / "runs" / "tolerances"
+PICTURES = Path("reports") / "pictures"
 PRESETS = ("demo", "paper_prototype")
 STRIDE = "methods.adaptive.decoder.moving.stride_px=2"
 LOSS_DB = 1.0
@@ -132,6 +134,10 @@ def _lines(
     worst = list(dict.fromkeys(row["parameter"] for row in limits["rows"]))[:_WORST]
     heads, won = won_back([row for row in limits["compensators"] if row["parameter"] in worst])
     lines += [*markdown_table(list(heads), [list(row) for row in won]), "", waterfall_lead(steps), ""]
+    picture = PICTURES / f"waterfall_{name}.png"
+    write_signed_bars(picture, bars_of(steps["rows"], "adaptive", "all"))
+    lines += [f"![What each effect costs, {name}](pictures/{picture.name})", ""]
+    lines += [f"*Fair shares of {name}, dB of PU21-PSNR everywhere, adaptive.*", ""]
     rows = lines_of(steps["rows"], "adaptive", "all")
     lines += [*markdown_table(list(STEPS), [list(row) for row in rows]), "", *_yields_lines(cameras), ""]
     lines += [f"{stride}Measured in {minutes:.0f} minutes by this call; what was kept before took none.", ""]
@@ -149,7 +155,7 @@ def _yields_lines(cameras: dict[str, dict[str, Any]]) -> list[str]:
     for remedy, found in cameras.items():
         low, high = found["interval"]
         scores = [row["db"] for row in found["rows"] if row["db"] is not None]
-        shared = [each["parameter"] for each in found["shared"] if each["sigmas"] > _TOLD]
+        shared = [each["parameter"] for each in found["shared"] if (each["sigmas"] or 0) > _TOLD]
         share = f"{found['good']} ({low:.0%} to {high:.0%})"
         middle = f"{np.median(scores):.2f}, {np.percentile(scores, 10):.2f}"
         refused = str(len(found["rows"]) - len(scores))

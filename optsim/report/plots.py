@@ -51,6 +51,8 @@ _USELESS = [
 _PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
 _UNITS_AN_INCH = 72
 _WIDTH, _HEIGHT = 540, 250
+# Of bars to both sides: room for their labels, and for the words beyond them.
+_LABEL_WIDTH, _WORDS_WIDTH = 150, 110
 _NOTHING = Markup('<p class="none">Nothing to plot: no values.</p>')
 
 Line = tuple[str, str, Sequence[float], Sequence[float | None]]
@@ -99,11 +101,19 @@ def write_line_plot(
     path: Path, lines: Sequence[Line], *, x_label: str, y_label: str, spreads: Sequence[Spread] = ()
 ) -> None:
     """Write such a plot, with numbers along x, as a file of its own: SVG or PNG by its suffix."""
+    figure = _line_figure(lines, x_label, y_label, (), spreads, False, ())
+    if figure is not None:
+        _write(path, figure)
+
+
+def write_signed_bars(path: Path, rows: Sequence[tuple[str, float, str]]) -> None:
+    """Write such bars as :func:`signed_bars` draws as a file of their own: SVG or PNG by its suffix."""
+    _write(path, signed_figure(rows))
+
+
+def _write(path: Path, figure: Figure) -> None:
     from matplotlib.style import context
 
-    figure = _line_figure(lines, x_label, y_label, (), spreads, False, ())
-    if figure is None:
-        return
     with context(SVG), atomic(path) as temporary:
         metadata = {"Date": None} if path.suffix == ".svg" else None
         figure.savefig(
@@ -203,22 +213,27 @@ def bar_plot(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
 
 def signed_bars(rows: Sequence[tuple[str, float, str]], *, title: str) -> Markup:
     """Draw horizontal bars to both sides of zero, losses in another colour; rows as of :func:`bar_plot`."""
-    if not rows:
-        return _NOTHING
+    return _inline(signed_figure(rows), title) if rows else _NOTHING
+
+
+def signed_figure(rows: Sequence[tuple[str, float, str]]) -> Figure:
+    """Return the figure of :func:`signed_bars`."""
     labels, words = [label for label, _, _ in rows], [said for _, _, said in rows]
     values = [value for _, value, _ in rows]
-    figure, axes = _axes(_WIDTH, 26 * len(rows), left=150, right=20)
+    figure, axes = _axes(_WIDTH, 26 * len(rows), left=_LABEL_WIDTH, right=0)
     colours = [COLOURS["s5"] if value < 0 else COLOURS["s2"] for value in values]
     bars = axes.barh(range(len(rows)), values, height=0.7, color=colours)
     axes.bar_label(bars, words, padding=6)
     axes.axvline(0, color=COLOURS["soft"], linewidth=1)
     axes.set_yticks(range(len(rows)), labels, color=COLOURS["ink"])
+    low, high = min([*values, 0]), max([*values, 0])
     # Room for the words beyond the bars.
-    reach = 0.7 * max(abs(value) for value in values) or 1
-    axes.set_xlim(min([*values, 0]) - reach, max([*values, 0]) + reach)
+    left, right = (_WORDS_WIDTH if has else 0 for has in (low < 0, max(values) >= 0))
+    a_pixel = (high - low or 1) / (_WIDTH - _LABEL_WIDTH - left - right)
+    axes.set_xlim(low - left * a_pixel, high + right * a_pixel)
     axes.set_xticks([])
     axes.invert_yaxis()
-    return _inline(figure, title)
+    return figure
 
 
 def arrow_plot(places: Doubles, arrows: Doubles, *, shape: tuple[int, int], title: str, label: str) -> Markup:

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from optsim.report import plots
-from optsim.report.page import Section, listed, table, write_page
+from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
@@ -110,7 +110,7 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
         )
     if record["refusals"]:
         said = dict.fromkeys(f"{each['parameter']}: {each['message']}" for each in record["refusals"])
-        sections.append(Section("Refused", (), [listed(list(said))]))
+        sections.append(Section("Refused", (), [folded("Changes", listed(list(said)))]))
     names = record["plan"]["names"]
     about = [f"{each.name}: {each.about}." for each in ALL.values() if each.about and each.name in names]
     rests = Section(

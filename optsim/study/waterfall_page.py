@@ -18,6 +18,7 @@ from optsim.study.words import REGIONS, assumptions, signed, work_done
 
 HEADS = ("effect", "step, dB", "share, dB", "least step", "most")
 Rows = Sequence[dict[str, Any]]
+_FIRST = 3
 
 
 def lines_of(rows: Rows, method: str, region: str) -> list[tuple[str, ...]]:
@@ -46,9 +47,13 @@ def lead(record: dict[str, Any]) -> str:
         return "No order of the effects could be measured: see what was refused."
     method = rows[0]["method"]
     here = sorted(chart_rows(rows, method, "all"), key=lambda row: row["share_db"])
-    first = ", ".join(f"{row['effect']} {signed(row['share_db'], row['share_half'])}" for row in here[:3])
+    told = [row for row in here if row["share_half"] is not None and -row["share_db"] > row["share_half"]]
+    first = ", ".join(
+        f"{row['effect']} {signed(row['share_db'], row['share_half'])}" for row in told[:_FIRST]
+    )
+    most = f"most costs: {first}" if told else "these seeds tell no effect's share from 0"
     total = signed(here[0]["total_db"], here[0]["total_half"])
-    return f"From ideal to nominal, {method} changes by {total} dB everywhere; the largest shares: {first}."
+    return f"From ideal to nominal, {method} changes by {total} dB everywhere; {most}."
 
 
 def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
@@ -98,7 +103,12 @@ def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
     )
 
 
-def _chart(rows: Rows, method: str, region: str) -> Markup:
+def bars_of(rows: Rows, method: str, region: str) -> list[tuple[str, float, str]]:
+    """Return the shares of all effects, the most expensive first, as rows of bars."""
     here = sorted(chart_rows(rows, method, region), key=lambda row: row["share_db"])
-    bars = [(row["effect"], row["share_db"], signed(row["share_db"], row["share_half"])) for row in here]
-    return plots.signed_bars(bars, title=f"Shares of {method}, {REGIONS[region]}, dB")
+    return [(row["effect"], row["share_db"], signed(row["share_db"], row["share_half"])) for row in here]
+
+
+def _chart(rows: Rows, method: str, region: str) -> Markup:
+    title = f"Shares of {method}, {REGIONS[region]}, dB"
+    return plots.signed_bars(bars_of(rows, method, region), title=title)

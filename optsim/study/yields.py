@@ -222,8 +222,8 @@ def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dic
     """Compare the parameters of failures with those of good cameras, the one most shared first.
 
     ``failures`` and ``good`` are means of the change's size over the sheet's larger limit; evenly drawn it is
-    0.5. ``sigmas`` is their difference over its standard error, and ``correlation`` is that of the size with
-    the score.
+    0.5. ``sigmas`` is their difference over its standard error, None where that is unknown, and
+    ``correlation`` is that of the size with the score.
     """
     found: list[dict[str, Any]] = []
     for name, ends in sheet.items():
@@ -241,15 +241,15 @@ def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dic
                 "correlation": _correlation(scored),
             }
         )
-    return sorted(found, key=lambda each: (-each["sigmas"], each["correlation"]))
+    return sorted(found, key=lambda each: (-(each["sigmas"] or 0.0), each["correlation"]))
 
 
-def _sigmas(failures: Sequence[float], good: Sequence[float]) -> float:
-    """Difference of two means over its standard error; 0 where that is unknown."""
+def _sigmas(failures: Sequence[float], good: Sequence[float]) -> float | None:
+    """Difference of two means over its standard error; None where that is unknown."""
     if min(len(failures), len(good)) < 2:
-        return 0.0
+        return None
     error = math.sqrt(sum(float(np.var(each, ddof=1)) / len(each) for each in (failures, good)))
-    return float(np.mean(failures) - np.mean(good)) / error if error else 0.0
+    return float(np.mean(failures) - np.mean(good)) / error if error else None
 
 
 def _correlation(pairs: Sequence[tuple[float, float]]) -> float:

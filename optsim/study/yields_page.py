@@ -14,7 +14,7 @@ from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
-from optsim.study.words import assumptions, work_done
+from optsim.study.words import assumptions, signed, work_done
 
 SHARED = ("parameter", "failures", "good", "sigmas", "correlation with dB")
 _BINS = 12
@@ -42,8 +42,8 @@ def shared_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
             each["parameter"],
             "–" if each["failures"] is None else f"{each['failures']:.2f}",
             "–" if each["good"] is None else f"{each['good']:.2f}",
-            f"{each['sigmas']:+.1f}",
-            f"{each['correlation']:+.2f}",
+            signed(each["sigmas"]),
+            signed(each["correlation"]),
         )
         for each in record["shared"]
     ]
@@ -73,7 +73,8 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
     ]
     refused = [f"camera {row['camera']}: {row['refused']}" for row in rows if row["refused"]]
     if refused:
-        sections.append(Section("Refused", ["These count as failures."], [listed(refused)]))
+        text = [f"{len(refused)} of {len(rows)} cameras; they count as failures."]
+        sections.append(Section("Refused", text, [folded("Cameras", listed(refused))]))
     about = [
         "The interval is that of a share by Agresti and Coull, 95 %.",
         "A camera has one seed of codes and photons, its own.",
