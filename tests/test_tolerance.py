@@ -17,6 +17,7 @@ from optsim.study.tolerance import (
     budget,
     deciding,
     point_at,
+    search_limit,
     sorted_rows,
     tolerance,
     worst_loss,
@@ -51,6 +52,18 @@ def test_a_limit_that_cannot_be_reached_or_built_is_no_limit():
     gain = largest_change(lambda change: (-0.1, 0.2), 1.0, 0.1, 20.0)
     assert (gain.status, gain.value) == ("not reached", 20.0)
     assert largest_change(lambda change: None, 1.0, 0.1, 20.0).value == 0
+
+
+def test_a_shift_that_the_bench_knows_is_searched_within_half_a_pixel():
+    def loss(most):
+        return lambda shift: (most * math.sin(math.pi * shift) ** 2, 0.01)
+
+    found = search_limit(loss(1.5), 1.0, ALL["shift_x"], "known")
+    assert found.status == "found"
+    assert found.value == pytest.approx(math.asin(math.sqrt(1 / 1.5)) / math.pi, rel=0.05)
+    never = search_limit(loss(0.8), 1.0, ALL["shift_x"], "known")
+    assert (never.status, never.value) == ("not reached", 3.0)
+    assert search_limit(loss(0.8), 0.5, ALL["shift_x"], "unknown").value == pytest.approx(0.29, rel=0.05)
 
 
 def test_all_together_by_root_sum_of_squares():

@@ -33,6 +33,8 @@ class Tolerated:
         What it stands for, where the name does not say all.
     signs : tuple of int
         Which way it may change: upwards first.
+    period : float or None
+        Change after which the panel lies on the CCD's pixels as before, key's own unit; None without one.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Tolerated:
     usual: float
     about: str = ""
     signs: tuple[int, ...] = (1, -1)
+    period: float | None = None
 
     @property
     def bad_specimen(self) -> tuple[float, float]:
@@ -72,8 +75,8 @@ def _panel(*keys: str) -> tuple[str, ...]:
 ALL: dict[str, Tolerated] = {
     each.name: each
     for each in (
-        Tolerated("shift_x", "CCD px", 1.0, _relay("shift_x_px"), "add", 0.2, 20.0, 1.0),
-        Tolerated("shift_y", "CCD px", 1.0, _relay("shift_y_px"), "add", 0.2, 20.0, 1.0),
+        Tolerated("shift_x", "CCD px", 1.0, _relay("shift_x_px"), "add", 0.2, 20.0, 1.0, period=1.0),
+        Tolerated("shift_y", "CCD px", 1.0, _relay("shift_y_px"), "add", 0.2, 20.0, 1.0, period=1.0),
         Tolerated("rotation", "mrad", 1e-3, _relay("rotation_rad"), "add", 1e-3, 0.05, 1e-3),
         Tolerated(
             "tilt",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from optsim.study.comparison import FEW, Compared, Estimate, Seeds, add_work, co
 from optsim.study.compensation import COMPENSATORS
 from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
-from optsim.study.parameters import ALL
+from optsim.study.parameters import ALL, Tolerated
 from optsim.study.point import Mode, Point, changed_only
-from optsim.study.search import Limit, largest_change
+from optsim.study.search import Limit, Loss, largest_change
 from optsim.study.stage import Stage, stage_of
 
 WHOLE_BENCH = "whole bench"
@@ -246,15 +246,24 @@ def _find_limits(
             worst = worst_loss(found, regions)
             return (0.0, None) if worst is None else (-worst[1].mean, worst[1].half)
 
-        first, most = parameter.first, parameter.most
-        if mode == "known":
-            first, most = parameter.usual, _BAD_SPECIMENS * parameter.usual
-        limit = largest_change(loss, loss_db, first, most)
+        limit = search_limit(loss, loss_db, parameter, mode)
         rows.append(_row(name, mode, sign, limit, seen, regions))
         if mode == "unknown" and limit.value > 0:
             drift = {name: sign * limit.value}
             won += _compensate(stage, drift, compensators, regions, Seeds(**seeds), work)
     write_result(folder, work, rows=rows, won=won, refusals=refusals)
+
+
+def search_limit(loss: Loss, loss_db: float, parameter: Tolerated, mode: Mode) -> Limit:
+    """Search the limit of a parameter in one direction."""
+    if mode != "known":
+        return largest_change(loss, loss_db, parameter.first, parameter.most)
+    first, most = parameter.usual, _BAD_SPECIMENS * parameter.usual
+    if parameter.period is None:
+        return largest_change(loss, loss_db, first, most)
+    # A bench knows whole periods, and what half of one does not cost nothing costs.
+    limit = largest_change(loss, loss_db, parameter.period / 4, parameter.period / 2)
+    return limit if limit.status == "found" else replace(limit, value=most)
 
 
 def _row(
