@@ -7,7 +7,7 @@ from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import ALL, demo, prototype
 from optsim.camera.true_calibration import ideal_calibration, true_calibration
 from optsim.core.errors import ConfigError, GeometryError, ValueCheckError
-from optsim.core.quantities import ExposureCode, PanelState
+from optsim.core.quantities import CodedFrame, ExposureCode, PanelState
 from optsim.footage.made import still
 
 V, U = 24, 32
@@ -258,6 +258,19 @@ def test_stuck_pixels_ignore_the_code_and_are_not_valid():
     assert bright.any()
     assert not calibration.valid[bright].any()
     assert 0.01 < (~calibration.valid).mean() < 0.12  # 5 % of 768 pixels, sigma 0.8 %
+
+
+@pytest.mark.parametrize("full_well_e", [14_000.0, 14_000.3, 14_000.6])
+@pytest.mark.parametrize("dark_current_e_s", [0.0, 20.0])
+def test_a_full_well_is_saturated_without_read_noise_too(full_well_e, dark_current_e_s):
+    camera = small()
+    changes = {"read_noise_e": 0.0, "full_well_e": full_well_e, "dark_current_e_s": dark_current_e_s}
+    camera = camera.model_copy(update={"sensor": camera.sensor.model_copy(update=changes)})
+    sensor = camera.sensor
+    electrons = np.full((sensor.rows, sensor.cols), 3 * full_well_e)
+    dn, _ = sensor.digitise(electrons, camera.exposure_s, camera.serial_number, np.random.default_rng(1))
+    calibration = true_calibration(camera)
+    assert calibration.observe(CodedFrame(0, dn, uniform(255))).saturated[calibration.valid].all()
 
 
 def test_the_reference_undoes_the_shading_of_the_objective():

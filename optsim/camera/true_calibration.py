@@ -56,7 +56,8 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
         offset_e=mean_reading(
             sensor.dark_signal_e(camera.serial_number) + np.float64(camera.dark_e), *square
         ),
-        full_well_e=float(sensor.bent(np.array(sensor.full_well_e))),
+        # Dark electrons fill the well, too.
+        full_well_e=float(sensor.bent(np.array(sensor.full_well_e))) - camera.dark_e,
         crosstalk=crosstalk,
         glare=glare,
     )
@@ -141,7 +142,7 @@ def _from_electrons(
     noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
     of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
-    # Four sigma below the clip: one saturated pixel in 30 000 is missed.
+    # Four sigma below the clip: one saturated pixel in 30 000 is missed. Half a number, since the CCD rounds.
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
     row, col, valid = ccd_pixels
     return Calibration(
@@ -156,7 +157,7 @@ def _from_electrons(
         valid=valid,
         responsivity_dn=(responsivity_e / sensor.step_e).astype(np.float32),
         black_dn=black_dn.astype(np.float32),
-        saturation_dn=(clip_dn - 4 * noise.read_noise_dn).astype(np.float32),
+        saturation_dn=(clip_dn - 4 * noise.read_noise_dn - 0.5).astype(np.float32),
         read_noise_dn=of_reading.read_noise_dn,
         dn_per_e=of_reading.dn_per_e,
         crosstalk=crosstalk,
