@@ -120,8 +120,8 @@ def test_a_waterfall_of_a_camera_adds_up(base, tmp_path):
         assert sum(row["share_db"] for row in rows) == pytest.approx(total)
         assert sum(row["step_db"] for row in rows) == pytest.approx(total)
         assert np.isfinite([row["share_half"] for row in rows]).all()
-    assert lines_of(record["rows"], "hdr_mosaic", "all")[-1][0] == "all, ideal to nominal"
-    assert "From ideal to nominal" in lead(record)
+    assert lines_of(record["rows"], "hdr_mosaic", "all")[-1][0] == "all together"
+    assert "2 effects together change hdr_mosaic by" in lead(record)
     assert (tmp_path / "study.html").read_text().count("<svg") == 3
 
 

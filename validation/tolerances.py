@@ -58,9 +58,11 @@ _DONE = {"demo": ("none", "quick", "bench"), "paper_prototype": ("none", "quick"
 _WORST = 5
 # Standard errors by which failures differ from good cameras.
 _TOLD = 2.0
-# Of the prototype's: those that its relay decides.
-_FEW = ("shift_x", "rotation", "magnification", "defocus")
-_EFFECTS = ("contrast", "response", "relay_blur", "read_noise")
+# A bench for each camera of the prototype would take too long.
+_KNOWN = {"demo": [], "paper_prototype": ["calibration=true"]}
+# Of the prototype's: those of the demo's worst that act differently at another ratio, and contrast.
+_FEW = ("shift_x", "rotation", "magnification", "defocus", "contrast")
+_EFFECTS = ("contrast", "response", "fringing", "relay_blur", "read_noise")
 
 
 def main(names: list[str]) -> None:
@@ -74,9 +76,22 @@ def main(names: list[str]) -> None:
 
 def _of(name: str) -> str:
     start = time.perf_counter()
+    limits, steps = _limits_of(name), _steps_of(name)
+    cameras = {remedy: _yield_of(name, remedy) for remedy in _DONE[name]}
+    minutes = (time.perf_counter() - start) / 60
+    stride = _by_stride(name) if name == "demo" else ""
+    return "\n".join(_lines(name, limits, steps, cameras, stride, minutes))
+
+
+def _base(name: str, method: str) -> Experiment:
+    """Return the preset with one method."""
+    more = [STRIDE] if method == "adaptive" else []
+    return chosen_methods(load_experiment(name, [*more, *_KNOWN[name]]), [method])
+
+
+def _limits_of(name: str) -> dict[str, Any]:
+    """Measure the tolerance sheet."""
     small = name == "demo"
-    operator = [] if small else ["calibration=true"]
-    base = chosen_methods(load_experiment(name, [STRIDE, *operator]), ["adaptive"])
     plan = TolerancePlan(
         loss_db=LOSS_DB,
         regions=("all", "static"),
@@ -85,35 +100,34 @@ def _of(name: str) -> str:
         interactions=small,
         frames=FRAMES,
         seeds=_SEEDS[name],
-        **({} if small else {"names": _FEW, "compensators": ("registration",)}),
+        **({} if small else {"names": _FEW, "compensators": ("registration", "focus")}),
     )
-    mosaic = chosen_methods(load_experiment(name, operator), ["hdr_mosaic"])
-    limits = tolerance(mosaic, plan, Workplace(KEPT / f"{name}-tolerance"), _said)
-    write_tolerance_page(KEPT / f"{name}-tolerance", limits)
+    folder = KEPT / f"{name}-tolerance"
+    limits = tolerance(_base(name, "hdr_mosaic"), plan, Workplace(folder), _said)
+    write_tolerance_page(folder, limits)
+    return limits
+
+
+def _steps_of(name: str) -> dict[str, Any]:
+    """Measure the waterfall."""
     # Every camera on the way has its true calibration: benches would take most of the time.
-    true = base.model_copy(update={"calibration": "true"})
-    effects = effects_of(true) if small else effects_of(true, _EFFECTS)
-    steps = waterfall(
-        true,
-        WaterfallPlan(effects, 2, frames=FRAMES, seeds=_STEP_SEEDS[name]),
-        Workplace(KEPT / f"{name}-waterfall"),
-        _said,
-    )
-    write_waterfall_page(KEPT / f"{name}-waterfall", steps)
-    cameras = {remedy: _yield_of(base, name, remedy) for remedy in _DONE[name]}
-    minutes = (time.perf_counter() - start) / 60
-    stride = _by_stride(name) if small else ""
-    return "\n".join(_lines(name, limits, steps, cameras, stride, minutes))
+    true = _base(name, "adaptive").model_copy(update={"calibration": "true"})
+    effects = effects_of(true) if name == "demo" else effects_of(true, _EFFECTS)
+    plan = WaterfallPlan(effects, 2, frames=FRAMES, seeds=_STEP_SEEDS[name])
+    folder = KEPT / f"{name}-waterfall"
+    steps = waterfall(true, plan, Workplace(folder), _said)
+    write_waterfall_page(folder, steps)
+    return steps
 
 
-def _yield_of(base: Experiment, name: str, remedy: str) -> dict[str, Any]:
+def _yield_of(name: str, remedy: str) -> dict[str, Any]:
     """Measure how many cameras are good, of those that drifted like bad specimens and were put right so."""
     mode, compensators, _ = _REMEDIES[remedy]
     drawn = YieldPlan(
         read_sheet(MACHINING), _CAMERAS, mode, compensators, "adaptive", "all", None, LOSS_DB, FRAMES
     )
     folder = KEPT / f"{name}-yield-{remedy}"
-    cameras = yields(base, drawn, Workplace(folder), _said)
+    cameras = yields(_base(name, "adaptive"), drawn, Workplace(folder), _said)
     write_yield_page(folder, cameras)
     return cameras
 

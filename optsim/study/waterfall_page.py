@@ -36,7 +36,7 @@ def lines_of(rows: Rows, method: str, region: str) -> list[tuple[str, ...]]:
     ]
     if here:
         total = signed(here[0]["total_db"], here[0]["total_half"])
-        lines.append(("all, ideal to nominal", total, total, "", ""))
+        lines.append(("all together", total, total, "", ""))
     return lines
 
 
@@ -53,7 +53,7 @@ def lead(record: dict[str, Any]) -> str:
     )
     most = f"most costs: {first}" if told else "these seeds tell no effect's share from 0"
     total = signed(here[0]["total_db"], here[0]["total_half"])
-    return f"From ideal to nominal, {method} changes by {total} dB everywhere; {most}."
+    return f"{len(here)} effects together change {method} by {total} dB everywhere; {most}."
 
 
 def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
@@ -64,8 +64,8 @@ def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
         Section(
             method,
             [
-                "Bars: fair share of each effect in the change from the ideal camera to the nominal one. "
-                "They add up to the total."
+                "Bars: fair share of each effect in the change from the camera without them to the "
+                "nominal one. They add up to the total."
             ],
             [
                 side_by_side(
@@ -97,7 +97,7 @@ def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
     rests = Section(
         "What the numbers rest on", (), [listed([*assumptions(record), *about]), work_done(record)]
     )
-    title = f"{record['experiment']['name']}: from the ideal camera to the nominal one"
+    title = f"{record['experiment']['name']}: what each effect costs"
     write_page(
         folder / PAGE, kind="optsim waterfall", title=title, lead=lead(record), sections=[*sections, rests]
     )
