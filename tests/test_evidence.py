@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 from optsim.core import code_hash
+from optsim.experiment.evidence import check_names, load_check
+
+VALIDATION = Path(__file__).parents[1] / "validation"
 
 CODE = '''"""About the module."""
 
@@ -65,3 +68,11 @@ def test_a_record_survives_moves_and_prose_but_no_new_code(
 
 def test_what_is_nowhere_has_no_hash_of_code() -> None:
     assert code_hash.hash_code(["optsim/nowhere/*.py"]) == "missing"
+
+
+@pytest.mark.parametrize("name", check_names())
+def test_every_check_says_what_it_claims_and_can_be_measured(name: str) -> None:
+    check = load_check(VALIDATION / name / "check.py")
+    assert all((check.CLAIM, check.ORACLE, check.SOURCE, check.REASON, check.FILES))
+    assert check.TOLERANCE > 0
+    assert callable(check.measure)

@@ -9,6 +9,7 @@ records in ``evidence.json`` beside this file, each with a hash of the files tha
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -189,7 +190,7 @@ def measure(effect: str) -> Evidence:
     """
     if effect not in check_names():
         raise unknown_name("validation", effect, check_names())
-    check = _load(_validation() / effect / "check.py")
+    check = load_check(_validation() / effect / "check.py")
     measured, perturbed = float(check.measure()), float(check.perturbed())
     tolerance = float(check.TOLERANCE)
     globs = [*check.FILES, f"validation/{effect}/*.py"]
@@ -240,10 +241,13 @@ def _validation() -> Path:
     return folder
 
 
-def _load(path: Path) -> ModuleType:
+def load_check(path: Path) -> ModuleType:
+    """Import a check from its file."""
     spec = importlib.util.spec_from_file_location(f"validation_{path.parent.name}", path)
     if spec is None or spec.loader is None:
         raise StorageError(f"{path} cannot be imported")
     module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up.
+    sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
