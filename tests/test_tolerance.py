@@ -14,15 +14,14 @@ from optsim.study.search import largest_change
 from optsim.study.stage import frames_to_score, make_stage
 from optsim.study.tolerance import (
     TolerancePlan,
-    budget,
     deciding,
     point_at,
     search_limit,
-    sorted_rows,
     tolerance,
     worst_loss,
 )
 from optsim.study.tolerance_page import lead, sheet, write_tolerance_page
+from optsim.study.tolerance_rows import budget, sorted_rows
 
 
 @pytest.mark.parametrize("power", [1, 2, 3])

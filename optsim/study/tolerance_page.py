@@ -13,7 +13,8 @@ from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
-from optsim.study.tolerance import WHOLE_BENCH, least_room
+from optsim.study.tolerance import WHOLE_BENCH
+from optsim.study.tolerance_rows import least_room
 from optsim.study.words import assumptions, shown, signed, work_done
 
 HEADS = ("parameter", "down", "up", "unit", "costs first", "dB a unit", "room")

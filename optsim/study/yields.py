@@ -28,7 +28,7 @@ from optsim.study.measurement import Key, measured
 from optsim.study.parameters import ALL
 from optsim.study.point import Mode, Point, changed_only
 from optsim.study.stage import stage_of
-from optsim.study.tolerance import limits_of
+from optsim.study.tolerance_rows import limits_of
 
 # Two standard deviations of the score of failures against passes: what counts as shared.
 _AGRESTI = 2.0
