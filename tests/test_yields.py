@@ -138,6 +138,8 @@ def test_failures_share_what_made_them():
     assert first["sigmas"] > 5
     assert first["correlation"] < -0.8
     assert abs(second["sigmas"]) < 3
+    few = [{**row, "good": row["camera"] < 2} for row in rows]
+    assert {each["sigmas"] for each in shared_by_failures(few, {"shift_x": (1.0, 1.0)})} == {None}
 
 
 @pytest.mark.slow

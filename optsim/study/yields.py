@@ -33,6 +33,8 @@ from optsim.study.tolerance_rows import limits_of
 # Two standard deviations of the score of failures against passes: what counts as shared.
 _AGRESTI = 2.0
 _BLOCK = 4
+# Failures and good cameras, each, whose means are compared.
+_FEWEST = 5
 MACHINING = "machining"
 """Name of the shipped sheet: a bad specimen's change of every parameter, both ways."""
 Sheet = dict[str, tuple[float, float]]
@@ -245,8 +247,8 @@ def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dic
 
 
 def _sigmas(failures: Sequence[float], good: Sequence[float]) -> float | None:
-    """Difference of two means over its standard error; None where that is unknown."""
-    if min(len(failures), len(good)) < 2:
+    """Difference of two means over its standard error; None where too few cameras know it."""
+    if min(len(failures), len(good)) < _FEWEST:
         return None
     error = math.sqrt(sum(float(np.var(each, ddof=1)) / len(each) for each in (failures, good)))
     return float(np.mean(failures) - np.mean(good)) / error if error else None
