@@ -60,6 +60,7 @@ def test_a_shift_that_the_bench_knows_is_searched_within_half_a_pixel():
     found = search_limit(loss(1.5), 1.0, ALL["shift_x"], "known")
     assert found.status == "found"
     assert found.value == pytest.approx(math.asin(math.sqrt(1 / 1.5)) / math.pi, rel=0.05)
+    assert search_limit(loss(0.95), 1.0, ALL["shift_x"], "known").value == 0.5
     never = search_limit(loss(0.8), 1.0, ALL["shift_x"], "known")
     assert (never.status, never.value) == ("not reached", 3.0)
     assert search_limit(loss(0.8), 0.5, ALL["shift_x"], "unknown").value == pytest.approx(0.29, rel=0.05)

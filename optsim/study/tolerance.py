@@ -233,8 +233,9 @@ def search_limit(loss: Loss, loss_db: float, parameter: Tolerated, mode: Mode) -
     if parameter.period is None:
         return largest_change(loss, loss_db, first, most)
     # A bench knows whole periods, and what half of one does not cost nothing costs.
-    limit = largest_change(loss, loss_db, parameter.period / 4, parameter.period / 2)
-    return limit if limit.status == "found" else replace(limit, value=most)
+    half = parameter.period / 2
+    limit = largest_change(loss, loss_db, half / 2, half)
+    return replace(limit, value=min(limit.value, half) if limit.status == "found" else most)
 
 
 def _row(
