@@ -142,7 +142,7 @@ def _from_electrons(
     noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
     of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
-    # Four sigma below the clip: one saturated pixel in 30 000 is missed. Half a number, since the CCD rounds.
+    # Four sigma below the clip: one saturated pixel in 30 000 is missed. Half a number more: the CCD rounds.
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
     row, col, valid = ccd_pixels
     return Calibration(

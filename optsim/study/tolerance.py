@@ -232,7 +232,7 @@ def search_limit(loss: Loss, loss_db: float, parameter: Tolerated, mode: Mode) -
     first, most = parameter.usual, _BAD_SPECIMENS * parameter.usual
     if parameter.period is None:
         return largest_change(loss, loss_db, first, most)
-    # A bench knows whole periods, and what half of one does not cost nothing costs.
+    # Whole periods cost nothing, so the loss is largest at half of one.
     half = parameter.period / 2
     limit = largest_change(loss, loss_db, half / 2, half)
     return replace(limit, value=min(limit.value, half) if limit.status == "found" else most)
