@@ -168,7 +168,7 @@ def _lines(
     lines += [f"*Fair shares of {name}, dB of PU21-PSNR everywhere, adaptive.*", ""]
     rows = lines_of(steps["rows"], "adaptive", "all")
     lines += [*markdown_table(list(STEPS), [list(row) for row in rows]), "", *_yields_lines(cameras), ""]
-    lines += [f"{stride}Measured in {minutes:.0f} minutes by this call; what was kept before took none.", ""]
+    lines += [f"{stride}Measured in {minutes:.0f} minutes, without what was kept before.", ""]
     return lines
 
 
