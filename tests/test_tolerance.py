@@ -115,6 +115,7 @@ def test_an_end_that_costs_no_loss_makes_no_offender():
     record = {"rows": rows, "plan": {"loss_db": 1.0}, "budget": {"mean_db": None}}
     assert lead(record) == "A loss of 1 dB is reached first by a drift of contrast: +0.5 % of light."
     assert "by no drift alone" in lead(record | {"rows": rows[-2:]})
+    assert lead(record | {"rows": []}) == "No drift could be measured."
 
 
 @pytest.fixture(scope="module")

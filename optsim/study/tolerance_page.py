@@ -64,7 +64,10 @@ def notes(rows: Rows) -> list[str]:
 
 def lead(record: dict[str, Any]) -> str:
     """Say in a sentence which parameter is the worst offender, and what all cost together."""
-    name, down, up, unit, costs, *_ = sheet(record["rows"], "unknown")[0]
+    lines = sheet(record["rows"], "unknown")
+    if not lines:
+        return "No drift could be measured."
+    name, down, up, unit, costs, *_ = lines[0]
     loss = f"A loss of {record['plan']['loss_db']:g} dB"
     if costs == "–":
         said = f"{loss} is reached by no drift alone"
