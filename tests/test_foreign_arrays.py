@@ -108,7 +108,7 @@ def test_what_is_wrong_with_an_archive_names_it(how: str, tmp_path: Path) -> Non
 def test_a_size_beyond_memory_is_refused_before_it_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("optsim.core.foreign._available_bytes", lambda: FILM.nbytes - 1.0)
+    monkeypatch.setattr("optsim.core.foreign.available_bytes", lambda: FILM.nbytes - 1.0)
     for path in (tmp_path / "a.npz", tmp_path / "a.mat"):
         np.savez(path, image=FILM) if path.suffix == ".npz" else savemat(path, {"image": FILM})
         with pytest.raises(StorageError, match="of memory that are free"):

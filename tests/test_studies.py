@@ -5,12 +5,13 @@ import json
 
 import numpy as np
 import pytest
-from small_study import load, without_workers, write_experiment  # noqa: F401  a fixture
+from small_study import FRAMES, load, without_workers, write_experiment  # noqa: F401  a fixture
 from test_cli import cli  # noqa: F401  a fixture
 
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.quantities import ExposureCode
 from optsim.experiment.experiment import load_experiment
+from optsim.experiment.truth import render_truth
 from optsim.study.comparison import Seeds, compare, pool_scatter, student
 from optsim.study.folder import Workplace
 from optsim.study.measurement import measured
@@ -206,6 +207,23 @@ def test_operators_are_compared_on_one_camera_and_its_light(base, tmp_path):
     page = (tmp_path / "study.html").read_text()
     assert "in brackets the change" in page
     assert page.count("<svg") == 1
+
+
+@pytest.mark.usefixtures("without_workers")
+def test_no_truth_is_made_after_the_last_scored_frame(base, tmp_path, monkeypatch):
+    made = []
+
+    def noted(experiment, **others):
+        made.append(experiment.n_frames)
+        return render_truth(experiment, **others)
+
+    monkeypatch.setattr("optsim.study.folder.render_truth", noted)
+    monkeypatch.setattr("optsim.study.stage.render_truth", noted)
+    longer = base.model_copy(update={"n_frames": FRAMES + 4})
+    plan = SweepPlan((Axis(SHIFT, (0.1,)),), frames=1, seeds=ONE)
+    record = sweep(longer, plan, Workplace(tmp_path))
+    assert set(made) == {FRAMES}
+    assert record["experiment"]["n_frames"] == FRAMES + 4
 
 
 def test_the_published_mismatch_is_a_drift_of_the_demo():

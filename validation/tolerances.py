@@ -26,7 +26,7 @@ from optsim.study.comparison import Seeds
 from optsim.study.folder import Workplace, chosen_methods
 from optsim.study.measurement import measured
 from optsim.study.point import Mode, Point
-from optsim.study.stage import frames_to_score, make_stage
+from optsim.study.stage import frames_to_score, make_stage, scored_part
 from optsim.study.tolerance import TolerancePlan, tolerance
 from optsim.study.tolerance_page import HEADS, MODES, lead, notes, sheet, won_back, write_tolerance_page
 from optsim.study.waterfall import WaterfallPlan, effects_of, waterfall
@@ -198,8 +198,8 @@ def _by_stride(name: str) -> str:
     """Say how far the coarser decoder is from the preset's own."""
     values: list[float] = []
     for more in ([], [STRIDE]):
-        base: Experiment = chosen_methods(load_experiment(name, more), ["adaptive"])
-        found = measured(make_stage(base, frames_to_score(base, 1)), Point(seed=base.seed))
+        base = scored_part(chosen_methods(load_experiment(name, more), ["adaptive"]), FRAMES)
+        found = measured(make_stage(base, frames_to_score(base, FRAMES)), Point(seed=base.seed))
         values.append(found.db["adaptive", "all"] or 0.0)
     return f"Every second patch instead of each changes the score by {values[1] - values[0]:+.2f} dB. "
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -200,6 +200,7 @@ class _Laboratory:
 
     def __init__(self, camera: CodedCamera, rng: Generator, done: int) -> None:
         self.camera, self.rng = camera, rng
+        self._sphere = lru_cache(maxsize=2)(self._sphere_image)
         self.shown = done * _FIELDS  # slots before the next image: whole rounds of the panel's fields
         self.panel = (camera.panel_rows, camera.panel_cols)
         sensor = camera.sensor
@@ -234,6 +235,10 @@ class _Laboratory:
         return Patches(tuple(rows), tuple(cols), size, irradiance_w_m2, dn)
 
     def _held(self, levels: Bytes, irradiance_w_m2: float, n_frames: int) -> Words:
+        return self._take(self.camera, self._sphere(irradiance_w_m2), levels, levels, n_frames)
+
+    def _sphere_image(self, irradiance_w_m2: float) -> IrradianceVideo:
+        """Image of the sphere on the modulator: the same for all panels that it lights alike."""
         camera = self.camera
         view, n = camera.view, camera.slots_per_frame
         radiance = np.full(
@@ -242,7 +247,7 @@ class _Laboratory:
         sphere = made_radiance(
             view, camera.slot_s, lambda _: Segment(radiance, radiance, (), n), slots_per_segment=n, n_slots=n
         )
-        return self._take(camera, camera.form_image(sphere), levels, levels, n_frames)
+        return camera.form_image(sphere)
 
     def step(self, before: int, after: int, delay: int) -> Step:
         """LED flash, ``delay`` flash lengths after the panel changes from one held level to another.

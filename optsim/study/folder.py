@@ -25,6 +25,7 @@ from optsim.experiment.resume import run_key
 from optsim.experiment.run_folder import versions
 from optsim.experiment.truth import render_truth
 from optsim.study.comparison import add_work
+from optsim.study.stage import scored_part
 from optsim.tasks import Task, run_tasks
 
 STUDY = "study.json"
@@ -95,7 +96,7 @@ def compute(
     base : Experiment
         The unchanged experiment.
     plan : dict
-        All settings of the study; another plan's folder is refused.
+        All settings of the study, ``frames`` among them; another plan's folder is refused.
     pieces : sequence of Piece
         Its tasks.
     place : Workplace
@@ -114,15 +115,17 @@ def compute(
         When the folder holds something else.
     """
     start = time.perf_counter()
-    job.check(base, place.folder, None)
+    # What is scored needs no later frames.
+    part = scored_part(base, plan["frames"])
+    job.check(part, place.folder, None)
     with claimed(place.folder):
         _own(place.folder, {"format": _FORMAT, "kind": kind, "plan": plan, "experiment": _table(base)})
         # Once, here: the workers find it.
-        render_truth(base, progress=progress)
+        render_truth(part, progress=progress)
         progress("laboratory", 0, 1)
-        calibrate_all(planned(base)[0])
+        calibrate_all(planned(part)[0])
         progress("laboratory", 1, 1)
-        text, key = base.model_dump_json(), run_key(base, versions())
+        text, key = part.model_dump_json(), run_key(part, versions())
         tasks = [
             Task(each.name, hash_of(key, kind, each.arguments), each.make, (text, *each.arguments))
             for each in pieces

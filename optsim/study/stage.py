@@ -15,6 +15,7 @@ from numpy.random import Generator
 
 from optsim.camera.camera import CodedCamera
 from optsim.core.config import build
+from optsim.core.free_memory import available_bytes
 from optsim.core.quantities import (
     Bools,
     CodedFrame,
@@ -33,8 +34,9 @@ from optsim.experiment.scoring import Scorer
 from optsim.experiment.truth import render_truth
 from optsim.metrics.scoring import ScoreBoard, first_steady, phase_of
 
-# Memory for the truth's segments, and as much for the panel's light, bytes. The demo's fit several times.
-_MOST_BYTES = 400e6
+# Memory for the truth's segments, bytes, if an eighth of what is free allows it: the full panel's first eight
+# frames take 1.3 GB. Read in turn, all would be lost in less. And memory for the panel's light.
+_SEGMENT_BYTES, _LIGHT_BYTES = 1.5e9, 0.4e9
 T = TypeVar("T")
 
 
@@ -43,7 +45,7 @@ class Memory(Generic[T]):
     """Results by their key, the least recently used forgotten first."""
 
     size_of: Callable[[T], float]
-    most_bytes: float = _MOST_BYTES
+    most_bytes: float
     found: int = 0
     made: int = 0
     _kept: OrderedDict[Hashable, T] = field(default_factory=lambda: OrderedDict[Hashable, T]())
@@ -147,6 +149,11 @@ def frames_to_score(experiment: Experiment, wanted: int) -> tuple[int, ...]:
     return tuple(index for index in frames if phase_of(index, latency) == phase)
 
 
+def scored_part(experiment: Experiment, wanted: int) -> Experiment:
+    """Return an experiment that ends with the last coded frame that a study scores."""
+    return experiment.model_copy(update={"n_frames": frames_to_score(experiment, wanted)[-1] + 1})
+
+
 @lru_cache(maxsize=2)
 def stage_of(text: str, frames: int) -> Stage:
     """Prepare the stage of an experiment, as JSON, for some scored frames; the last two are kept."""
@@ -174,13 +181,13 @@ def make_stage(
     radiance = render_truth(base) if made_radiance is None else made_radiance
     camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
     truth = camera.form_image(radiance)
-    segments = Memory[Segment](_segment_bytes)
+    segments = Memory[Segment](_segment_bytes, min(_SEGMENT_BYTES, available_bytes() / 8))
     truth = replace(truth, load=partial(_remembered, segments, truth.load))
     scorer = Scorer(modelled, camera, truth, radiance)
     targets = {index: Target(scorer.reference(index), scorer.moving(index)) for index in scored}
     # What people only read, and what is only written, changes no number.
     key = run_key(base.model_copy(update={"save_reconstructions": (), "description": "", "name": "study"}))
-    return Stage(base, known, light, truth, scorer.board, targets, key, Memory(_light_bytes))
+    return Stage(base, known, light, truth, scorer.board, targets, key, Memory(_light_bytes, _LIGHT_BYTES))
 
 
 def _remembered(segments: Memory[Segment], load: Callable[[int], Segment], index: int) -> Segment:

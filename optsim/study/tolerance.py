@@ -28,6 +28,7 @@ WHOLE_BENCH = "whole bench"
 REMEDIES = (*COMPENSATORS, WHOLE_BENCH)
 """What is tried against a drift."""
 _WORST = 5
+_ENDS = {-1: "down", 1: "up"}
 # Where the bench knows the change, a search goes as far as this, in a bad specimen's changes.
 _BAD_SPECIMENS = 3.0
 
@@ -108,9 +109,14 @@ def tolerance(
     common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
     modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)
     pieces = [
-        Piece(f"limits/{name}-{mode}", _find_limits, (*common, name, mode, list(plan.compensators)))
+        Piece(
+            f"limits/{name}-{mode}-{_ENDS[sign]}",
+            _find_limit,
+            (*common, name, mode, sign, list(plan.compensators)),
+        )
         for mode in modes
         for name in plan.names
+        for sign in ALL[name].signs
     ]
     alone = record = compute("tolerance", base, said, pieces, place, progress)
     rows = sorted_rows([row for result in record["results"].values() for row in result["rows"]])
@@ -187,7 +193,7 @@ def point_at(stage: Stage, changes: dict[str, float], mode: Mode, compensators: 
     return Point(changed_only(stage.base, keys), mode, tuple(compensators), stage.base.seed)
 
 
-def _find_limits(
+def _find_limit(
     folder: Path,
     text: str,
     frames: int,
@@ -196,32 +202,31 @@ def _find_limits(
     seeds: dict[str, Any],
     name: str,
     mode: Mode,
+    sign: int,
     compensators: Sequence[str],
 ) -> None:
-    """Search both signs of a parameter in one mode; what drifted is then compensated. In a worker."""
+    """Search one end of a parameter in one mode; what drifted is then compensated. In a worker."""
     stage, parameter, pick = stage_of(text, frames), ALL[name], deciding(regions)
     work: dict[str, int] = {}
-    rows: list[dict[str, Any]] = []
-    won: list[dict[str, Any]] = []
+    seen: dict[float, Compared] = {}
     refusals: list[dict[str, Any]] = []
-    for sign in parameter.signs:
-        seen: dict[float, Compared] = {}
 
-        def loss(change: float, sign: int = sign, seen: dict[float, Compared] = seen) -> Any:
-            found = compare(stage, point_at(stage, {name: sign * change}, mode), Seeds(**seeds), pick)
-            add_work(work, found.work)
-            if found.refused:
-                refusals.append({"parameter": name, "change": sign * change, "message": found.refused})
-                return None
-            seen[change] = found
-            worst = worst_loss(found, regions)
-            return (0.0, None) if worst is None else (-worst[1].mean, worst[1].half)
+    def loss(change: float) -> tuple[float, float | None] | None:
+        found = compare(stage, point_at(stage, {name: sign * change}, mode), Seeds(**seeds), pick)
+        add_work(work, found.work)
+        if found.refused:
+            refusals.append({"parameter": name, "change": sign * change, "message": found.refused})
+            return None
+        seen[change] = found
+        worst = worst_loss(found, regions)
+        return (0.0, None) if worst is None else (-worst[1].mean, worst[1].half)
 
-        limit = search_limit(loss, loss_db, parameter, mode)
-        rows.append(_row(name, mode, sign, limit, seen, regions))
-        if mode == "unknown" and limit.value > 0:
-            drift = {name: sign * limit.value}
-            won += _compensate(stage, drift, compensators, regions, Seeds(**seeds), work)
+    limit = search_limit(loss, loss_db, parameter, mode)
+    rows = [_row(name, mode, sign, limit, seen, regions)]
+    won: list[dict[str, Any]] = []
+    if mode == "unknown" and limit.value > 0:
+        drift = {name: sign * limit.value}
+        won = _compensate(stage, drift, compensators, regions, Seeds(**seeds), work)
     write_result(folder, work, rows=rows, won=won, refusals=refusals)
 
 

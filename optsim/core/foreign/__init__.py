@@ -5,12 +5,12 @@ No exception of a foreign reader reaches a user. Nothing is allocated because a 
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from optsim.core.errors import OptsimError, StorageError
+from optsim.core.free_memory import available_bytes
 
 # Largest expansion in zlib's format: no valid file exceeds this times its compressed bytes.
 DEFLATE_LIMIT = 1032
@@ -73,36 +73,12 @@ def check_memory(path: Path, n_bytes: float, what: str) -> None:
     StorageError
         With both sizes.
     """
-    there = _available_bytes()
+    there = available_bytes()
     if n_bytes > there:
         raise StorageError(
             f"{path} cannot be read as {what}: it declares {_gib(n_bytes)}, expected at most the "
             f"{_gib(there)} of memory that are free; cure: a smaller file, or correct its header"
         )
-
-
-def _available_bytes() -> float:
-    """Memory that can be allocated, by the machine's free memory and the limits of container and process."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    allowed = (
-        float("inf") if limit == resource.RLIM_INFINITY else limit - _kib("/proc/self/status", "VmSize:", 0)
-    )
-    # The container's whole limit: its usage includes cached files, which are freed on demand.
-    found = [allowed, _kib("/proc/meminfo", "MemAvailable:", float("inf"))]
-    for path in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        # Absent, or "max".
-        with suppress(OSError, ValueError):
-            found.append(float(Path(path).read_text(encoding="ascii")))
-    return max(0.0, min(found))
-
-
-def _kib(path: str, key: str, otherwise: float) -> float:
-    """Read a line such as "VmSize: 123 kB" as bytes."""
-    with suppress(OSError):
-        for line in Path(path).read_text(encoding="ascii", errors="replace").splitlines():
-            if line.startswith(key):
-                return 1024 * float(line.split()[1])
-    return otherwise
 
 
 def _gib(n_bytes: float) -> str:
