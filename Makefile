@@ -52,7 +52,7 @@ figure4: setup ## all schemes on the same scenes, as the paper's figure 4; write
 imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
 	$(BIN)/python validation/imperfections.py
 
-tolerances: setup ## tolerance sheet, waterfall and yield of demo and prototype; writes reports/tolerances.md (110 minutes)
+tolerances: setup ## tolerance sheet, waterfall and yield of demo and prototype; writes reports/tolerances.md (90 minutes)
 	$(BIN)/python validation/tolerances.py
 
 fidelity: setup ## what each fine approximation is worth; writes reports/fidelity.md (30 minutes)
