@@ -273,6 +273,21 @@ def test_a_full_well_is_saturated_without_read_noise_too(full_well_e, dark_curre
     assert calibration.observe(CodedFrame(0, dn, uniform(255))).saturated[calibration.valid].all()
 
 
+def test_shot_noise_of_smear_hides_no_saturation():
+    camera = small()
+    changes = {"read_noise_e": 0.0, "full_well_e": 14_000.0, "bend_at_full_well": 0.03, "finer_bits": 2}
+    sensor = camera.sensor.model_copy(update=changes | {"smear_share": 1e-3})
+    electrons = np.full((sensor.rows, sensor.cols), 42_000.0)
+    # Four electrons of smear: where their shot noise exceeds their mean by most.
+    share = 4 * sensor.smear_share / sensor.smear_e(electrons, camera.exposure_s)[0]
+    sensor = sensor.model_copy(update={"smear_share": float(share)})
+    camera = camera.model_copy(update={"sensor": sensor})
+    dn, _ = sensor.digitise(electrons, camera.exposure_s, camera.serial_number, np.random.default_rng(1))
+    calibration = true_calibration(camera)
+    # 3e-5 of 768 pixels is none, but once in 40 seeds.
+    assert calibration.observe(CodedFrame(0, dn, uniform(255))).saturated[calibration.valid].all()
+
+
 def test_the_reference_undoes_the_shading_of_the_objective():
     camera = small()
     reference = camera.reference(flat(camera, 0.3), 0)

@@ -142,7 +142,7 @@ def _from_electrons(
     noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
     of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
-    # Four sigma below the clip: one saturated pixel in 30 000 is missed. Half a number more: the CCD rounds.
+    margin_dn = _below_clip_e(sensor.dark_noise_e, sensor.smear_share > 0) / sensor.step_e
     clip_dn = np.minimum(black_dn + full_well_e / sensor.step_e, sensor.max_dn)
     row, col, valid = ccd_pixels
     return Calibration(
@@ -157,7 +157,8 @@ def _from_electrons(
         valid=valid,
         responsivity_dn=(responsivity_e / sensor.step_e).astype(np.float32),
         black_dn=black_dn.astype(np.float32),
-        saturation_dn=(clip_dn - 4 * noise.read_noise_dn - 0.5).astype(np.float32),
+        # Half a number more: the CCD rounds.
+        saturation_dn=(clip_dn - margin_dn - 0.5).astype(np.float32),
         read_noise_dn=of_reading.read_noise_dn,
         dn_per_e=of_reading.dn_per_e,
         crosstalk=crosstalk,
@@ -167,6 +168,15 @@ def _from_electrons(
         glare=glare,
         reading_px=reading_px,
     )
+
+
+def _below_clip_e(noise_e: float, smeared: bool) -> float:
+    """Distance of the threshold from the clip: four sigma, so one saturated pixel in 30 000 is missed.
+
+    Smear s adds s to a full well, and its shot noise: the lowest of s - 4 sqrt(noise^2 + s) counts.
+    """
+    least_s = 4 - noise_e**2
+    return 4 + noise_e**2 if smeared and least_s > 0 else 4 * noise_e
 
 
 def check_kept(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
