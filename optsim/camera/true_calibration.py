@@ -171,12 +171,12 @@ def _from_electrons(
 
 
 def _below_clip_e(noise_e: float, smeared: bool) -> float:
-    """Distance of the threshold from the clip: four sigma, so one saturated pixel in 30 000 is missed.
+    """Distance of the saturation threshold from the clip: four sigma, so one full well in 30 000 is missed.
 
-    Smear s adds s to a full well, and its shot noise: the lowest of s - 4 sqrt(noise^2 + s) counts.
+    Smear of s electrons lifts a full well by s and adds their shot noise. The threshold is the lowest
+    s - 4 sqrt(noise_e^2 + s): at s = 4 - noise_e^2 if that is above 0, else without smear.
     """
-    least_s = 4 - noise_e**2
-    return 4 + noise_e**2 if smeared and least_s > 0 else 4 * noise_e
+    return 4 + noise_e**2 if smeared and noise_e < 2 else 4 * noise_e
 
 
 def check_kept(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
