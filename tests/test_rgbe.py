@@ -64,6 +64,8 @@ def test_what_a_header_declares_counts(tmp_path):
     np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [128.5, 64.5, 0.5])
     (tmp_path / "a.hdr").write_bytes(flat(head=b"EXPOSURE=4\nEXPOSURE= 0.5\nPIXASPECT=1.0\n"))
     np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [64.25, 32.25, 0.25])
+    (tmp_path / "a.hdr").write_bytes(flat(head=b"COLORCORR=2 1 0.5\nEXPOSURE=2\nCOLORCORR= 1 4 1\n"))
+    np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [128.5 / 4, 64.5 / 8, 0.5])
     # Linear light, row 0 below.
     image = flat(b"-Y 2 +X 1", pixels=bytes([128, 128, 128, 129, 0, 0, 0, 0]))
     (tmp_path / "a.hdr").write_bytes(image)
@@ -73,12 +75,14 @@ def test_what_a_header_declares_counts(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\x89PNG", "it doesn't begin as one"),
+        (b"#?RADISH\n", "it doesn't begin as one"),
         (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "its header is incomplete"),
         (flat(head=b"FORMAT=32-bit_rle_xyze\n"), "its format is 32-bit_rle_xyze"),
         (flat(head=b"PIXASPECT=2\n"), "its pixels are oblong"),
         (flat(head=b"PRIMARIES=0.7 0.3 0.2 0.7 0.1 0.0 0.3 0.3\n"), "its primaries are 0.7"),
         (flat(head=b"EXPOSURE=0\n"), "it declares exposure 0"),
+        (flat(head=b"COLORCORR=1 0 1\n"), "it declares exposure 0"),
+        (flat(head=b"GAMMA=2.2\n"), "its values have a gamma of 2.2"),
         (flat(size=b"+Y 1 +X 2"), r"its orientation is \+Y 1 \+X 2"),
         (flat(size=b"-Y 90000 +X 90000"), "it declares 90000 x 90000 pixels, but holds 8 bytes"),
         (flat(pixels=bytes(7)), "but holds 7 bytes"),

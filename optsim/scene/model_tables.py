@@ -20,7 +20,7 @@ from optsim.scene.gltf import gltf_parts, morphs, moving_animations
 from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
 from optsim.scene.model_files import check_files, model_hash
 from optsim.scene.models import FORMATS, inside, read_model
-from optsim.scene.pictures import MAPS, read_map
+from optsim.scene.pictures import MAPS, read_map, read_picture
 
 # Size over distance to the camera's target beyond which a model is taken to be in another unit.
 _LARGEST, _SMALLEST = 200.0, 1e-4
@@ -86,7 +86,9 @@ def _pictures(material: Table, folder: Path, where: str) -> Table:
     listed = [key for key in ("picture", *MAPS) if key in material]
     files = {key: inside(folder, str(material[key]), f"{where}.{key}") for key in listed}
     for key, file in files.items():
-        if key != "picture":
+        if key == "picture":
+            read_picture(file)
+        else:
             read_map(file, key)
     hashes = [f"{key} {content_hash(file)}" for key, file in files.items()]
     if not files:

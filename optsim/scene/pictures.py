@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import functools
+import io
+import warnings
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
+from optsim.core.foreign.exr import light_channels, only_part
+from optsim.core.foreign.h273 import BT709, primaries_at
+from optsim.core.foreign.png import deep_pixels, png_meaning
 from optsim.core.foreign.rgbe import rgbe_pixels
 from optsim.core.quantities import Doubles, Floats
 from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.bands import Channel, in_channel
 
-LINEAR = (".exr", ".hdr")
-"""Suffixes of pictures of linear light: OpenEXR and Radiance."""
+_WHAT = "a PNG, JPEG, OpenEXR or Radiance picture"
+_EXR, _HDR = b"v/1\x01", (b"#?RADI", b"#?RGBE")
+_CURVES = (None, "srgb", "linear")
+# Share of the largest value down to which negative ones count as 0: Blender's studio lights reach 0.6 %.
+_BELOW = 0.01
 MAPS = ("normal_map", "roughness_map", "metallic_map")
 """Keys of a material's maps of raw numbers."""
 # Channel of a map of one number; glTF 2.0 packs both into one picture. Of grey it is all the same.
@@ -25,7 +35,9 @@ _LENGTHS = (0.8, 1.2)
 
 
 def read_picture(path: Path, channel: Channel | None = None) -> Floats:
-    """Read a reflectance map: PNG and JPEG as sRGB, OpenEXR and Radiance as linear; row 0 at the lower edge.
+    """Read a reflectance map of linear light, row 0 at the lower edge.
+
+    PNG and JPEG count by the curve that they state, else as sRGB. The content decides, not the name.
 
     Without a channel it is that of the luminance.
 
@@ -33,6 +45,8 @@ def read_picture(path: Path, channel: Channel | None = None) -> Floats:
     ------
     StorageError
         For a file that is no such picture.
+    ConfigError
+        For a meaning that is not honoured (transparency, layers, other primaries, a turn), or light below 0.
     """
     stat = path.stat()
     return _picture(path, channel, stat.st_mtime_ns, stat.st_size)
@@ -93,15 +107,13 @@ def checked_map(values: Floats, key: str, where: str) -> Floats:
 @functools.lru_cache(maxsize=64)
 def _picture(path: Path, channel: Channel | None, _mtime_ns: int, _size: int) -> Floats:
     values = _values(path)
-    if path.suffix.lower() not in LINEAR:
-        values = srgb_to_linear(values)
     image = in_channel(values, channel) if values.shape[2] == 3 else values[..., 0]
     return np.ascontiguousarray(image[::-1], np.float32)
 
 
 @functools.lru_cache(maxsize=64)
 def _map(path: Path, key: str, _mtime_ns: int, _size: int) -> Floats:
-    values = _values(path)
+    values = _values(path, raw=True)
     if key != "normal_map":
         values = values[..., _CHANNEL[key] if values.shape[2] == 3 else 0]
     elif values.shape[2] != 3:
@@ -109,21 +121,109 @@ def _map(path: Path, key: str, _mtime_ns: int, _size: int) -> Floats:
     return checked_map(np.ascontiguousarray(values[::-1], np.float32), key, str(path))
 
 
-def _values(path: Path) -> Doubles:
-    """Values as stored, (y, x, 1 or 3), row 0 at the upper edge; of 8 or 16 bits over their largest."""
-    if path.suffix.lower() == ".exr":
-        from optsim.core.files import read_exr
+def is_linear(path: Path) -> bool:
+    """Whether a picture is OpenEXR or Radiance, which hold linear light."""
+    with reading(path, _WHAT), path.open("rb") as stream:
+        return stream.read(6).startswith((_EXR, *_HDR))
 
-        channels, _ = read_exr(path)
-        names = [name for name in ("R", "G", "B") if name in channels]
-        chosen = names if len(names) == 3 else list(channels)[:1]
-        return np.stack([channels[name] for name in chosen], axis=-1).astype(np.float64)
-    if path.suffix.lower() == ".hdr":
-        return rgbe_pixels(path).astype(np.float64)
-    from PIL import Image
 
-    with reading(path, "a PNG, JPEG, OpenEXR or Radiance picture"), Image.open(path) as picture:
-        if picture.mode.startswith("I"):
-            # Pillow would clip grey of 16 bits at 255.
-            return np.asarray(picture, np.float64)[..., None] / 65535
-        return np.asarray(picture.convert("RGB"), np.float64) / 255
+def _values(path: Path, *, raw: bool = False) -> Doubles:
+    """Linear light, (y, x, 1 or 3), row 0 at the upper edge; ``raw``: numbers as stored, integers 0..1."""
+    if not is_linear(path):
+        return _coded(path, raw)
+    with path.open("rb") as stream:
+        exr = stream.read(4) == _EXR
+    values = _exr(path, raw) if exr else rgbe_pixels(path).astype(np.float64)
+    return values if raw else _checked(values, path)
+
+
+def _checked(values: Doubles, path: Path) -> Doubles:
+    """Refuse light below zero; barely below, as of a filter's ringing, it becomes 0 with a remark."""
+    bound = _BELOW * float(values.max())
+    wrong = ~(np.isfinite(values) & (values >= -bound))
+    if wrong.any():
+        row, col, channel = np.argwhere(wrong)[0]
+        raise ConfigError(
+            f"{path}: got {values[row, col, channel]} in row {row}, column {col}, expected finite values of "
+            f"0 or more (those above -{_BELOW:g} times the largest count as 0); cure: repair the picture"
+        )
+    if values.min() < 0:
+        least = -values.min() / values.max()
+        warnings.warn(
+            f"{path}: values below zero, by {least:.2g} of the largest at most, are taken as 0", stacklevel=2
+        )
+    return np.maximum(values, 0)
+
+
+def _exr(path: Path, raw: bool) -> Doubles:
+    part = only_part(path, "write one part a file")
+    channels, names = part.pixels(path), light_channels(part.stored)
+    if not names:
+        raise ConfigError(
+            f"{path}: got the channels {', '.join(sorted(channels))}, expected R, G and B, or Y, or a single "
+            "one of light; cure: write these, without a layer's name"
+        )
+    primaries = primaries_at(np.ravel(part.header.get("chromaticities", BT709))[:6].tolist())
+    if len(names) == 3 and primaries != "BT.709" and not raw:
+        raise ConfigError(f"{path}: got {primaries}, expected BT.709 (sRGB); cure: convert it to linear sRGB")
+    _check_opaque(channels.get("A", np.ones(1)), path)
+    return np.stack([channels[name] for name in names], axis=-1).astype(np.float64)
+
+
+def _check_opaque(alpha: NDArray[Any], path: Path, whole: float = 1.0) -> None:
+    if not alpha.min() >= whole * (1 - 1e-3):
+        raise ConfigError(
+            f"{path}: got alpha down to {alpha.min() / whole:.3g}, expected an opaque picture; cure: flatten "
+            "it, or take a model (.glb), whose materials may have cut-outs"
+        )
+
+
+def _coded(path: Path, raw: bool) -> Doubles:
+    """PNG or JPEG."""
+    from PIL import Image, ImageCms
+
+    with reading(path, _WHAT), Image.open(path, formats=("PNG", "JPEG")) as picture:
+        # First of all: other questions load the pixels.
+        mode, deep = picture.mode, "16" in str(picture.tile[0].args) or picture.mode.startswith("I")
+        curve, primaries = png_meaning(path) if picture.format == "PNG" else (None, None)
+        turned = picture.getexif().get(274, 1)
+        moving = picture.format == "PNG" and getattr(picture, "is_animated", False)
+        clear = picture.has_transparency_data
+        profile = None if raw or curve is not None else picture.info.get("icc_profile")
+        if profile is not None:
+            profile = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+            # Profiles of sRGB differ in their last digits only.
+            if "srgb" in ImageCms.getProfileDescription(profile).lower():
+                profile = None
+        wrong = {
+            f"EXIF orientation {turned}": turned != 1,
+            "an animation": moving,
+            f"colours of kind {mode}": mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16"),
+            "16 bits with transparency": deep and clear and mode != "RGBA",
+            "16 bits with a colour profile": deep and profile is not None,
+            f"the curve {curve}": not raw and curve not in _CURVES and not str(curve).startswith("gamma "),
+            f"{primaries}": not raw and primaries not in (None, "BT.709"),
+        }
+        if any(wrong.values()):
+            got = ", ".join(name for name, bad in wrong.items() if bad)
+            raise ConfigError(
+                f"{path}: got {got}, expected one upright grey or sRGB picture; cure: convert it to sRGB and "
+                "write it so"
+            )
+        if clear:
+            _check_opaque(np.asarray(picture.convert("RGBA").getchannel("A")), path, 255)
+        if deep:
+            values = np.atleast_3d(
+                deep_pixels(path, picture)[..., :3] if mode[0] == "R" else np.asarray(picture)
+            )
+            values = values.astype(np.float64) / 65535
+        elif profile is not None:
+            cms, plain = cast("Any", ImageCms), picture if mode in ("L", "RGB") else picture.convert("RGB")
+            seen = cms.profileToProfile(plain, profile, cms.createProfile("sRGB"), outputMode="RGB")
+            values = np.asarray(seen, np.float64) / 255
+        else:
+            values = np.asarray(picture.convert("RGB"), np.float64) / 255
+    if raw or curve == "linear":
+        return values
+    exponent = str(curve).partition("gamma ")[2]
+    return values ** float(exponent) if exponent else srgb_to_linear(values)

@@ -22,7 +22,7 @@ from optsim.scene.bands import MONO, Band, PositiveByBand, mono, value_in
 from optsim.scene.clear_sky import SUN_RADIUS_RAD, sky_radiance, sun_radiance
 from optsim.scene.fields import Positive, Share
 from optsim.scene.models import inside
-from optsim.scene.pictures import LINEAR, read_picture
+from optsim.scene.pictures import is_linear, read_picture
 
 # A texel is a third of the sun's disc.
 _ROWS, _COLS = 1025, 2048
@@ -154,22 +154,19 @@ def with_sky(table: Table, folder: Path, where: str) -> Table:
 
 def _check(path: Path, where: str) -> None:
     """Check a sky's picture."""
-    if path.suffix.lower() not in LINEAR:
+    if not is_linear(path):
         raise ConfigError(
             f"{where}: got {path.name!r}, expected OpenEXR or Radiance (.exr, .hdr); cure: convert it to .exr"
         )
-    image = _read(path)
+    try:
+        image = _read(path)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
     rows, cols = image.shape
     if abs(cols - 2 * rows) > 1 or rows < 3:
         raise ConfigError(
             f"{where}: got {cols} x {rows} pixels, expected twice as wide as high: all directions by azimuth "
             "and latitude; cure: export the panorama as equirectangular"
-        )
-    if not np.isfinite(image).all() or image.min() < 0:
-        row, col = np.argwhere(~(image >= 0) | ~np.isfinite(image))[0]
-        raise ConfigError(
-            f"{where}: got {image[row, col]} in row {row}, column {col}, expected finite values of 0 or "
-            "more; cure: repair the picture"
         )
     if not image.any():
         raise ConfigError(f"{where}: got a black picture, expected light; cure: another file")

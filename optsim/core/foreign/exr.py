@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,8 @@ from optsim.core.errors import StorageError, ValueCheckError
 from optsim.core.foreign import check_memory, one_line, reading
 
 _WHAT = "OpenEXR"
+# Names that the format reserves for depth and opacity.
+_NO_LIGHT = {"Z", "ZBack", "A", "AR", "AG", "AB"}
 # The library prints damage to stderr: one reader at a time may capture it.
 _PRINTED = Lock()
 
@@ -105,6 +107,15 @@ def exr_parts(path: Path) -> list[ExrPart]:
             f"({why}); cure: copy it again, whole"
         )
     return found
+
+
+def light_channels(channels: Collection[str]) -> list[str]:
+    """Names of the channels of light: R, G and B, else Y, else the only one; none where it is unclear."""
+    if {"R", "G", "B"} <= set(channels):
+        return ["R", "G", "B"]
+    if "Y" in channels:
+        return ["Y"]
+    return list(channels) if len(channels) == 1 and not _NO_LIGHT & set(channels) else []
 
 
 def only_part(path: Path, cure: str) -> ExrPart:

@@ -36,10 +36,11 @@ PRIMARIES = {
     22: "EBU 3213",
 }
 
-_BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
+BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06)
+"""Chromaticities of sRGB's primaries: x and y of R, of G and of B."""
 
 
 def primaries_at(places: Sequence[float]) -> str:
     """Name primaries by their chromaticities: x and y of R, of G and of B."""
-    same = max(abs(a - b) for a, b in zip(places, _BT709, strict=True)) <= 2e-3
+    same = max(abs(a - b) for a, b in zip(places, BT709, strict=True)) <= 2e-3
     return "BT.709" if same else f"primaries with red at ({places[0]:.3g}, {places[1]:.3g})"

@@ -75,8 +75,15 @@ def png_head(path: Path) -> PngHead:
     return PngHead(rows, cols, channels, bits, _curve(chunks), _primaries(chunks) if channels > 1 else None)
 
 
+def png_meaning(path: Path) -> tuple[str | None, str | None]:
+    """Curve and primaries as in :class:`PngHead` of a PNG of any kind; errors as of :func:`png_head`."""
+    with reading(path, _WHAT):
+        chunks, _ = _chunks(path.read_bytes())
+        return _curve(chunks), _primaries(chunks)
+
+
 def png_pixels(path: Path, head: PngHead) -> NDArray[Any]:
-    """Read grey of 8 or 16 bits or RGB of 8, array (y, x) or (y, x, 3); Pillow cuts RGB of 16 bits to 8.
+    """Read grey or RGB of 8 or 16 bits, array (y, x) or (y, x, 3).
 
     Raises
     ------
@@ -87,7 +94,19 @@ def png_pixels(path: Path, head: PngHead) -> NDArray[Any]:
 
     # Image.open would refuse a large picture whatever the memory; the size is already checked here.
     with reading(path, _WHAT), path.open("rb") as stream, PngImageFile(stream) as picture:
+        if (head.channels, head.bits) == (3, 16):
+            return deep_pixels(path, picture)
         return np.asarray(picture).astype(np.uint8 if head.bits == 8 else np.uint16)
+
+
+def deep_pixels(path: Path, picture: Any) -> NDArray[np.uint16]:
+    """Read RGB or RGBA of 16 bits, (y, x, channel), of which Pillow takes the high bytes."""
+    from PIL.PngImagePlugin import PngImageFile
+
+    with path.open("rb") as stream, PngImageFile(stream) as low:
+        # Called little-endian, big-endian values show their low bytes.
+        low.tile = [part._replace(args=str(part.args).replace("16B", "16L")) for part in low.tile]
+        return (256 * np.asarray(picture, np.uint16) + np.asarray(low)).astype(np.uint16)
 
 
 def _chunks(content: bytes) -> tuple[dict[bytes, bytes], int]:

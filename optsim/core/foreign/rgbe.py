@@ -21,13 +21,13 @@ _NEAR = 0.02
 
 
 def rgbe_pixels(path: Path) -> NDArray[np.float32]:
-    """Read a picture: linear RGB (y, x, 3), row 0 on top, over the exposure that it states.
+    """Read a picture: linear RGB (y, x, 3), row 0 on top, over the exposure and COLORCORR that it states.
 
     Raises
     ------
     StorageError
-        For a missing, damaged or incomplete file, XYZ, other primaries, oblong pixels, another orientation,
-        or the run-length encoding of before 1991.
+        For a missing, damaged or incomplete file, XYZ, other primaries, a gamma, oblong pixels, another
+        orientation, or the run-length encoding of before 1991.
     """
     with reading(path, _WHAT, "write it again, as 32-bit_rle_rgbe with -Y and +X"):
         content = path.read_bytes()
@@ -46,15 +46,15 @@ def rgbe_pixels(path: Path) -> NDArray[np.float32]:
     return (light / exposure).astype(np.float32)
 
 
-def _head(content: bytes) -> tuple[int, int, float, int]:
-    """Rows, columns, exposure, and where the pixels begin."""
+def _head(content: bytes) -> tuple[int, int, NDArray[np.float64], int]:
+    """Rows, columns, exposure of R, G and B, and where the pixels begin."""
     if not content.startswith((b"#?RADIANCE", b"#?RGBE")):
         raise ValueError("it doesn't begin as one")
     head, found, _ = content.partition(b"\n\n")
     size, ended, _ = content[len(head) + 2 :].partition(b"\n")
     if not (found and ended):
         raise ValueError("its header is incomplete")
-    exposure = 1.0
+    exposure = np.ones(3)
     for line in head.decode("latin-1").splitlines()[1:]:
         key, _, value = line.partition("=")
         match key.strip():
@@ -62,7 +62,11 @@ def _head(content: bytes) -> tuple[int, int, float, int]:
                 raise ValueError(f"its format is {value.strip()}")
             case "EXPOSURE":
                 # Of several the product counts.
-                exposure *= float(value)
+                exposure = exposure * float(value)
+            case "COLORCORR":
+                exposure = exposure * np.array(value.split(), float)
+            case "GAMMA" if abs(float(value) - 1) > 1e-3:
+                raise ValueError(f"its values have a gamma of {value.strip()}")
             case "PIXASPECT" if abs(float(value) - 1) > 1e-3:
                 raise ValueError(f"its pixels are oblong, {value.strip()}")
             case "PRIMARIES" if np.abs(np.array(value.split()[:6], float) - _PRIMARIES).max() > _NEAR:
@@ -72,8 +76,8 @@ def _head(content: bytes) -> tuple[int, int, float, int]:
     up, height, right, width = size.split()
     if (up, right) != (b"-Y", b"+X"):
         raise ValueError(f"its orientation is {size.decode('latin-1')}")
-    if not (0 < exposure < np.inf and min(int(height), int(width)) > 0):
-        raise ValueError(f"it declares exposure {exposure:g}, size {int(height)} x {int(width)}")
+    if not (exposure.min() > 0 and np.isfinite(exposure).all() and min(int(height), int(width)) > 0):
+        raise ValueError(f"it declares exposure {exposure.min():g}, size {int(height)} x {int(width)}")
     return int(height), int(width), exposure, len(head) + len(size) + 3
 
 

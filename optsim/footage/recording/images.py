@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from optsim.core.errors import ConfigError, unknown_name
-from optsim.core.foreign.exr import ExrPart, exr_parts
+from optsim.core.foreign.exr import ExrPart, exr_parts, light_channels
 from optsim.core.foreign.h273 import primaries_at
 from optsim.core.foreign.png import png_head, png_pixels
 from optsim.footage.recording.film import Pixels, Says, with_channels
-
-# Names that the format reserves for depth and opacity.
-_NO_LIGHT = {"Z", "ZBack", "A"}
 
 
 def exr(path: Path, key: str | None) -> Pixels:
@@ -39,12 +36,7 @@ def exr_says(path: Path, key: str | None) -> Says:
 
 def png(path: Path) -> Pixels:
     """Read grey or colour of 8 or 16 bits, array (y, x, channel)."""
-    head = png_head(path)
-    if (head.channels, head.bits) == (3, 16):
-        from optsim.footage.recording.video import colour_picture
-
-        return colour_picture(path)
-    return with_channels(png_pixels(path, head))
+    return with_channels(png_pixels(path, png_head(path)))
 
 
 def png_says(path: Path) -> Says:
@@ -72,14 +64,10 @@ def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrP
     )
 
 
-def _light(path: Path, part: ExrPart, channels: Mapping[str, object]) -> list[str]:
+def _light(path: Path, part: ExrPart, channels: Collection[str]) -> list[str]:
     """Names of the channels of light."""
-    if {"R", "G", "B"} <= set(channels):
-        return ["R", "G", "B"]
-    if "Y" in channels:
-        return ["Y"]
-    if len(channels) == 1 and not _NO_LIGHT & set(channels):
-        return list(channels)
+    if names := light_channels(channels):
+        return names
     where = path.name + (f", part {part.name}," if part.name else "")
     raise ConfigError(
         f"source.footage.key: missing; {where} holds the channels {', '.join(sorted(channels))}"

@@ -1,6 +1,6 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingTypeStubs=false, reportMissingImports=false
-"""Readers that need the extra ``video`` (PyAV, with its own FFmpeg): videos, and 16-bit colour PNG."""
+"""Readers that need the extra ``video`` (PyAV, with its own FFmpeg): videos."""
 
 from __future__ import annotations
 
@@ -239,13 +239,6 @@ def rgb_of(codes: Doubles, bits: int, luma: tuple[float, float], *, full: bool) 
     blue = light + 2 * (1 - blue_weight) * from_blue
     green = (light - red_weight * red - blue_weight * blue) / (1 - red_weight - blue_weight)
     return np.round(65535 * np.clip(np.stack([red, green, blue], axis=-1), 0, 1)).astype(np.uint16)
-
-
-def colour_picture(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit colour PNG, array (y, x, 3), which Pillow would cut to 8 bits."""
-    av = _av(path)
-    with reading(path, "16-bit colour PNG"), av.open(str(path)) as container:
-        return _next(av, container.decode(video=0)).to_ndarray(format="rgb48le")
 
 
 def _av(path: Path) -> Any:
