@@ -132,10 +132,25 @@ def test_models_of_a_folder_are_drawn_too(scene):
     (scene.folder / "models").mkdir()
     for name in ("one", "two"):
         trimesh.creation.box((1, 1, 1)).export(scene.folder / "models" / f"{name}.glb")
-    text = BASE.replace('materials = ["a", "b"]', 'materials = ["a"]\nshapes = []\nmodels = ["models"]')
+    text = BASE.replace('materials = ["a", "b"]', 'materials = ["a"]\nmodels = ["models"]')
     found = scene("1", text)
     assert {item.kind for item in found.objects.values()} == {"mesh"}
     assert len({item.sha256 for item in found.objects.values()}) >= 1
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+def test_models_of_formats_without_an_axis_are_drawn_upright(scene, suffix):
+    # 3 long in the file, along the axis that points up.
+    trimesh.creation.box((1, 3, 2)).export(scene.folder / f"one.{suffix}")
+    models = f'models = ["one.{suffix}"]\nup = "y"'
+    found = scene("1", BASE.replace("falling = true", f"resting = true\n{models}"))
+    assert {item.kind for item in found.objects.values()} == {"mesh"}
+    for item in found.objects.values():
+        points = item.mesh().vertices_m
+        assert 0.1 <= np.ptp(points[:, 2]) <= 0.3
+        assert points[:, 2].min() == pytest.approx(0.5)
+    with pytest.raises(ConfigError, match=r'populate\.thing\.up: got none, .* cure: up = "z"'):
+        scene("1", BASE.replace("falling = true", models.partition("\n")[0]))
 
 
 @pytest.mark.parametrize(

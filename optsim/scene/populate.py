@@ -38,9 +38,11 @@ class Population(Part):
     region_m : (vector, vector)
         Lowest and highest corner of the region of their middles; on the ground of their bases.
     shapes : tuple of str
-        Solids to draw from, see :mod:`optsim.scene.solids`.
+        Solids to draw from, see :mod:`optsim.scene.solids`; by default all, and none beside models.
     models : tuple of str
         Model files to draw from, too, or folders of such; paths relative to the scene's folder.
+    up : {"x", "y", "z"} or None
+        Axis of OBJ, PLY and STL models that points up; glTF has y by its own rule.
     size_m : (float, float)
         Smallest and largest of their largest sides, m; of models, of their heights.
     materials : tuple of str
@@ -62,8 +64,9 @@ class Population(Part):
 
     count: tuple[int, int]
     region_m: tuple[Vector, Vector]
-    shapes: tuple[Shape, ...] = SHAPES
+    shapes: tuple[Shape, ...] | None = None
     models: tuple[str, ...] = ()
+    up: Literal["x", "y", "z"] | None = None
     size_m: tuple[Positive, Positive]
     materials: tuple[str, ...] = ()
     resting: bool = False
@@ -80,13 +83,18 @@ class Population(Part):
             raise ValueError(f"got {list(pair)}, expected the low end first")
         return pair
 
+    @property
+    def solids(self) -> tuple[Shape, ...]:
+        """Solids to draw from, those by default included."""
+        return self.shapes if self.shapes is not None else () if self.models else SHAPES
+
     @model_validator(mode="after")
     def _something_to_draw(self) -> Population:
         if not 0 <= self.count[0] <= self.count[1] <= 1000:
             raise ValueError(f"count: got {list(self.count)}, expected 0 to 1000")
-        if not (self.shapes or self.models):
+        if not (self.solids or self.models):
             raise ValueError("got neither shapes nor models, expected one of them")
-        if self.shapes and not self.materials:
+        if self.solids and not self.materials:
             raise ValueError("materials: got none, expected names of the scene's materials, for the shapes")
         if any(low > high for low, high in zip(*self.region_m, strict=True)):
             raise ValueError(
@@ -139,7 +147,7 @@ def _drawn(
     population: Population, scene: str, name: str, variation: str, folder: Path, where: str
 ) -> dict[str, tuple[Table, Table | None]]:
     """Objects and their motions, by name."""
-    kinds: list[str] = [*population.shapes, *_models(population, folder, f"{where}: populate.{name}.models")]
+    kinds: list[str] = [*population.solids, *_models(population, folder, f"{where}: populate.{name}")]
 
     def stream(aspect: Literal["objects", "textures", "motion"], *place: int) -> np.random.Generator:
         words = [zlib.crc32(text.encode()) for text in (scene, name, aspect)]
@@ -179,6 +187,7 @@ def _drawn(
             item |= {"kind": "solid", "shape": kind, "material": material}
         else:
             item |= {"kind": "mesh", "file": kind} | ({} if material is None else {"material": material})
+            item |= {} if FORMATS[Path(kind).suffix.lower()] else {"up": population.up}
         item["anchor"] = "base" if population.resting else "middle"
         found[key] = item, motion
     return found
@@ -217,9 +226,17 @@ def _models(population: Population, folder: Path, where: str) -> list[str]:
     """Names of model files, those of folders included."""
     found: list[str] = []
     for name in population.models:
-        path = inside(folder, name, where, or_folder=True)
+        path = inside(folder, name, f"{where}.models", or_folder=True)
         files = sorted(p.name for p in path.iterdir() if p.suffix.lower() in FORMATS) if path.is_dir() else []
         if path.is_dir() and not files:
-            raise ConfigError(f"{where}: got {name!r}, a folder without models ({', '.join(FORMATS)})")
+            raise ConfigError(f"{where}.models: got {name!r}, a folder without models ({', '.join(FORMATS)})")
         found += [f"{name}/{file}" for file in files] or [name]
+    for file in found:
+        suffix = Path(file).suffix.lower()
+        if suffix not in FORMATS:
+            raise ConfigError(f"{where}.models: got {file!r}, expected one of {', '.join(FORMATS)}")
+        if FORMATS[suffix] is None and population.up is None:
+            raise ConfigError(
+                f'{where}.up: got none, expected x, y or z, as {suffix} files differ; cure: up = "z"'
+            )
     return found
