@@ -22,6 +22,7 @@ from optsim.core.files import read_json, write_json
 from optsim.metrics.comparison import Judgement, estimate, judge, row_level
 from optsim.report.baseline import Facts, Run, Scored, read_baseline, scored_runs, write_baseline
 from optsim.report.comparison import ALL_CASES, Comparison, Delta, between_methods, compare
+from optsim.report.comparison_page import write_comparison
 from optsim.report.comparison_text import as_junit, as_markdown, as_text
 
 PU21, STOPS = "PU21-PSNR[banding_glare, peak=256]", "log-RMSE[e=0.01 cd/m2] (stops)"
@@ -155,8 +156,8 @@ def side(name: str, values: dict[str, np.ndarray], first_seed: int = 1, case: st
     )
 
 
-def compared(a: Scored, b: Scored, *, whole: bool = True) -> Comparison:
-    return compare(a, b, "2026-01-02T03:04:05", whole=whole)
+def compared(a: Scored, b: Scored) -> Comparison:
+    return compare(a, b, "2026-01-02T03:04:05")
 
 
 def with_cases(sides: list[Scored]) -> Scored:
@@ -231,14 +232,117 @@ def test_linear_psnr_decides_nothing() -> None:
     assert {d.verdict for d in found.deltas if d.metric.startswith("PSNR")} == {"not judged"}
 
 
-def test_what_is_missing_cannot_pass() -> None:
-    values = {PU21: 20 + CONTENT + np.zeros((2, 1)), STOPS: np.full((2, FRAMES), 0.3)}
-    a, b = side("a", values), side("b", {PU21: values[PU21]})
-    assert compared(a, b).outcome == "cannot compare"
-    assert any(STOPS in line for line in compared(a, b).missing)
-    assert compared(a, b, whole=False).outcome == "pass"
-    one_seed = b.model_copy(update={"runs": b.runs[:1], "metrics": a.metrics})
-    assert "scene_a: seed 2" in compared(a, one_seed).missing
+def cut(scored: Scored, change: Callable[[dict[str, Any]], object], seeds: tuple[int, ...]) -> Scored:
+    """Change the record of some runs; a side is what its file says."""
+    record = json.loads(scored.model_dump_json())
+    for run in record["runs"]:
+        if run["seed"] in seeds:
+            change(run)
+    return Scored.model_validate(record)
+
+
+def two_methods(n_seeds: int, first_seed: int = 1, db: float = 0.0) -> Scored:
+    """Two metrics, methods m and n, three regions, five frames."""
+    noise = 0.01 * np.random.default_rng(first_seed).normal(size=(n_seeds, FRAMES))
+    values = {PU21: 20 + CONTENT + noise + db, STOPS: 0.3 + noise / 10}
+    scored = side("a", values, first_seed)
+    for run in scored.runs:
+        for methods in run.scores.values():
+            methods["n"] = methods["m"]
+    return scored
+
+
+def none_at(frames: tuple[int, ...], region: str) -> Callable[[dict[str, Any]], object]:
+    def change(run: dict[str, Any]) -> None:
+        for methods in run["scores"].values():
+            for regions in methods.values():
+                regions[region] = [None if f in frames else v for f, v in enumerate(regions[region])]
+
+    return change
+
+
+def without_method(run: dict[str, Any]) -> None:
+    run["scores"] = {metric: {"n": methods["n"]} for metric, methods in run["scores"].items()}
+
+
+@pytest.mark.parametrize("db", [0.0, -10.0])
+@pytest.mark.parametrize(
+    ("change", "seeds", "named"),
+    [
+        (without_method, (1, 2, 3), ["scene_a, m: all scores"]),
+        (without_method, (2,), ["scene_a, m: all scores, seed 2"]),
+        (
+            lambda run: run["scores"].pop(STOPS),
+            (1, 2),
+            [f"scene_a, m, n: {STOPS} (all, moving, static), seeds 1, 2"],
+        ),
+        (
+            none_at((3, 4), "moving"),
+            (1, 2, 3),
+            ["scene_a, m, n: all metrics (moving), seeds 1 to 3 frames 3, 4"],
+        ),
+        (none_at((1,), "all"), (3,), ["scene_a, m, n: all metrics (all), seed 3 frame 1"]),
+        (
+            lambda run: run.update(frames=[], scores=cut_short(run["scores"], 0)),
+            (1, 2, 3),
+            ["scene_a, m, n: all scores"],
+        ),
+        (
+            lambda run: run.update(frames=[0, 1], scores=cut_short(run["scores"], 2)),
+            (1, 2, 3),
+            ["scene_a, m, n: all scores, seeds 1 to 3 frames 2 to 4"],
+        ),
+    ],
+)  # fmt: skip
+def test_lost_scores_are_named_and_never_pass(
+    db: float, change: Callable[[dict[str, Any]], object], seeds: tuple[int, ...], named: list[str]
+) -> None:
+    found = compared(two_methods(3), cut(two_methods(3, db=db), change, seeds))
+    assert (found.outcome, found.missing) == ("cannot compare", named)
+    assert all(f"missing: {line}" in as_text(found) for line in named)
+    # With other seeds a side has to have the same rows and frames.
+    other = cut(two_methods(4, 11), change, tuple(seed + 10 for seed in seeds))
+    if len(seeds) == 1:
+        assert compared(two_methods(3), other).missing == [
+            line.replace(f"seed {seeds[0]}", f"seed {seeds[0] + 10}") for line in named
+        ]
+    assert compared(two_methods(3), other).outcome == "cannot compare"
+    # More than the first side has is no fault.
+    assert compared(cut(two_methods(3), change, (1, 2, 3)), two_methods(3)).missing == []
+
+
+def cut_short(scores: dict[str, Any], n: int) -> dict[str, Any]:
+    return {
+        metric: {m: {r: values[:n] for r, values in regions.items()} for m, regions in methods.items()}
+        for metric, methods in scores.items()
+    }
+
+
+def test_lost_seeds_and_scenes_are_named() -> None:
+    found = compared(two_methods(4), two_methods(2))
+    assert (found.outcome, found.missing) == ("cannot compare", ["scene_a: seeds 3, 4"])
+    assert compared(two_methods(4), two_methods(2, 11)).missing == [], "other seeds, fewer of them"
+    values = {PU21: 20 + CONTENT + np.zeros((2, 1))}
+    both = with_cases([side("a", values), side("a", values, case="scene_b")])
+    assert compared(both, side("a", values)).missing == ["scene_b: seeds 1, 2"]
+
+
+def test_a_reading_must_be_there_and_a_cost_in_one_run() -> None:
+    facts = {"bench: gain": METRICS[STOPS], "time: capture": METRICS[STOPS]}
+    readings = dict.fromkeys(facts, 1.0)
+    whole = two_methods(2)
+    whole = whole.model_copy(
+        update={
+            "runs": [run.model_copy(update={"readings": readings}) for run in whole.runs],
+            "metrics": whole.metrics | facts,
+        }
+    )
+    assert compared(whole, cut(whole, lambda run: run["readings"].pop("time: capture"), (1,))).missing == []
+    for name in facts:
+        none = cut(whole, lambda run, of=name: run["readings"].pop(of), (1, 2))
+        assert compared(whole, none).missing == [f"scene_a, whole run: {name}"]
+    one = cut(whole, lambda run: run["readings"].pop("bench: gain"), (1,))
+    assert compared(whole, one).missing == ["scene_a, whole run: bench: gain, seed 1"]
 
 
 def test_nothing_compared_is_no_pass() -> None:
@@ -260,12 +364,24 @@ def test_other_truths_are_refused() -> None:
     assert compared(a, side("b", values, case="scene_c")).outcome == "pass"
 
 
-def test_changed_settings_are_noted() -> None:
+def test_changed_settings_stand_in_the_record_and_on_the_page(tmp_path: Path) -> None:
     values = {PU21: 20 + CONTENT + np.zeros((2, 1))}
     b = side("b", values)
-    b.experiments["scene_a"]["camera"]["f_number"] = 8
-    notes = compared(side("a", values), b).notes
-    assert any("camera.f_number was None and is 8" in note for note in notes)
+    b.experiments["scene_a"]["camera"] |= {f"key_{k:02d}": k for k in range(20)}
+    found = compared(side("a", values), b.model_copy(update={"versions": {"optsim": "2"}}))
+    assert [(s.case, s.key, s.before, s.after) for s in found.settings] == [
+        *(("scene_a", f"camera.key_{k:02d}", "–", f"{k}") for k in range(20)),
+        ("scene_a", "version of optsim", "1", "2"),
+    ]
+    page = write_comparison(tmp_path, found, {}).read_text()
+    assert all(f"<td>camera.key_{k:02d}</td><td>–</td><td>{k}</td>" in page for k in range(20))
+    assert "differs: scene_a: camera.key_03 was – and is 3" in as_text(found)
+    assert "differs: 9 more, on the page" in as_markdown(found)
+    # A setting that differs alike in all scenes is one row.
+    two = [with_cases([side("s", values, case=c) for c in ("scene_a", "scene_b")]) for _ in range(2)]
+    for case in two[1].experiments.values():
+        case["camera"]["f_number"] = 8
+    assert [s.case for s in compared(*two).settings] == [ALL_CASES]
 
 
 def test_two_methods_of_a_run() -> None:
@@ -274,7 +390,12 @@ def test_two_methods_of_a_run() -> None:
     rows_of = run.scores[PU21]["m"]
     better = {name: [v + 1 for v in values if v is not None] for name, values in rows_of.items()}
     runs = [r.model_copy(update={"scores": {PU21: {"m": rows_of, "n": better}}}) for r in scored.runs]
-    found = compared(*between_methods(scored.model_copy(update={"runs": runs}), "m", "n"), whole=False)
+    methods = [{"name": name, "scheme": {"kind": kind}} for name, kind in (("m", "normal"), ("n", "random"))]
+    scored.experiments["scene_a"]["methods"] = methods
+    found = compared(*between_methods(scored.model_copy(update={"runs": runs}), "m", "n"))
+    assert [(s.key, s.before, s.after) for s in found.settings] == [
+        ("methods.n over m.scheme.kind", "normal", "random")
+    ]
     assert {(d.method, d.verdict) for d in found.deltas} == {("n over m", "better")}
     with pytest.raises(ConfigError, match="did you mean 'm'"):
         between_methods(scored, "mm", "n")
@@ -314,6 +435,11 @@ def test_a_baseline_reads_back(tmp_path: Path) -> None:
     scored = side("a", {PU21: 20 + CONTENT + np.zeros((2, 1)), STOPS: np.full((2, FRAMES), 0.3)})
     write_baseline(tmp_path / "a.json", scored)
     assert read_baseline(tmp_path / "a.json") == scored
+    ragged = read_json(tmp_path / "a.json")
+    ragged["runs"][0]["frames"].pop()
+    write_json(tmp_path / "c.json", ragged)
+    with pytest.raises(StorageError, match="without 4 values, expected one a frame"):
+        read_baseline(tmp_path / "c.json")
     (tmp_path / "b.json").write_text('{"format": "else"}')
     with pytest.raises(StorageError, match="optsim accept"):
         read_baseline(tmp_path / "b.json")
@@ -393,6 +519,85 @@ def test_a_missing_baseline_stores_a_candidate_and_accept_makes_it(
     assert path.read_bytes() == before, "a regression leaves its baseline alone"
     code, out, _ = cli("accept", str(tmp_path / "bad"), "--name", "mine")
     assert (code, "regression" in out) == (0, True)
+
+
+def test_lost_scores_end_compare_and_accept_with_code_two(
+    made: Path,
+    tmp_path: Path,
+    cli: Callable[..., tuple[int, str, str]],  # noqa: F811
+) -> None:
+    assert cli("accept", str(made), "--name", "mine")[0] == 0
+    path = Path("reports/baselines/mine.json")
+    whole = path.read_bytes()
+    lost = worse(made, tmp_path / "lost", db=10.0)
+    results = read_json(lost / "results.json")
+    kept = [series for series in results["frame_series"] if series["method"] != "normal"]
+    write_json(lost / "results.json", {**results, "frame_series": kept})
+    said = "synthetic, normal: all scores"
+    for before in (str(made), "mine"):
+        code, out, _ = cli("compare", before, str(lost), "--json", "--out", before[-3:])
+        assert (code, json.loads(out)["missing"]) == (2, [said]), before
+        assert json.loads(out)["outcome"] == "cannot compare"
+        for file in ("comparison.html", "comparison.json", "comparison.md", "junit.xml"):
+            assert said in (Path(before[-3:]) / file).read_text(), file
+    code, _, err = cli("accept", str(lost), "--name", "mine")
+    assert (code, said in err, "remove" in err, len(err.splitlines())) == (2, True, True, 1)
+    assert path.read_bytes() == whole
+    path.unlink()
+    assert cli("accept", str(lost), "--name", "mine")[0] == 0
+
+
+def test_a_series_cut_short_is_named_or_refused(
+    made: Path,
+    tmp_path: Path,
+    cli: Callable[..., tuple[int, str, str]],  # noqa: F811
+) -> None:
+    place = worse(made, tmp_path / "cut", db=0.0)
+    whole = read_json(place / "results.json")
+    of = [k for k, series in enumerate(whole["frame_series"]) if series["method"] == "adaptive"]
+    for steady, said in ((1, "all scores, seed 0 frames 6 to 8"), (0, "all scores")):
+        results = copy.deepcopy(whole)
+        for k in of:
+            series = results["frame_series"][k]
+            n = steady and 6
+            series["x"], series["values"] = series["x"][:n], series["values"][:n]
+        write_json(place / "results.json", results)
+        code, out, err = cli("compare", str(made), str(place), "--json", "--out", f"cut{steady}")
+        assert code == 2, err
+        assert json.loads(out)["missing"] == [f"synthetic, adaptive: {said}"]
+    whole["frame_series"][of[0]]["values"].pop()
+    write_json(place / "results.json", whole)
+    code, out, _ = cli("compare", str(made), str(place), "--json", "--out", "ragged")
+    (line,) = json.loads(out)["missing"]
+    assert (code, line.startswith("synthetic, adaptive: "), line.endswith(", seed 0 frame 8")) == (
+        2,
+        True,
+        True,
+    )
+
+
+@pytest.mark.parametrize("name", ["sub/base", "../up", ".", "", "--help", "a/.json", ".json", "sub/", "a\nb"])
+def test_a_name_of_a_baseline_that_is_none_is_refused(
+    name: str,
+    made: Path,
+    cli: Callable[..., tuple[int, str, str]],  # noqa: F811
+) -> None:
+    code, _, err = cli("accept", str(made), "--name", name)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert err.startswith("optsim: --name: got ")
+    assert "cure: --name" in err
+    assert not Path("reports").exists()
+
+
+def test_a_baseline_may_be_a_file(
+    made: Path,
+    tmp_path: Path,
+    cli: Callable[..., tuple[int, str, str]],  # noqa: F811
+) -> None:
+    for name in ("sub/base.json", str(tmp_path / "b-1.2.json"), "c.json"):
+        assert cli("accept", str(made), "--name", name)[0] == 0
+        assert read_baseline(Path(name)).name == Path(name).stem
+        assert cli("compare", name, str(made))[0] == 0
 
 
 def test_several_runs_of_a_folder(made: Path, tmp_path: Path) -> None:

@@ -1,6 +1,12 @@
 """Progress where nobody watches: lines of a log, not too many of them."""
 
+import io
+import os
+import subprocess
+import sys
+
 import pytest
+from rich.console import Console
 
 from optsim.core import console
 
@@ -42,3 +48,20 @@ def test_brackets_and_colons_are_text_in_lines_and_tables(capsys: pytest.Capture
     for text in capsys.readouterr():
         assert "[banding_glare, peak=256] in runs[a]:100:" in text
         assert all(f"[{letter}]" in text for letter in "bcd")
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "-5", "x"])
+def test_help_is_whole_where_a_shell_states_no_width_of_use(columns: str) -> None:
+    words = [sys.executable, "-m", "optsim", "dataset", "--help"]
+    said = [
+        subprocess.run(words, env=os.environ | {"COLUMNS": each}, capture_output=True, text=True, check=True)
+        for each in ("80", columns)
+    ]
+    assert said[1].stdout.split() == said[0].stdout.split() != []
+
+
+def test_a_narrow_table_folds_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = [f"{letter * 9}" for letter in "abcdef"]
+    narrow = io.StringIO()
+    Console(file=narrow, width=40).print(console.table("", words, [words]))
+    assert all(narrow.getvalue().count(word[0]) >= 18 for word in words)

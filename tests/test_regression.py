@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ from optsim.experiment.experiment import load_experiment
 from optsim.experiment.readings import bench_readings
 from optsim.metrics.tolerances import MEMORY, READING, TIME, tolerance_of
 from optsim.report.baseline import YARDSTICK, Scored, scored_runs
-from optsim.report.comparison import RUN, compare
+from optsim.report.comparison import compare
+from optsim.report.missing import RUN
 from optsim.study import regression
 from optsim.tasks import Outcome
 
@@ -94,7 +96,7 @@ def test_a_changed_reading_is_caught_either_way(
         other["readings"][0]["value"] *= factor
         other["readings"][1]["value"] += shift
         changed = matrix_of(other, tmp_path / f"{factor}{shift}", monkeypatch)
-        found = compare(sound, changed, "2026-01-02T03:04:05", whole=True)
+        found = compare(sound, changed, "2026-01-02T03:04:05")
         failed = {d.metric.removeprefix(READING) for d in found.deltas if d.alarm == "fail"}
         # The machine that tests is too busy for judgements of time.
         assert {name for name in failed if not name.startswith(TIME)} == fails
@@ -114,7 +116,7 @@ def test_a_slower_stage_and_more_memory_are_caught(
         if stage["stage"] == "decode":
             stage["cpu_s"] *= 1.6
             stage["peak_rss_mb"] *= 1.3
-    found = compare(sound, matrix_of(other, tmp_path / "slow", monkeypatch), "2026", whole=True)
+    found = compare(sound, matrix_of(other, tmp_path / "slow", monkeypatch), "2026")
     failed = {d.metric for d in found.deltas if d.alarm == "fail"}
     assert failed == {TIME + "decode", MEMORY + "decode"}
     assert not any(d.metric == TIME + "render" for d in found.deltas)
@@ -124,7 +126,7 @@ def test_a_slower_stage_and_more_memory_are_caught(
     for stage in slow["timings"]:
         stage["cpu_s"] *= 2
     monkeypatch.setattr(regression, "_yardstick_s", lambda: 1.0)
-    found = compare(sound, matrix_of(slow, tmp_path / "old", monkeypatch), "2026", whole=True)
+    found = compare(sound, matrix_of(slow, tmp_path / "old", monkeypatch), "2026")
     assert found.outcome == "pass"
 
 
@@ -163,6 +165,13 @@ def test_the_command_compares_with_the_baseline(
     assert cli("accept", str(tmp_path / "runs"), "--name", "regress")[0] == 0
     assert cli("regress")[0] == 0
     assert cli("regress", "--seeds", "a,b")[0] == 2
+    lost = tmp_path / "runs" / "wheel-nominal" / "1" / "results.json"
+    lost.write_text(lost.read_text().replace('"adaptive"', '"adaptive_2"'))
+    code, out, _ = cli("regress", "--json")
+    assert code == 2
+    assert [line.partition(", ")[2] for line in json.loads(out)["missing"]] == [
+        "adaptive: all scores, seed 1"
+    ]
     failed = Outcome((), (), {"window_room-nominal/1": "no memory"})
     monkeypatch.setattr(regression, "run_matrix", lambda *_, **__: (tmp_path, failed))
     code, _, err = cli("regress")

@@ -1,11 +1,15 @@
 """The engine of studies, and sweeps: points, paired seeds, what is shared, and what a user sees."""
 
 import csv
+import html
 import json
+import re
+import shlex
+import sys
 
 import numpy as np
 import pytest
-from small_study import FRAMES, load, without_workers, write_experiment  # noqa: F401  a fixture
+from small_study import FRAMES, SMALL, load, without_workers, write_experiment  # noqa: F401  a fixture
 from test_cli import cli  # noqa: F401  a fixture
 
 from optsim.core.errors import ConfigError, StorageError
@@ -20,6 +24,7 @@ from optsim.study.stage import frames_to_score, make_stage
 from optsim.study.sweep import SweepPlan, sweep
 from optsim.study.sweep_page import write_sweep_page
 from optsim.study.words import assumptions
+from optsim.tasks import Outcome
 
 SHIFT = "camera.relay.shift_x_px"
 ONE = Seeds(1, 1)
@@ -140,6 +145,32 @@ def test_a_measured_point_is_found_again_and_a_refused_one_says_why(stage):
     refused = compare(stage, Point(((SHIFT, 40.0),)), ONE)
     assert "falls" in refused.refused
     assert refused.change_db == {}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sweep", "--vary", "relay.shift_x_px=0,0.1"),
+        ("operators",),
+        ("tolerance", "--parameters", "shift_x"),
+        ("waterfall", "--effects", "contrast"),
+        ("yield",),
+    ],
+)
+def test_the_page_of_each_study_shows_what_was_set(words, file, tmp_path, cli, monkeypatch):  # noqa: F811
+    """Nothing is measured here: all tasks are put aside, and the page is written nevertheless."""
+    aside = lambda tasks, *_, **__: Outcome((), (), {task.name: "not measured" for task in tasks})  # noqa: E731
+    for name, stand_in in (("run_tasks", aside), ("render_truth", None), ("calibrate_all", None)):
+        monkeypatch.setattr(f"optsim.study.folder.{name}", stand_in or (lambda *_, **__: None))
+    keys = [*SMALL, "description=a = <b>"]
+    given = [word for key in keys for word in ("--set", key)]
+    command, *options = words
+    line = [command, str(file), *options, *given, "--out", "out"]
+    _, _, err = cli(*line)
+    assert "not measured" in err
+    page = (tmp_path / "out" / "study.html").read_text()
+    said = re.search("<p>Command: <code>(.*)</code></p>", page)[1]
+    assert shlex.split(html.unescape(said))[1:] == list(sys.argv[1:]) == line
 
 
 def test_student_gives_the_textbook_interval():

@@ -221,7 +221,7 @@ def one_side(path: Path, n_seeds: int) -> None:
 
 
 def judged(before: Scored, after: Scored) -> Comparison:
-    return compare(before, after, datetime.now(UTC).isoformat(timespec="seconds"), whole=False)
+    return compare(before, after, datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def page(found: dict[str, Comparison], other: Comparison) -> str:

@@ -318,6 +318,7 @@ app.command("benchmark")(benchmark)
 # Its name before that of the images of a bench.
 app.command("bench", hidden=True, deprecated=True)(benchmark)
 app.command("validate")(validate)
+_LEAST_COLUMNS = 40
 LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")
 
 
@@ -357,5 +358,13 @@ def init(
 def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
     keep_freed_memory()
+    _keep_width_readable()
     command = typer.main.get_command(app)
     raise SystemExit(guarded(lambda: command.main(standalone_mode=False)))
+
+
+def _keep_width_readable() -> None:
+    """Ignore a width below 40 columns, or none: editors and build servers set 0, and Rich prints nothing."""
+    width = os.environ.get("COLUMNS", "")
+    if width and not (width.isdecimal() and int(width) >= _LEAST_COLUMNS):
+        del os.environ["COLUMNS"]

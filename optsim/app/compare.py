@@ -73,20 +73,27 @@ def compare(
 def accept(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run, or of several.")],
     name: Annotated[
-        str | None, typer.Option(help="Name of the baseline [the experiment's, or the folder's].")
+        str | None,
+        typer.Option(help="Name of the baseline, or a .json file [the experiment's name, or the folder's]."),
     ] = None,
 ) -> None:
     """Make a run the baseline: the only way that reports/baselines/ changes."""
     from optsim.core.console import page
-    from optsim.report.baseline import baseline_path, read_baseline, scored_runs, write_baseline
+    from optsim.core.errors import ConfigError
+    from optsim.report.baseline import new_baseline_path, read_baseline, scored_runs, write_baseline
     from optsim.report.comparison import compare as compared
     from optsim.report.comparison_text import headline
 
     scored = scored_runs(run)
-    path = baseline_path(name or scored.name)
+    path = new_baseline_path(scored.name if name is None else name)
     if path.exists():
-        found = compared(read_baseline(path), scored, scored.made_utc, whole=True)
+        found = compared(read_baseline(path), scored, scored.made_utc)
         page.print(f"Against the baseline before: {headline(found)}")
+        if found.missing:
+            raise ConfigError(
+                f"{run}: got a run without scores of the baseline {path}: {'; '.join(found.missing)}; cure: "
+                f"run it whole, or remove {path} first"
+            )
     write_baseline(path, scored.model_copy(update={"name": path.stem}))
     _candidate(path).unlink(missing_ok=True)
     page.print(f"Baseline: {path}. Commit it with the change that it belongs to.")
@@ -105,11 +112,11 @@ def _found(before: str, after: Path | None, pair: list[str]) -> tuple[Any, dict[
     place = Path(before)
     if after is None:
         first, second = between_methods(scored_runs(place), *pair)
-        return compared(first, second, now, whole=False), {"before": place, "after": place}
+        return compared(first, second, now), {"before": place, "after": place}
     candidate = scored_runs(after)
     if place.is_dir():
         places = {"before": place, "after": after}
-        return compared(scored_runs(place), candidate, now, whole=False), places
+        return compared(scored_runs(place), candidate, now), places
     path = baseline_path(before)
     if not path.exists():
         stored = _candidate(path)
@@ -118,7 +125,7 @@ def _found(before: str, after: Path | None, pair: list[str]) -> tuple[Any, dict[
             f"{path}: no such baseline; the candidate is stored as {stored}; cure: look at the run, then "
             f"'optsim accept {after} --name {path.stem}'"
         )
-    return compared(read_baseline(path), candidate, now, whole=True), {"after": after}
+    return compared(read_baseline(path), candidate, now), {"after": after}
 
 
 def _candidate(path: Path) -> Path:

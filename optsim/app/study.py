@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -254,8 +255,6 @@ def yield_(
     as_json: Json = False,
 ) -> None:
     """Draw cameras within a tolerance sheet: how many reach a score, and what the others share."""
-    import shlex
-
     from optsim.core.console import page, table
     from optsim.metrics.records import REGIONS
     from optsim.study.compensation import COMPENSATORS
@@ -314,7 +313,7 @@ def _study(
     from optsim.study.folder import Workplace
 
     with output_folder(out, name) as folder:
-        place = Workplace(folder, workers, scheduler, " ".join(["optsim", *sys.argv[1:]]))
+        place = Workplace(folder, workers, scheduler, shlex.join(["optsim", *sys.argv[1:]]))
         with progress_bars(quiet=as_json) as progress:
             record = measure(place, progress)
         write_page(folder, record)

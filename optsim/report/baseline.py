@@ -7,12 +7,13 @@ holds the scores of each coded frame and seed, so that a later run is compared w
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import read_record, write_text
@@ -55,6 +56,13 @@ class Run(Record):
     readings: dict[str, float] = Field(default_factory=dict[str, float])
     scores: Scores
 
+    @model_validator(mode="after")
+    def _aligned(self) -> Run:
+        rows = [each for methods in self.scores.values() for each in methods.values()]
+        if any(len(values) != len(self.frames) for each in rows for values in each.values()):
+            raise ValueError(f"got a score without {len(self.frames)} values, expected one a frame")
+        return self
+
 
 class Scored(Record):
     """Scores of several runs; ``experiments`` are the settings of each case without their seed."""
@@ -71,6 +79,16 @@ class Scored(Record):
 def baseline_path(name: str) -> Path:
     """Place of a baseline: a bare name is one of :data:`BASELINES`, anything else a path."""
     return Path(name) if "/" in name or name.endswith(".json") else BASELINES / f"{name}.json"
+
+
+def new_baseline_path(name: str) -> Path:
+    """Place of a baseline to be written: a bare name, or the path of a JSON file; else a ConfigError."""
+    path = baseline_path(name)
+    if path.suffix != ".json" or not re.fullmatch(r"[^\W_][\w .-]*", path.stem):
+        raise ConfigError(
+            f"--name: got {name!r}, expected a bare name, or a path that ends with .json; cure: --name demo"
+        )
+    return path
 
 
 def run_folders(place: Path) -> list[Path]:
@@ -113,7 +131,7 @@ def scored_runs(place: Path) -> Scored:
         )
     return Scored(
         format=FORMAT,
-        name=read[0].title if len({run.case for run in runs}) == 1 else place.name,
+        name=read[0].title if len({run.case for run in runs}) == 1 else place.resolve().name,
         made_utc=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=read[0].versions,
         metrics={name: facts for results in read for name, facts in _facts(results).items()},
@@ -145,17 +163,17 @@ def last_phase(
     Parameters
     ----------
     series : sequence of Series or ClassSeries
-        Those of older versions hold all phases.
+        Those of older versions hold all phases. A series may lack frames that others have.
     latency_frames : int
         Latency of the loop, for the phases.
     """
+    x = {frame for each in series for frame in each.x}
+    last = phase_of(max(x, default=0), latency_frames)
+    frames = sorted(frame for frame in x if phase_of(frame, latency_frames) == last)
     scores: Scores = {}
-    frames: list[int] = []
     for each in series:
-        last = phase_of(each.x[-1], latency_frames)
-        places = [place for place, x in enumerate(each.x) if phase_of(x, latency_frames) == last]
-        frames = [each.x[place] for place in places]
-        values = [_rounded(each.values[place]) for place in places]
+        known = dict(zip(each.x, each.values, strict=False))
+        values = [_rounded(known.get(frame)) for frame in frames]
         scores.setdefault(each.metric, {}).setdefault(each.method, {})[each.region] = values
     return frames, scores
 

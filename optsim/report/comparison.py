@@ -7,8 +7,7 @@ beyond its metric's tolerance. The smallest loss that would fail is stated besid
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -20,12 +19,11 @@ from optsim.metrics.comparison import Alarm, Change, Estimate, estimate, judge, 
 from optsim.metrics.records import Record
 from optsim.metrics.student import CONFIDENCE
 from optsim.metrics.tolerances import tolerance_of
-from optsim.report.baseline import Facts, Run, Scored
+from optsim.report.baseline import Facts, Scored
+from optsim.report.missing import Key, missing_scores, units_of
 
 ALL_CASES = "all scenes"
 """Case of the rows that take the mean over all cases."""
-RUN = "whole run"
-"""Method and region of readings of the bench and of costs."""
 Outcome = Literal["pass", "regression", "cannot compare"]
 _TRUTH = ("scene", "source", "camera.panel_rows", "camera.panel_cols", "camera.slots_per_frame")
 
@@ -69,6 +67,15 @@ class Detectable(Record):
     worst: float
 
 
+class Setting(Record):
+    """A setting or version that differs between the sides; a dash where a side has none."""
+
+    case: str
+    key: str
+    before: str
+    after: str
+
+
 class Kept(Record):
     """Picture of a method that failed, below the comparison's folder."""
 
@@ -90,21 +97,14 @@ class Comparison(Record):
     judged: int
     detectable: list[Detectable]
     deltas: list[Delta]
+    settings: list[Setting]
     notes: list[str]
     missing: list[str]
     pictures: list[Kept] = Field(default_factory=list[Kept])
 
 
-@dataclass(frozen=True)
-class _Key:
-    case: str
-    method: str
-    metric: str
-    region: str
-
-
-def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Comparison:
-    """Compare the scores of two sides.
+def compare(before: Scored, after: Scored, made_utc: str) -> Comparison:
+    """Compare the scores of two sides; they cannot be where the second lacks any score of the first.
 
     Parameters
     ----------
@@ -112,8 +112,6 @@ def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Com
         Baseline and candidate.
     made_utc : str
         Time, for the page.
-    whole : bool
-        Whether the candidate must have every score of the baseline.
 
     Raises
     ------
@@ -121,8 +119,8 @@ def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Com
         When the two have no scene in common, or not the same truth.
     """
     after = _matched(before, after)
-    notes = _differences(before, after)
-    found, missing = _estimates(before, after)
+    notes: list[str] = []
+    found, missing = _estimates(before, after), missing_scores(before, after)
     found |= _over_cases(found)
     metrics = {**after.metrics, **before.metrics}
     tolerances = {name: tolerance_of(name) for name in metrics}
@@ -134,10 +132,10 @@ def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Com
     elif all(delta.seeds == 1 for delta in deltas):
         notes.append("one seed: intervals hold the scatter of coded frames, not that of benches and codes")
     outcome: Outcome = "pass" if judged else "cannot compare"
-    if any(delta.alarm == "fail" for delta in deltas):
-        outcome = "regression"
-    elif missing and whole:
+    if missing:
         outcome = "cannot compare"
+    elif any(delta.alarm == "fail" for delta in deltas):
+        outcome = "regression"
     return Comparison(
         before=before.name,
         after=after.name,
@@ -147,6 +145,7 @@ def compare(before: Scored, after: Scored, made_utc: str, *, whole: bool) -> Com
         judged=len(judged),
         detectable=_detectable(deltas),
         deltas=deltas,
+        settings=_differences(before, after),
         notes=notes,
         missing=missing,
     )
@@ -174,8 +173,16 @@ def between_methods(scored: Scored, before: str, after: str) -> tuple[Scored, Sc
             )
             for run in scored.runs
         ]
-        sides.append(scored.model_copy(update={"runs": runs, "name": f"{wanted} of {scored.name}"}))
+        about = {case: _of_method(each, wanted, label) for case, each in scored.experiments.items()}
+        told = {"runs": runs, "name": f"{wanted} of {scored.name}", "experiments": about}
+        sides.append(scored.model_copy(update=told))
     return sides[0], sides[1]
+
+
+def _of_method(experiment: Mapping[str, Any], name: str, label: str) -> dict[str, Any]:
+    """Take the settings of one method only, under the name of both."""
+    methods = [{**each, "name": label} for each in experiment.get("methods", ()) if each["name"] == name]
+    return {**experiment, "methods": methods}
 
 
 def _matched(before: Scored, after: Scored) -> Scored:
@@ -208,21 +215,24 @@ def _of_truth(experiment: Mapping[str, Any]) -> dict[str, object]:
     return {key: keys[key] for key in keys if key.startswith(_TRUTH)}
 
 
-def _differences(before: Scored, after: Scored) -> list[str]:
-    """Say what differs in settings and versions."""
-    notes: list[str] = []
-    for case in sorted(before.experiments.keys() & after.experiments.keys()):
-        ours, theirs = (_settings(side.experiments[case]) for side in (before, after))
-        notes += [
-            f"{case}: {key} was {ours.get(key)} and is {theirs.get(key)}"
-            for key in sorted({**ours, **theirs})
-            if ours.get(key) != theirs.get(key)
+def _differences(before: Scored, after: Scored) -> list[Setting]:
+    """List what differs in settings and versions; a setting that differs alike in all cases once."""
+    changes: dict[tuple[str, str, str], list[str]] = {}
+    common = sorted(before.experiments.keys() & after.experiments.keys())
+    for case in common:
+        tables = [
+            {**_settings(side.experiments[case]), **{f"version of {k}": v for k, v in side.versions.items()}}
+            for side in (before, after)
         ]
-    for name in sorted({**before.versions, **after.versions}):
-        was, now = before.versions.get(name), after.versions.get(name)
-        if was != now:
-            notes.append(f"version of {name} was {was} and is {now}")
-    return list(dict.fromkeys(notes))
+        for key in sorted({**tables[0], **tables[1]}):
+            was, now = (table.get(key, "–") for table in tables)
+            if was != now:
+                changes.setdefault((key, str(was), str(now)), []).append(case)
+    return [
+        Setting(case=case, key=key, before=was, after=now)
+        for (key, was, now), cases in changes.items()
+        for case in ([ALL_CASES] if len(cases) == len(common) > 1 else cases)
+    ]
 
 
 def _settings(experiment: Mapping[str, Any]) -> dict[str, object]:
@@ -232,58 +242,22 @@ def _settings(experiment: Mapping[str, Any]) -> dict[str, object]:
     return flat(table)
 
 
-Units = dict[_Key, dict[tuple[int, int], float]]
-
-
-def _units(scored: Scored, cases: Iterable[str]) -> Units:
-    """Scores by row, seed and frame; relative ones as 100 times their logarithm."""
-    found: Units = {}
-    for run in scored.runs:
-        if run.case not in cases:
-            continue
-        for name, value in run.readings.items():
-            units = found.setdefault(_Key(run.case, RUN, name, RUN), {})
-            units[run.seed, 0] = 100 * math.log(value) if scored.metrics[name].relative else value
-        for metric, methods in run.scores.items():
-            for method, regions in methods.items():
-                for region, values in regions.items():
-                    units = found.setdefault(_Key(run.case, method, metric, region), {})
-                    units |= _known(run, values)
+def _estimates(before: Scored, after: Scored) -> dict[Key, Estimate]:
+    """Estimate all common rows."""
+    theirs, metrics = units_of(after), {**after.metrics, **before.metrics}
+    found: dict[Key, Estimate] = {}
+    for key, units in units_of(before).items():
+        each = estimate(units, theirs.get(key, {}), metrics[key.metric].higher_is_better)
+        if each is not None:
+            found[key] = each
     return found
 
 
-def _known(run: Run, values: Sequence[float | None]) -> dict[tuple[int, int], float]:
-    pairs = zip(run.frames, values, strict=True)
-    return {(run.seed, frame): value for frame, value in pairs if value is not None}
-
-
-def _estimates(before: Scored, after: Scored) -> tuple[dict[_Key, Estimate], list[str]]:
-    """Estimate all common rows; name what only the baseline has."""
-    cases = before.experiments.keys() & after.experiments.keys()
-    ours, theirs = _units(before, before.experiments), _units(after, cases)
-    metrics = {**after.metrics, **before.metrics}
-    found: dict[_Key, Estimate] = {}
-    lost: list[str] = []
-    for key, units in ours.items():
-        if not units:
-            continue
-        each = estimate(units, theirs.get(key, {}), metrics[key.metric].higher_is_better)
-        if each is None:
-            lost.append(f"{key.case}, {key.method}: {key.metric}, {key.region}")
-        else:
-            found[key] = each
-    seeds = [{(run.case, run.seed) for run in side.runs} for side in (before, after)]
-    common = seeds[0] & seeds[1]
-    if common:
-        lost += [f"{case}: seed {seed}" for case, seed in sorted(seeds[0] - common) if case in cases]
-    return found, lost
-
-
-def _over_cases(found: Mapping[_Key, Estimate]) -> dict[_Key, Estimate]:
+def _over_cases(found: Mapping[Key, Estimate]) -> dict[Key, Estimate]:
     """Mean of each row over the cases that have it, where there are several."""
-    groups: dict[_Key, list[Estimate]] = {}
+    groups: dict[Key, list[Estimate]] = {}
     for key, each in found.items():
-        groups.setdefault(_Key(ALL_CASES, key.method, key.metric, key.region), []).append(each)
+        groups.setdefault(Key(ALL_CASES, key.method, key.metric, key.region), []).append(each)
     return {key: _mean(group) for key, group in groups.items() if len(group) > 1}
 
 
@@ -308,7 +282,7 @@ def _mean(group: Sequence[Estimate]) -> Estimate:
 
 
 def _delta(
-    key: _Key,
+    key: Key,
     each: Estimate,
     metrics: Mapping[str, Facts],
     tolerances: Mapping[str, float | None],

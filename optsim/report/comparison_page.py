@@ -16,14 +16,13 @@ from optsim.report.comparison_text import (
     as_markdown,
     cells,
     detectable_lines,
-    further_lines,
     headline,
     ranked,
     shown,
 )
+from optsim.report.html import page_environment
 from optsim.report.schema import RESULTS, Results, check_results
 
-TEMPLATES = Path(__file__).parent / "template"
 _MOST_PICTURES = 60
 
 
@@ -44,31 +43,25 @@ def write_comparison(folder: Path, found: Comparison, places: Mapping[str, Path]
     Path
         The page.
     """
-    import jinja2
-
     found = found.model_copy(update={"pictures": _keep_pictures(folder, found, places)})
     write_json(folder / "comparison.json", found.as_json())
     write_text(folder / "comparison.md", as_markdown(found))
     write_text(folder / "junit.xml", as_junit(found))
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     groups: dict[tuple[str, str], list[Kept]] = {}
     for picture in found.pictures:
         groups.setdefault((picture.case, picture.method), []).append(picture)
-    page = environment.get_template("comparison.html.j2").render(
-        c=found,
-        headline=headline(found),
-        detectable=detectable_lines(found),
-        columns=COLUMNS,
-        first=[(d.alarm, cells(d)) for d in shown(found)],
-        rest=[(d.alarm, cells(d)) for d in ranked(found.deltas)],
-        further=further_lines(found),
-        groups=groups,
+    page = (
+        page_environment()
+        .get_template("comparison.html.j2")
+        .render(
+            c=found,
+            headline=headline(found),
+            detectable=detectable_lines(found),
+            columns=COLUMNS,
+            first=[(d.alarm, cells(d)) for d in shown(found)],
+            rest=[(d.alarm, cells(d)) for d in ranked(found.deltas)],
+            groups=groups,
+        )
     )
     path = folder / "comparison.html"
     write_text(path, page)

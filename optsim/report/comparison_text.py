@@ -28,7 +28,7 @@ def detectable_lines(found: Comparison) -> list[str]:
 def headline(found: Comparison) -> str:
     """Outcome in a line."""
     fails, warns = (sum(d.alarm == alarm for d in found.deltas) for alarm in ("fail", "warn"))
-    lost = f", {len(found.missing)} scores are missing" if found.missing else ""
+    lost = ", scores are missing" if found.missing else ""
     return (
         f"{found.outcome}: {fails} of {found.judged} judged rows fail, {warns} warn{lost} "
         f"({found.confidence:.0%} for all intervals together)"
@@ -72,7 +72,7 @@ def _signed(value: float | None, unit: str) -> str:
 
 
 def as_text(found: Comparison) -> str:
-    """Text for a terminal: smallest detectable losses, outcome, alarms, whole pictures, notes."""
+    """Text for a terminal: what is missing, smallest detectable losses, outcome, alarms, notes."""
     # Scores before and after would make the lines too long.
     rows = [cells(delta)[:-2] for delta in shown(found)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -82,6 +82,7 @@ def as_text(found: Comparison) -> str:
     return "\n".join(
         [
             f"{found.after} against {found.before}",
+            *_some("missing", found.missing),
             "Smallest loss that fails with 90 % probability:",
             *(f"  {line}" for line in detectable_lines(found) or ["none: nothing has an interval"]),
             headline(found),
@@ -92,12 +93,15 @@ def as_text(found: Comparison) -> str:
 
 
 def further_lines(found: Comparison) -> list[str]:
-    """Say what is missing and what differs."""
-    lost, notes = found.missing, found.notes
-    lines = [f"missing: {line}" for line in lost[:_MOST_NOTES]]
-    lines += [f"and {len(lost) - _MOST_NOTES} more are missing"] if len(lost) > _MOST_NOTES else []
-    lines += [f"note: {line}" for line in notes[:_MOST_NOTES]]
-    return [*lines, *([f"and {len(notes) - _MOST_NOTES} more notes"] if len(notes) > _MOST_NOTES else [])]
+    """Say what differs."""
+    settings = [f"{each.case}: {each.key} was {each.before} and is {each.after}" for each in found.settings]
+    return [*_some("differs", settings), *_some("note", found.notes)]
+
+
+def _some(word: str, said: Sequence[str]) -> list[str]:
+    more = len(said) - _MOST_NOTES
+    lines = [f"{word}: {line}" for line in said[:_MOST_NOTES]]
+    return [*lines, f"{word}: {more} more, on the page"] if more > 0 else lines
 
 
 def as_markdown(found: Comparison) -> str:
@@ -108,6 +112,8 @@ def as_markdown(found: Comparison) -> str:
             f"### {found.after} against {found.before}: {found.outcome}",
             "",
             headline(found),
+            "",
+            *(f"- {line}" for line in _some("missing", found.missing)),
             "",
             "Smallest loss that fails with 90 % probability:",
             "",

@@ -9,8 +9,7 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from optsim.core.files import write_text
-
-TEMPLATES = Path(__file__).parent / "template"
+from optsim.report.html import page_environment
 
 
 @dataclass(frozen=True)
@@ -36,16 +35,7 @@ def write_page(path: Path, *, kind: str, title: str, lead: str, sections: Sequen
     sections : sequence of Section
         In their order.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = environment.get_template("page.html.j2")
+    template = page_environment().get_template("page.html.j2")
     write_text(path, template.render(kind=kind, title=title, lead=lead, sections=sections))
 
 

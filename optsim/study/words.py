@@ -65,10 +65,13 @@ def assumptions(record: dict[str, Any]) -> list[str]:
 
 
 def work_done(record: dict[str, Any]) -> Markup:
-    """Tabulate what was computed, and what was not because it was known."""
+    """Tabulate what was computed, and what was not because it was known; with the command and its --set."""
     work = record["work"]
     rows: list[tuple[str, object]] = [
         (words, work[name]) for name, words in _COUNTS.items() if work.get(name)
     ]
     rows.append(("time of this call", seconds(record["seconds"])))
-    return table(("work", "count"), rows, "The truth was rendered, or found, once.")
+    command = Markup("<p>Command: <code>{}</code></p>").format(
+        record["command"] or "none: called from Python"
+    )
+    return command + table(("work", "count"), rows, "The truth was rendered, or found, once.")
