@@ -128,7 +128,7 @@ def test_moving_models_have_flow_depth_and_ids_of_their_vertices(folder):
     passes = render_passes(scene(folder, text), view, 0.02, 0.01)
     names = {name: number for number, name in passes.id_table.items()}
     focal = 40 / 0.5
-    cloth, box = (passes.ids == names[name] for name in ("mover/cloth", "mover/box_grey"))
+    cloth, box = (passes.ids == names[name] for name in ("mover/cloth", "mover/box"))
     assert cloth.sum() > 100
     assert box.sum() > 50
     # Seen from 3 m: 0.02 m a slot to the right; the box rises 0.01 m a slot, its face 3 m - 0.067 m away.

@@ -124,7 +124,7 @@ def test_forward_then_backward_returns(frames) -> None:
     place = np.moveaxis(centres(), 0, -1) + now.flow_forward_px
     visible = ~now.occluded_forward & (now.ids > 0)
     nearest = [np.where(visible, np.floor(place[..., axis]), 0).astype(int) for axis in (0, 1)]
-    use = visible & of_one_object(then.ids)[*nearest] & (then.ids[*nearest] == now.ids)
+    use = visible & of_one_object(then.parts)[*nearest] & (then.parts[*nearest] == now.parts)
     assert use.mean() > 0.3
     spots = place[use].T - 0.5
     back = np.stack([map_coordinates(then.flow_backward_px[..., i], spots, order=1) for i in (0, 1)], -1)
@@ -159,12 +159,12 @@ def test_depth_back_projects_onto_the_renderers_hits(frames) -> None:
 
 
 def test_every_id_lies_within_its_object(frames) -> None:
-    """Points of an id lie in the box of the object that the table names: also of merged meshes."""
+    """Points of a part lie in the box of the part that the table names: also of merged meshes."""
     scene, passes, _ = frames
     points = world_points(passes)
     singles, still = scene.singles(), scene.still_objects()
-    for number in np.unique(passes.ids[passes.ids > 0]).tolist():
-        kind, name = passes.id_table[number].split("/", 1)
+    for number in np.unique(passes.parts[passes.parts > 0]).tolist():
+        kind, name = passes.part_table[number][1].split("/", 1)
         if kind == "static":
             continue
         if kind == "mover":
@@ -175,7 +175,8 @@ def test_every_id_lies_within_its_object(frames) -> None:
             lamp = scene.lamps[name]
             u, v = np.asarray(lamp.edge_u_m) / 2, np.asarray(lamp.edge_v_m) / 2
             corners = np.asarray(lamp.center_m) + np.array([u + v, u - v, v - u, -u - v])
-        mine = points[passes.ids == number]
+        mine = points[passes.parts == number]
+        assert (passes.ids[passes.parts == number] == passes.part_table[number][0]).all()
         slack = 1e-5 * passes.distance_m.max()
         assert (mine >= corners.min(axis=0) - slack).all(), name
         assert (mine <= corners.max(axis=0) + slack).all(), name
@@ -184,9 +185,9 @@ def test_every_id_lies_within_its_object(frames) -> None:
 def test_masks_normals_and_both_depths(frames) -> None:
     scene, passes, _ = frames
     seen = passes.ids > 0
-    movers = {number for number, name in passes.id_table.items() if name.startswith("mover/")}
+    movers = {number for number, (_, name) in passes.part_table.items() if name.startswith("mover/")}
     assert len(movers) == len(scene.singles())
-    np.testing.assert_array_equal(passes.moving, np.isin(passes.ids, list(movers)))
+    np.testing.assert_array_equal(passes.moving, np.isin(passes.parts, list(movers)))
     footprint = np.zeros(passes.ids.shape, bool)
     for single in scene.singles().values():
         cover(footprint, single.vertices(TIME_S), single.rest().faces, scene.camera.at(TIME_S), VIEW)

@@ -30,16 +30,19 @@ def test_every_channel_of_a_slot_is_under_its_own_name(tmp_path: Path) -> None:
         normal=plane(0.6, 0.0, -0.8),
         albedo=plane(0.25),
         ids=np.full((ROWS, COLS), 7, np.uint32),
+        parts=np.full((ROWS, COLS), 9, np.uint32),
         moving=mask(0),
         flow_forward_px=plane(1.0, 2.0),
         flow_backward_px=plane(-1.5, -2.5),
         occluded_forward=mask(1),
         occluded_backward=mask(2),
         id_table={7: "mover/card"},
+        part_table={9: (7, "mover/card_red")},
         intrinsics_px=np.eye(3),
         radial_k1=0.0,
         camera_to_world=np.repeat(np.eye(4)[None], 3, axis=0),
         object_poses={},
+        extents={},
     )
     write_exr(tmp_path / "a.exr", channels_of(passes, plane(5.0), plane(0.125)), attributes={})
     found, _ = read_exr(tmp_path / "a.exr")
@@ -53,6 +56,7 @@ def test_every_channel_of_a_slot_is_under_its_own_name(tmp_path: Path) -> None:
         "N.Z": -0.8,
         "albedo": 0.25,
         "id": 7,
+        "part": 9,
         "flow.forward.row": 1.0,
         "flow.forward.col": 2.0,
         "flow.backward.row": -1.5,

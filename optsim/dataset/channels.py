@@ -28,11 +28,17 @@ CONVENTIONS = {
     "camera": "frame as OpenCV's: x right, y down, z forward; intrinsics_px takes it to (column, row), after "
     "x/z and y/z were multiplied by 1 + radial_k1 ((x/z)^2 + (y/z)^2)",
     "camera_to_world": "camera frame -> world, m, at each of times_s",
-    "object_poses": "rigid movers: world at time 0 -> world at each of times_s; null for movers that deform",
+    "object_poses": "rigid movers: world at time 0 -> world at each of times_s; null for movers that deform, "
+    "with those of their parts",
+    "id": "id_table: of objects, a model with all its parts; part_table: part -> object's id and part's name",
+    "objects": "at times_s[1], by id. Boxes in the picture are left, top, right, bottom. box_px: amodal, of "
+    "the projected vertices, clipped to the picture; visible_box_px: of samples that show it; visibility: "
+    "share of the samples that it would cover alone which show it; box_m: middle, sides, their directions "
+    "in the world as columns: the object's own axes where it is rigid, else the world's",
     "noise": "where nothing moves the noise of Y is frozen: what stands still is rendered once, and "
     "all slots share its noise, which is no texture; only a moving camera has every slot rendered anew",
     "Y.sigma": f"standard deviation of the Monte-Carlo noise of Y, from the two halves of the render, over "
-    f"{_NOISE_SIDE} x {_NOISE_SIDE} samples of the same object",
+    f"{_NOISE_SIDE} x {_NOISE_SIDE} samples of the same part",
 }
 # Replaces the noise's convention where each slot has its own noise.
 OWN_NOISE = "every slot was rendered by itself: no two share the noise of Y, not even where nothing moves"
@@ -44,6 +50,8 @@ UNITS = {
     "N": "1, world axes",
     "albedo": "1",
     "id": "object id",
+    "part": "part",
+    "objects": "fine samples (boxes in the picture), m (boxes in space)",
     "flow": "fine samples",
     "occluded": "mask",
     "moving": "mask",
@@ -63,7 +71,7 @@ def slot_mean(radiance: RadianceVideo, slot: int) -> Floats:
 
 
 def noise_sigma(half_difference: Floats, ids: Ids) -> Floats:
-    """Estimate the standard deviation of the noise, shared by the samples of an object in a small square.
+    """Estimate the standard deviation of the noise, shared by the samples of a part in a small square.
 
     Parameters
     ----------
@@ -71,7 +79,7 @@ def noise_sigma(half_difference: Floats, ids: Ids) -> Floats:
         (half A - half B) / 2 of two independent renders: its square is an unbiased estimate of the variance
         of their mean, of one degree of freedom a sample.
     ids : ndarray of shape (y, x), uint32
-        Object ids, so that the noise of one object is not spread over its neighbour.
+        Parts, or ids, so that the noise of one surface is not spread over its neighbour.
 
     Returns
     -------
@@ -108,6 +116,7 @@ def channels_of(passes: Passes, radiance: Floats, sigma: Floats | None) -> dict[
         **{f"N.{axis}": passes.normal[..., i] for i, axis in enumerate("XYZ")},
         "albedo": passes.albedo,
         "id": passes.ids,
+        "part": passes.parts,
         **{f"flow.forward.{axis}": passes.flow_forward_px[..., i] for i, axis in enumerate(("row", "col"))},
         **{f"flow.backward.{axis}": passes.flow_backward_px[..., i] for i, axis in enumerate(("row", "col"))},
         **{name: mask.astype(np.uint32) for name, mask in masks.items()},

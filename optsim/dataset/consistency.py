@@ -47,16 +47,19 @@ def consistency(truth: Path) -> dict[str, float]:
 
 def _flow_error(channels: Channels, said: dict[str, Any]) -> float:
     """Compare flow with the displacement of each surface point that depth and poses give."""
-    ids, depth = channels["id"], channels["Z"].astype(np.float64)
+    # Older sets have no parts.
+    ids, depth = channels.get("part", channels["id"]), channels["Z"].astype(np.float64)
     rows, cols = np.mgrid[: len(ids), : ids.shape[1]] + 0.5
     matrix = np.array(said["intrinsics_px"])
     now, then = (np.array(said["camera_to_world"][k]) for k in (1, 2))
     camera = _without_distortion(matrix, cols, rows, said["radial_k1"]) * depth[..., None]
     world = camera @ now[:3, :3].T + now[:3, 3]
     moved, rigid = world.copy(), ids > 0
-    names = {int(number): name for number, name in said["id_table"].items()}
+    names, poses = said["id_table"], said["object_poses"]
+    parts = said.get("part_table", {number: {"id": number, "name": name} for number, name in names.items()})
     for number in np.unique(ids[ids > 0]).tolist():
-        pose, here = said["object_poses"].get(names[number]), ids == number
+        part, here = parts[str(number)], ids == number
+        pose = poses.get(part["name"], poses.get(names[str(part["id"])]))
         if pose is None:
             continue
         if pose["world_at_0_to_world"] is None:

@@ -34,11 +34,11 @@ from optsim.experiment.job import versions
 from optsim.experiment.truth import chosen_scene, render_truth, renderer, truth_view, whole_scene
 from optsim.report.pass_sheet import pass_sheet
 
-_KIND = "optsim passes 1"
+_KIND = "optsim passes 2"
 _MANIFEST = "manifest.json"
 _PICTURE = "passes.png"
-# Bytes of a sample in a file, before compression: 18 channels of 32 bits.
-_SAMPLE_BYTES = 72
+# Bytes of a sample in a file, before compression: 19 channels of 32 bits.
+_SAMPLE_BYTES = 76
 # Defines the share of noise, both requested and measured.
 _SHARE = "rms over the picture of the standard deviation of Y over (Y + 1 % of the scene's white)"
 
@@ -145,7 +145,7 @@ def export_passes(
     more = channel_names(extras, whole)
     identity = hash_of(
         *(_KIND, scene.model_dump(mode="json"), whole.model_dump(mode="json"), asdict(view), slot_s),
-        *(settings, half, extras.model_dump(mode="json"), made_by),
+        *(settings, half, extras.model_dump(mode="json"), made_by, scene.categories),
         *(() if share is None else ("independent noise", share)),
     )
     short = (*HALF_CHANNELS, *more) if half else ()
@@ -183,7 +183,7 @@ def _write_slot(
     mean, half, sigma, measured = slot_mean(radiance, slot), None, None, None
     if radiance.half_difference is not None:
         half = slot_mean(radiance.half_difference, slot)
-        sigma, measured = noise_sigma(half, passes.ids), measured_error(mean, half, radiance.white_w_m2_sr)
+        sigma, measured = noise_sigma(half, passes.parts), measured_error(mean, half, radiance.white_w_m2_sr)
     more, said = further.of(slot, passes, mean, half)
     write_exr(
         export.path(slot),
@@ -334,6 +334,26 @@ def _attributes(export: _Export, passes: Passes, slot: int) -> Record:
         "radial_k1": passes.radial_k1,
         "camera_to_world": passes.camera_to_world.tolist(),
         "id_table": {str(number): name for number, name in passes.id_table.items()},
+        "part_table": {
+            str(part): {"id": number, "name": name} for part, (number, name) in passes.part_table.items()
+        },
+        "objects": {
+            str(number): {
+                "name": passes.id_table[number],
+                "category": each.category,
+                "box_px": each.box_px,
+                "visible_box_px": each.visible_box_px,
+                "visible": each.visible,
+                "covered": each.covered,
+                "visibility": each.visibility,
+                "box_m": {
+                    "center": each.center_m.tolist(),
+                    "size": each.size_m.tolist(),
+                    "axes": each.axes.tolist(),
+                },
+            }
+            for number, each in passes.extents.items()
+        },
         "object_poses": {
             name: {
                 "world_at_0_to_world": None if pose.matrices is None else pose.matrices.tolist(),

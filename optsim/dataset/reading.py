@@ -50,6 +50,7 @@ PASSES = {
     "normal": Pass(("N.X", "N.Y", "N.Z"), "1, world axes", _NORMAL_AXES),
     "albedo": Pass(("albedo",), "1"),
     "id": Pass(("id",), "object id"),
+    "part": Pass(("part",), "part of an object"),
     "flow_forward": Pass(("flow.forward.row", "flow.forward.col"), "fine samples", _FLOW_AXES),
     "flow_backward": Pass(("flow.backward.row", "flow.backward.col"), "fine samples", _FLOW_AXES),
     "occluded_forward": Pass(("occluded.forward",), "mask"),
@@ -182,6 +183,11 @@ class Sample(Mapping[str, Array]):
     def objects(self) -> dict[int, str]:
         """Object id -> name."""
         return {int(number): name for number, name in self._header[1]["id_table"].items()}
+
+    def labels(self, index: int) -> dict[int, dict[str, Any]]:
+        """Object id -> name, category, boxes and visibility in a slot, see ``conventions`` in its file."""
+        found = read_exr_header(self._slots[index])[1].get("objects", {})
+        return {int(number): each for number, each in found.items()}
 
 
 @dataclass(frozen=True, eq=False)

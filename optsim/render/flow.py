@@ -7,12 +7,14 @@ always agrees with poses. A ray tests whether the point is visible then.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from optsim.core.quantities import Bools, Doubles, Ids, ObjectPose, Passes, View
 from optsim.render.backend import activate
+from optsim.render.extents import Extents
 from optsim.render.gbuffer import (
     Hits,
     ObjectIds,
@@ -24,6 +26,7 @@ from optsim.render.gbuffer import (
 )
 from optsim.render.lens import distorted, radial_k1
 from optsim.render.stage import Stage
+from optsim.scene.bodies import bodies
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
 
@@ -77,6 +80,8 @@ class PassRenderer:
         self._movers = scene.singles()
         self._faces = {name: mover.rest().faces for name, mover in self._movers.items()}
         self._rays = sample_rays(view)
+        self._bodies = bodies(scene)
+        self._extents = Extents(self._bodies, view, self._rays)
 
     def at(self, time_s: float, step_s: float) -> Passes:
         """Render the passes of one instant; parameters as in :func:`render_passes`."""
@@ -94,6 +99,8 @@ class PassRenderer:
             self._flow(hits, numbers, before, self._reprojected(hits, points, now, end), end) for end in ends
         )
         moments = (ends[0], now, ends[1])
+        poses = self._object_poses(moments)
+        seen = ids.owner[numbers].reshape(view.rows, view.cols)
 
         def plane(values: Doubles) -> np.ndarray:
             return values.reshape(view.rows, view.cols, *values.shape[1:]).astype(np.float32)
@@ -107,23 +114,39 @@ class PassRenderer:
             distance_m=plane(hits.distance_m),
             normal=plane(hits.normal),
             albedo=plane(hits.albedo),
-            ids=numbers.reshape(view.rows, view.cols),
+            ids=seen,
+            parts=numbers.reshape(view.rows, view.cols),
             moving=mask(ids.moving[numbers]),
             flow_forward_px=plane(ahead),
             flow_backward_px=plane(back),
             occluded_forward=mask(lost_ahead),
             occluded_backward=mask(lost_back),
             id_table=ids.table,
+            part_table=ids.part_table,
             intrinsics_px=intrinsics(view),
             radial_k1=radial_k1(view),
             camera_to_world=np.stack([moment.matrix for moment in moments]),
-            object_poses={
-                f"mover/{name}": _object_pose(
-                    mover.vertices(0.0), [moment.vertices_m[name] for moment in moments]
-                )
-                for name, mover in self._movers.items()
-            },
+            object_poses=poses,
+            extents=self._extents.at(now.pose, now.matrix, now.vertices_m, poses, seen, ids.table),
         )
+
+    def _object_poses(self, moments: tuple[_Moment, ...]) -> dict[str, ObjectPose]:
+        """Poses of all movers by name; of one that isn't rigid as a whole also those of its parts."""
+
+        def pose(parts: Iterable[str]) -> ObjectPose:
+            names = [part.removeprefix("mover/") for part in parts]
+            rest = np.concatenate([self._movers[name].vertices(0.0) for name in names])
+            return _object_pose(
+                rest, [np.concatenate([moment.vertices_m[name] for name in names]) for moment in moments]
+            )
+
+        found: dict[str, ObjectPose] = {}
+        for name, body in self._bodies.items():
+            if name.startswith("mover/"):
+                found[name] = pose(body.parts)
+                if found[name].matrices is None and len(body.parts) > 1:
+                    found |= {part: pose([part]) for part in body.parts}
+        return found
 
     def _moment(self, time_s: float) -> _Moment:
         pose = self._scene.camera.at(time_s)

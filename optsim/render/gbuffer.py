@@ -18,9 +18,8 @@ from optsim.render.describe import unit_m
 from optsim.render.first_hit import first_hit, first_place
 from optsim.render.lens import undistorted
 from optsim.render.stage import Stage
+from optsim.scene.bodies import bodies
 from optsim.scene.camera_pose import CameraPose
-from optsim.scene.mesh_objects import MeshObject
-from optsim.scene.parts import StillObject
 from optsim.scene.scene import Scene
 
 # A shading normal shorter than this is invalid: the normals of its vertices cancel out.
@@ -178,10 +177,11 @@ def _place_columns(mi: Any, loaded: Any, rays: Any) -> list[Any]:
 
 
 class ObjectIds:
-    """Object ids of the triangles in Mitsuba's scene.
+    """Objects and parts that own the triangles in Mitsuba's scene.
 
-    Ids are 1, 2, ... by the sorted names of all lamps, objects and movers; 0 is nothing. The renderer's
-    shapes are merged by material, so an object is a range of triangles.
+    Ids are 1, 2, ... by the sorted names of all lamps, objects and movers; 0 is nothing. Parts are numbered
+    in the same way: an object has one for each of its materials. The renderer's shapes are merged by
+    material, so a part is a range of triangles.
 
     Parameters
     ----------
@@ -192,39 +192,40 @@ class ObjectIds:
     """
 
     def __init__(self, scene: Scene, loaded: Any) -> None:
-        parts = [_objects_of(scene, str(shape.id())) for shape in loaded.shapes()]
-        names = {name for shape in parts for name, _ in shape}
-        self.table = dict(enumerate(sorted(names), start=1))
+        parts = [_parts_of(scene, str(shape.id())) for shape in loaded.shapes()]
+        names = sorted({name for shape in parts for name, _ in shape})
+        owner = {part: name for name, body in bodies(scene).items() for part in body.parts}
+        self.table = dict(enumerate(sorted({owner.get(name, name) for name in names}), start=1))
         number = {name: index for index, name in self.table.items()}
-        self.moving = np.array([False, *(name.startswith("mover/") for name in self.table.values())])
+        self.part_table = {
+            index: (number[owner.get(name, name)], name) for index, name in enumerate(names, start=1)
+        }
+        self.owner = np.array([0, *(number for number, _ in self.part_table.values())], np.uint32)
+        self.moving = np.array([False, *(name.startswith("mover/") for name in names)])
         self.movers = {
             index: name.removeprefix("mover/")
             for index, shape in enumerate(parts)
             for name, _ in shape
             if name.startswith("mover/")
         }
-        owners, counts = zip(*((number[name], n) for shape in parts for name, n in shape), strict=True)
+        index = {name: index for index, name in enumerate(names, start=1)}
+        owners, counts = zip(*((index[name], n) for shape in parts for name, n in shape), strict=True)
         self._number = np.array([0, *np.repeat(owners, counts)], np.uint32)
         self._start = np.cumsum([0, *(sum(n for _, n in shape) for shape in parts)])
 
     def of(self, shape: Ints, face: Ints) -> Ids:
-        """Object id of each hit, uint32."""
+        """Part of each hit, uint32; ``owner`` and ``moving`` take it to its object's id and to a mask."""
         start, stop = self._start[shape], self._start[shape + 1] - 1
         place = np.minimum(start + face, stop) + 1
         return self._number[np.where(shape < 0, 0, place)]
 
 
-def _objects_of(scene: Scene, shape: str) -> list[tuple[str, int]]:
-    """Objects in a shape, each with its number of triangles; 1 for a shape of a single object."""
+def _parts_of(scene: Scene, shape: str) -> list[tuple[str, int]]:
+    """Parts in a shape, each with its number of triangles; 1 for a shape of a single part."""
     kind, _, rest = shape.partition("_")
     if kind == "still" and rest in scene.materials:
         mine = {name: item for name, item in scene.still_objects().items() if item.material == rest}
-        return [(f"object/{_model_of(name, item)}", len(item.mesh().faces)) for name, item in mine.items()]
+        return [(f"object/{name}", len(item.mesh().faces)) for name, item in mine.items()]
     if (kind == "lamp" and rest in scene.lamps) or (kind == "mover" and rest in scene.singles()):
         return [(f"{kind}/{rest}", 1)]
     return [(f"static/{shape.removeprefix('static_')}", 1)]
-
-
-def _model_of(name: str, item: StillObject) -> str:
-    """Name of the model that an object is a part of, or its own."""
-    return name.rpartition("-")[0] or name if isinstance(item, MeshObject) else name

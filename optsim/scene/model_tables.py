@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from optsim.core.config import Table
+from optsim.core.config import Table, build
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
 from optsim.scene.gltf import gltf_parts, morphs, moving_animations
@@ -21,6 +21,7 @@ from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, up
 from optsim.scene.model_files import check_files, model_hash
 from optsim.scene.models import FORMATS, inside, read_model
 from optsim.scene.pictures import MAPS, read_map, read_picture
+from optsim.scene.vehicle import Car
 
 # Size over distance to the camera's target beyond which a model is taken to be in another unit.
 _LARGEST, _SMALLEST = 200.0, 1e-4
@@ -46,6 +47,10 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
     """
     objects, movers = dict(table.get("objects", {})), dict(table.get("movers", {}))
     materials = dict(table.get("materials", {}))
+    if stated := sorted({"owners", "categories"} & {*table}):
+        raise ConfigError(f"{where}: {stated[0]}: unknown key; cure: category = ... in an object or a mover")
+    categories = _categories({"object": objects, "mover": movers}, where)
+    owners: dict[str, str] = {}
     parts: dict[str, list[str]] = {}
     for name, mover in list(movers.items()):
         if _kind(mover) == "vertices":
@@ -54,18 +59,25 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
             own = {key: value for key, value in mover.items() if key in MeshObject.model_fields}
             if mover.get("animation") is not None:
                 del movers[name]
-                movers |= _animated(own, mover, name, folder, where, materials, _distance(table))
+                made = _animated(own, mover, name, folder, where, materials, _distance(table))
+                owners |= {f"mover/{key}": f"mover/{name}" for key in made}
+                movers |= made
                 continue
             # A model that moves otherwise is an object on keyframes.
             objects[name] = own
             path = {key: value for key, value in mover.items() if key not in own or key == "kind"}
             movers[name] = {**path, "kind": "keyframed", "objects": [name]}
+        elif _kind(mover) == "car":
+            members = build(Car, mover, where=f"{where}: movers.{name}").members()
+            owners |= {f"mover/{name}_{key}": f"mover/{name}" for key in members}
+            categories.setdefault(f"mover/{name}", "car")
     for name, item in list(objects.items()):
         if _kind(item) == "mesh":
             del objects[name]
-            made = _expanded(item, name, folder, f"{where}: objects.{name}", _distance(table))
-            parts[name] = [key for key, _ in made]
-            for key, (part, material) in made:
+            shown = _expanded(item, name, folder, f"{where}: objects.{name}", _distance(table))
+            parts[name] = [key for key, _ in shown]
+            owners |= {f"object/{key}": f"object/{name}" for key in parts[name]}
+            for key, (part, material) in shown:
                 objects[key] = part
                 if material is not None:
                     materials[key] = material
@@ -78,7 +90,22 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
             listed = [part for key in mover["objects"] for part in parts.get(key, [key])]
             movers[name] = {**mover, "objects": listed}
     changed = {"objects": objects, "movers": movers, "materials": materials}
+    changed |= {"owners": owners, "categories": categories}
     return {**table, **{key: value for key, value in changed.items() if value or key in table}}
+
+
+def _categories(groups: Mapping[str, Table], where: str) -> Table:
+    """Take the keys ``category`` out of objects and movers, by ``object/NAME`` and ``mover/NAME``."""
+    found: Table = {}
+    for group, items in groups.items():
+        for name, item in items.items():
+            if isinstance(item, Mapping) and "category" in item:
+                stated = dict(cast("Table", item))
+                items[name], found[f"{group}/{name}"] = stated, stated.pop("category")
+                if not (isinstance(found[f"{group}/{name}"], str) and found[f"{group}/{name}"]):
+                    got = found[f"{group}/{name}"]
+                    raise ConfigError(f"{where}: {group}s.{name}.category: got {got!r}, expected a word")
+    return found
 
 
 def _pictures(material: Table, folder: Path, where: str) -> Table:

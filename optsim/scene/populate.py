@@ -45,6 +45,8 @@ class Population(Part):
         Axis of OBJ, PLY and STL models that points up; glTF has y by its own rule.
     size_m : (float, float)
         Smallest and largest of their largest sides, m; of models, of their heights.
+    category : str or None
+        Category of all; by default a solid's shape, or the name of a model's file.
     materials : tuple of str
         Materials of the scene to draw from; models keep their own if there is none.
     resting : bool
@@ -68,6 +70,7 @@ class Population(Part):
     models: tuple[str, ...] = ()
     up: Literal["x", "y", "z"] | None = None
     size_m: tuple[Positive, Positive]
+    category: str | None = None
     materials: tuple[str, ...] = ()
     resting: bool = False
     moving_share: Share = 1.0
@@ -188,6 +191,7 @@ def _drawn(
         else:
             item |= {"kind": "mesh", "file": kind} | ({} if material is None else {"material": material})
             item |= {} if FORMATS[Path(kind).suffix.lower()] else {"up": population.up}
+        item |= {"category": population.category} if population.category else {}
         item["anchor"] = "base" if population.resting else "middle"
         found[key] = item, motion
     return found

@@ -79,6 +79,9 @@ class Scene(Part):
         More still shapes; in ``scene.toml`` the name of a file in Mitsuba's XML beside it.
     reserved : bool
         Reserved for testing: no prior may be trained on it.
+    owners, categories : dict
+        Part -> the object that it belongs to, and object -> category, both as ``object/NAME`` or
+        ``mover/NAME``; set when a file is read, from its models, its cars and the keys ``category``.
     """
 
     name: str
@@ -95,6 +98,8 @@ class Scene(Part):
     movers: dict[str, Mover] = Field(default={})
     static: StaticShapes | None = None
     reserved: bool = False
+    owners: dict[str, str] = Field(default={}, exclude=True)
+    categories: dict[str, str] = Field(default={}, exclude=True)
 
     @field_validator("materials")
     @classmethod

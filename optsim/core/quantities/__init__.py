@@ -15,7 +15,7 @@ estimates are unbiased and may dip below zero. There negative values stay in eve
 
 from optsim.core.quantities.arrays import Bools, Bytes, Doubles, Floats, Ints, Words, checked
 from optsim.core.quantities.frames import CodedFrame, ExposureCode, PanelState, Reconstruction
-from optsim.core.quantities.passes import Ids, ObjectPose, Passes
+from optsim.core.quantities.passes import Ids, ObjectExtent, ObjectPose, Passes
 from optsim.core.quantities.video import (
     Block,
     IrradianceVideo,
@@ -38,6 +38,7 @@ __all__ = [
     "Ids",
     "Ints",
     "IrradianceVideo",
+    "ObjectExtent",
     "ObjectPose",
     "PanelState",
     "Passes",

@@ -41,6 +41,44 @@ class ObjectPose:
 
 
 @dataclass(frozen=True, eq=False)
+class ObjectExtent:
+    """Extent of an object at the instant t, whether it is seen or not.
+
+    Boxes in the picture are (left, top, right, bottom) in fine samples, from the outer corner of the first.
+
+    Parameters
+    ----------
+    category : str
+        Category that the scene states, or its kind.
+    box_px : tuple of 4 floats, or None
+        Amodal: of the projected vertices, hidden ones too, clipped to the picture. None: outside.
+    visible_box_px : tuple of 4 ints, or None
+        Of the samples that show it; None without any.
+    visible, covered : int
+        Samples that show it, and those that it would cover if nothing stood before it.
+    center_m, size_m : ndarray of shape (3,), float64
+        Box in space: its middle in the world, and its sides.
+    axes : ndarray of shape (3, 3), float64
+        Columns are the directions of the sides in the world: the object's own axes if it is rigid, else the
+        world's.
+    """
+
+    category: str
+    box_px: tuple[float, float, float, float] | None
+    visible_box_px: tuple[int, int, int, int] | None
+    visible: int
+    covered: int
+    center_m: Doubles
+    size_m: Doubles
+    axes: Doubles
+
+    @property
+    def visibility(self) -> float:
+        """Share of the samples that it would cover alone which show it; 0 outside of the picture."""
+        return self.visible / self.covered if self.covered else 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Passes:
     """Passes of one instant t on the fine grid: one ray through the centre of every sample, never filtered.
 
@@ -73,6 +111,8 @@ class Passes:
         Diffuse reflectance in the band, 0..1; of the base under a coat; 0 for metal, glass and lamps.
     ids : ndarray of shape (y, x), uint32
         Object seen; 0 for nothing.
+    parts : ndarray of shape (y, x), uint32
+        Part of the object: one of its materials, or a node of a model; 0 for nothing.
     moving : ndarray of shape (y, x), bool
         The object is one of the scene's movers, even if it rests at this instant.
     flow_forward_px, flow_backward_px : ndarray of shape (y, x, 2), float32
@@ -82,6 +122,8 @@ class Passes:
     id_table : Mapping
         Object id -> name, ``lamp/...``, ``object/...``, ``mover/...`` or ``static/...`` (a shape of the
         scene's own file), whether in view or not.
+    part_table : Mapping
+        Part -> id of its object, and the part's name.
     intrinsics_px : ndarray of shape (3, 3), float64
         Camera frame -> (column, row, 1) times depth, in fine samples, of the image without distortion.
     radial_k1 : float
@@ -89,7 +131,10 @@ class Passes:
     camera_to_world : ndarray of shape (3, 4, 4), float64
         Camera frame -> world at t-, t, t+.
     object_poses : Mapping
-        Name of a mover, as in the table -> its poses.
+        Name of a mover, as in the table -> its poses; of one that is not rigid as a whole, also those of its
+        parts.
+    extents : Mapping
+        Object id -> its boxes, category and visibility; lamps and shapes of the scene's own file have none.
     """
 
     times_s: tuple[float, float, float]
@@ -98,16 +143,19 @@ class Passes:
     normal: Floats
     albedo: Floats
     ids: Ids
+    parts: Ids
     moving: Bools
     flow_forward_px: Floats
     flow_backward_px: Floats
     occluded_forward: Bools
     occluded_backward: Bools
     id_table: Mapping[int, str]
+    part_table: Mapping[int, tuple[int, str]]
     intrinsics_px: Doubles
     radial_k1: float
     camera_to_world: Doubles
     object_poses: Mapping[str, ObjectPose]
+    extents: Mapping[int, ObjectExtent]
 
     def __post_init__(self) -> None:
         shape = self.ids.shape
@@ -125,9 +173,18 @@ class Passes:
         for name in ("moving", "occluded_forward", "occluded_backward"):
             checked(name, getattr(self, name), axes=plane, dtype=np.bool_, unit="mask")
         checked("ids", self.ids, axes=plane, dtype=np.uint32, unit="object id")
+        checked("parts", self.parts, axes=plane, dtype=np.uint32, unit="part")
         for name, size in (("normal", 3), ("flow_forward_px", 2), ("flow_backward_px", 2)):
             _shaped(name, getattr(self, name), (*shape, size))
-        for name in ("depth_m", "distance_m", "albedo", "moving", "occluded_forward", "occluded_backward"):
+        for name in (
+            "parts",
+            "depth_m",
+            "distance_m",
+            "albedo",
+            "moving",
+            "occluded_forward",
+            "occluded_backward",
+        ):
             _shaped(name, getattr(self, name), shape)
         if float(self.albedo.max()) > 1:
             raise ValueCheckError(f"albedo: got {self.albedo.max()}, expected 0..1")
