@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -355,10 +356,15 @@ def init(
     typer.echo(f"Wrote {target}. Run it with: optsim run {target if target.is_absolute() else f'./{target}'}")
 
 
+def _remark(message: Warning | str, *_: object, **__: object) -> str:
+    return f"optsim: {message}\n"
+
+
 def main() -> None:
     """Run the command line; errors a user can cause end with exit code 2 and one message."""
     keep_freed_memory()
     _keep_width_readable()
+    warnings.formatwarning = _remark
     command = typer.main.get_command(app)
     raise SystemExit(guarded(lambda: command.main(standalone_mode=False)))
 

@@ -31,6 +31,7 @@ from optsim.scene.textures import outside_map, reflectance_map
 _SMALL_M = 0.25
 # Least roughness of a map: as of a model's number.
 _SMOOTHEST = 0.01
+_VERTEX_COLOURS = "vertex_reflectance"  # Mitsuba takes what begins so as one value a vertex
 _IMAGES = ("bitmap", "envmap")  # plugins that read an image file
 
 
@@ -159,6 +160,11 @@ def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float, bands
         has_vertex_texcoords=True,
     )
     tile_m = material.tile_m if isinstance(material, Diffuse | Plastic | Principled) else 1.0
+    if isinstance(material, Principled) and material.vertex_colours:
+        white = np.ones((len(mesh.vertices_m), 3), np.float32)
+        rgb = white if mesh.colours is None else mesh.colours
+        shares = [in_channel(rgb, band.channel) * value_in(material.reflectance, band) for band in bands]
+        shape.add_attribute(_VERTEX_COLOURS, len(bands), np.stack(shares, axis=-1).astype(np.float32).ravel())
     parameters = mi.traverse(shape)
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
     parameters["vertex_texcoords"] = (mesh.uv / tile_m).astype(np.float32).ravel()
@@ -204,7 +210,7 @@ def _surface(mi: Any, material: Material, bands: tuple[Band, ...]) -> dict[str, 
         # Mitsuba's softened terminator takes 0.1 % and more from it.
         both = {
             "type": "normalmap",
-            "normalmap": _bitmap(mi, normals, "repeat"),
+            "normalmap": _bitmap(mi, normals, _wrap(material)),
             "use_shadowing_function": False,
             "bsdf": both,
         }
@@ -216,9 +222,8 @@ def _map(material: Diffuse | Principled, key: str) -> Floats | None:
     name = getattr(material, key)
     if name is None:
         return None
-    if isinstance(material, Principled) and Path(name).suffix.lower() in FORMATS:
-        return read_model(Path(name)).parts[material.part or 0][0].maps[key]
-    return read_map(Path(name), key)
+    surface = _of_model(material)
+    return read_map(Path(name), key) if surface is None else surface.maps[key]
 
 
 def _scaled(mi: Any, material: Principled, key: str, number: float) -> dict[str, Any] | float:
@@ -227,14 +232,16 @@ def _scaled(mi: Any, material: Principled, key: str, number: float) -> dict[str,
     if values is None:
         return number
     least = _SMOOTHEST if key == "roughness_map" else 0.0
-    return _bitmap(mi, np.maximum(values * np.float32(number), np.float32(least)), "repeat")
+    return _bitmap(mi, np.maximum(values * np.float32(number), np.float32(least)), _wrap(material))
 
 
 def _reflectance(
     mi: Any, material: Diffuse | Plastic | Principled, bands: tuple[Band, ...]
 ) -> dict[str, Any]:
-    """Describe a reflectance map, or one reflectance."""
-    return _texture(mi, [_reflectance_in(material, band) for band in bands], "repeat")
+    """Describe reflectances at vertices, a reflectance map, or one reflectance."""
+    if isinstance(material, Principled) and material.vertex_colours:
+        return {"type": "mesh_attribute", "name": _VERTEX_COLOURS}
+    return _texture(mi, [_reflectance_in(material, band) for band in bands], _wrap(material))
 
 
 def _reflectance_in(material: Diffuse | Plastic | Principled, band: Band) -> float | Floats:
@@ -242,12 +249,11 @@ def _reflectance_in(material: Diffuse | Plastic | Principled, band: Band) -> flo
     share = np.float32(value_in(material.reflectance, band))
     picture = None
     if material.picture is not None:
-        path = Path(material.picture)
-        if isinstance(material, Principled) and path.suffix.lower() in FORMATS:
-            rgb = _surface_of(material).picture
-            picture = None if rgb is None else in_channel(rgb, band.channel).astype(np.float32)
-        else:
-            picture = read_picture(path, band.channel)
+        surface = _of_model(material)
+        if surface is None:
+            picture = read_picture(Path(material.picture), band.channel)
+        elif surface.picture is not None:
+            picture = in_channel(surface.picture, band.channel).astype(np.float32)
     elif not isinstance(material, Principled) and material.texture is not None:
         picture = reflectance_map(material.texture, band.channel)
     return float(share) if picture is None else picture * share
@@ -270,15 +276,25 @@ def _index(mi: Any, metal: str, bands: tuple[Band, ...]) -> dict[str, Any]:
 
 def _opacity(mi: Any, material: Principled) -> dict[str, Any] | float | None:
     """Describe a cut-out or a uniform opacity; None for what is opaque."""
-    of_model = material.picture is not None and Path(material.picture).suffix.lower() in FORMATS
-    if of_model and (cutout := _surface_of(material).cutout) is not None:
-        return _bitmap(mi, cutout * np.float32(material.opacity), "repeat")
+    surface = _of_model(material)
+    if surface is not None and surface.cutout is not None:
+        return _bitmap(mi, surface.cutout * np.float32(material.opacity), _wrap(material))
     return material.opacity if material.opacity < 1 else None
 
 
-def _surface_of(material: Principled) -> Surface:
-    """Look up what the file of a model says of a part's surface."""
-    return read_model(Path(material.picture or "")).parts[material.part or 0][0]
+def _of_model(material: Material) -> Surface | None:
+    """Surface of the part of a model whose pictures a material has; None for one with pictures of its own."""
+    if not isinstance(material, Principled):
+        return None
+    names = (material.picture, material.normal_map, material.roughness_map, material.metallic_map)
+    file = next((Path(name) for name in names if name and Path(name).suffix.lower() in FORMATS), None)
+    return None if file is None else read_model(file).parts[material.part or 0][0]
+
+
+def _wrap(material: Material) -> str:
+    """How a material's pictures go on beyond their edges."""
+    surface = _of_model(material)
+    return "repeat" if surface is None else surface.wrap
 
 
 def _texture(mi: Any, values: Sequence[float | Floats], wrap: str = "repeat") -> dict[str, Any]:

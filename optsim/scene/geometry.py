@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optsim.core.quantities import Doubles
+from optsim.core.quantities import Doubles, Floats
 
 Faces = NDArray[np.int32]
 
@@ -31,15 +31,24 @@ class Mesh:
         Vertex indices of each triangle, anticlockwise seen from outside.
     uv : ndarray of shape (n, 2), float64
         Texture coordinates.
+    colours : ndarray of shape (n, 3), float32, or None
+        Linear reflectances at the vertices, for a material that takes them.
     """
 
     vertices_m: Doubles
     faces: Faces
     uv: Doubles
+    colours: Floats | None = None
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """Merge meshes into one."""
+    """Merge meshes into one; those without colours are white where others have some."""
+    colours = None
+    if any(mesh.colours is not None for mesh in meshes):
+        white = [np.ones((len(mesh.vertices_m), 3), np.float32) for mesh in meshes]
+        colours = np.concatenate(
+            [each if mesh.colours is None else mesh.colours for mesh, each in zip(meshes, white, strict=True)]
+        )
     offsets = np.cumsum([0] + [len(mesh.vertices_m) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices_m for mesh in meshes]),
@@ -47,6 +56,7 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
             [mesh.faces + np.int32(offset) for mesh, offset in zip(meshes, offsets, strict=True)]
         ).astype(np.int32),
         np.concatenate([mesh.uv for mesh in meshes]),
+        colours,
     )
 
 

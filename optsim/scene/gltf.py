@@ -1,57 +1,167 @@
-"""Header of a glTF 2.0 file: its chunks, facts that trimesh drops, and a line for what isn't read."""
+"""A glTF 2.0 file by its own JSON: entries, numbers and named files; and a line for what isn't read."""
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from collections.abc import Generator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+from urllib.parse import unquote_to_bytes
+
+import numpy as np
+from numpy.typing import NDArray
 
 from optsim.core.errors import ConfigError
+from optsim.core.foreign import check_memory
+from optsim.core.quantities import Doubles
+from optsim.scene.model_surface import content_beside
 
 Header = dict[str, Any]
 
-TEXTURES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture")
-"""Textures of a material that are read."""
-# Extensions that a file may require: they change how a surface looks at most.
+# Extensions that a file may require: they change how a surface looks at most, or are read.
 _LOOKS = ("KHR_materials_", "KHR_lights_")
-_REQUIRED = ("EXT_texture_webp", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_xmp_json_ld")
-_TRIANGLE_FAN = 6
+READ = (
+    "EXT_texture_webp",
+    "KHR_mesh_quantization",
+    "KHR_node_visibility",
+    "KHR_texture_transform",
+    "KHR_xmp_json_ld",
+)
+"""Extensions that are read, or say nothing of light."""
+_COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+_LISTS = "accessors animations bufferViews buffers images materials meshes nodes samplers scenes textures"
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+# Component type -> its kind, and the largest value of what is normalised (glTF 2.0, section 3.11).
+_NUMBERS = {
+    5126: ("<f4", 1),
+    5125: ("<u4", 2**32 - 1),
+    5120: ("i1", 127),
+    5121: ("u1", 255),
+    5122: ("<i2", 32767),
+    5123: ("<u2", 65535),
+}
 
 
-@dataclass(frozen=True)
-class StatedMaterial:
-    """What a file's header says of a material beyond what trimesh keeps.
+@dataclass(frozen=True, eq=False)
+class Gltf:
+    """A file's JSON, its binary chunk, which plain glTF hasn't, and buffers as they are read."""
 
-    Parameters
-    ----------
-    textures : dict
-        Those of :data:`TEXTURES` that it has -> where its picture is, for messages.
-    normal_scale : float
-        Factor of the normal map's slopes.
+    path: Path
+    header: Header
+    binary: bytes
+    loaded: dict[int, bytes] = field(default_factory=dict[int, bytes])
+
+    def entry(self, kind: str, number: object) -> Header:
+        """Entry of a list of the file.
+
+        Raises
+        ------
+        ConfigError
+            For a number that the list hasn't.
+        """
+        listed = self.header.get(kind, [])
+        if type(number) is not int or not 0 <= number < len(listed):
+            raise ConfigError(
+                f"{self.path}: got {kind}[{number}], but it has {len(listed)} of them; cure: export it again"
+            )
+        return listed[number]
+
+    def numbers(self, number: object) -> Doubles:
+        """Rows of an accessor, (n, width); normalised and sparse numbers as they are meant."""
+        accessor = self.entry("accessors", number)
+        kind, largest = _NUMBERS[accessor["componentType"]]
+        width, count = _WIDTHS[accessor["type"]], int(accessor["count"])
+        check_memory(self.path, 8.0 * width * count, "a glTF 2.0 file")
+        rows = np.zeros((count, width))
+        if "bufferView" in accessor:
+            rows[:] = self._rows(accessor, kind, width, count)
+        if sparse := accessor.get("sparse"):
+            where, n = sparse["indices"], int(sparse["count"])
+            places = self._rows(where, _NUMBERS[where["componentType"]][0], 1, n)[:, 0]
+            rows[places] = self._rows(sparse["values"], kind, width, n)
+        return np.maximum(rows / largest, -1) if accessor.get("normalized") else rows
+
+    def _rows(self, place: Header, kind: str, width: int, count: int) -> NDArray[Any]:
+        view = self.entry("bufferViews", place["bufferView"])
+        content, first = self.buffer(view["buffer"]), view.get("byteOffset", 0)
+        offset, size = place.get("byteOffset", 0), np.dtype(kind).itemsize
+        step = view.get("byteStride", size * width)
+        end = offset + (count - 1) * step + size * width if count else 0
+        if min(count, offset, first) < 0 or end > min(view["byteLength"], len(content) - first):
+            raise ValueError(f"{count} rows of bufferViews[{place['bufferView']}] end beyond it")
+        return np.ndarray((count, width), kind, content, first + offset, (step, size))
+
+    def buffer(self, number: int) -> bytes:
+        """Content of a buffer."""
+        if number not in self.loaded:
+            about = self.entry("buffers", number)
+            content = self.named(about["uri"]) if "uri" in about else self.binary
+            if len(content) < about["byteLength"]:
+                raise ValueError(
+                    f"buffers[{number}] holds {len(content)} bytes, expected {about['byteLength']}"
+                )
+            self.loaded[number] = content
+        return self.loaded[number]
+
+    def named(self, uri: str) -> bytes:
+        """Content that a URI names or holds."""
+        if not uri.startswith("data:"):
+            return content_beside(self.path, uri)
+        kind, _, text = uri.partition(",")
+        return base64.b64decode(text) if kind.endswith(";base64") else unquote_to_bytes(text)
+
+    def picture(self, texture: object) -> bytes:
+        """Content of a texture's picture."""
+        image = self.entry("images", source(self.entry("textures", texture)))
+        if "uri" in image:
+            return self.named(image["uri"])
+        view = self.entry("bufferViews", image["bufferView"])
+        first = view.get("byteOffset", 0)
+        return self.buffer(view["buffer"])[first : first + view["byteLength"]]
+
+
+def source(texture: Header) -> object:
+    """Get the number of a texture's picture: WebP, if it has one, else PNG or JPEG."""
+    webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
+    return webp.get("source", texture.get("source"))
+
+
+def open_gltf(path: Path) -> Gltf:
+    """Read JSON and binary chunk, and check that what it lists are lists of entries.
+
+    Raises
+    ------
+    ValueError
+        For a damaged file, or another version.
     """
+    content, binary = path.read_bytes(), b""
+    if content[:4] == b"glTF":
+        version, length = struct.unpack_from("<II", content, 4)
+        if version != 2 or length > len(content):
+            raise ValueError(f"GLB version {version}, {len(content)} of {length} bytes; expected 2, and all")
+        chunks: dict[bytes, bytes] = {}
+        at = 12
+        while at + 8 <= length:
+            size, kind = struct.unpack_from("<I4s", content, at)
+            chunks.setdefault(kind, content[at + 8 : at + 8 + size])
+            at += 8 + size
+        content, binary = chunks[b"JSON"], chunks.get(b"BIN\0", b"")
+    header = cast("Header", json.loads(content))
+    if not isinstance(header.get("asset"), dict) or not str(header["asset"].get("version")).startswith("2."):
+        raise ValueError("its asset.version is not 2.0")
+    for key in _LISTS.split():
+        listed: Any = header.get(key, [])
+        if not isinstance(listed, list) or any(
+            type(each) is not dict for each in cast("list[object]", listed)
+        ):
+            raise ValueError(f"{key} is no list of objects")
+    return Gltf(path, header, binary)
 
-    textures: Mapping[str, str]
-    normal_scale: float
 
-
-def gltf_parts(path: Path) -> tuple[Header, bytes]:
-    """JSON and binary chunk of a file; plain glTF has no chunk."""
-    content = path.read_bytes()
-    if content[:4] != b"glTF":
-        return json.loads(content), b""
-    chunks: dict[bytes, bytes] = {}
-    at = 12
-    while at + 8 <= len(content):
-        length, kind = struct.unpack_from("<I4s", content, at)
-        chunks.setdefault(kind, content[at + 8 : at + 8 + length])
-        at += 8 + length
-    return json.loads(chunks[b"JSON"]), chunks.get(b"BIN\0", b"")
-
-
-def check_readable(path: Path, header: Header) -> None:
+def check_readable(gltf: Gltf) -> None:
     """Refuse a file whose triangles or surfaces would be read wrongly.
 
     Raises
@@ -59,8 +169,8 @@ def check_readable(path: Path, header: Header) -> None:
     ConfigError
         With the place in the file, and the cure.
     """
-    for where, got, cure in _unread(header):
-        raise ConfigError(f"{path}: {where}: got {got}, which is not read; cure: {cure}")
+    for where, got, cure in _unread(gltf.header):
+        raise ConfigError(f"{gltf.path}: {where}: got {got}, which is not read; cure: {cure}")
 
 
 def _unread(header: Header) -> Generator[tuple[str, str, str]]:
@@ -81,69 +191,12 @@ def _unread(header: Header) -> Generator[tuple[str, str, str]]:
         for primitive in mesh["primitives"]:
             if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
                 yield where, "Draco compression", plainly
-            if primitive.get("mode") == _TRIANGLE_FAN:
-                yield where, "a triangle fan", "triangulate it"
-            yield from _unread_numbers(header, primitive, where)
+    for number, view in enumerate(header.get("bufferViews", [])):
+        for name in set(_COMPRESSED) & {*view.get("extensions", {})}:
+            yield f"bufferViews[{number}]", name, plainly
     for name in header.get("extensionsRequired", []):
-        if not name.startswith(_LOOKS) and name not in _REQUIRED:
+        if not name.startswith(_LOOKS) and name not in READ:
             yield "extensionsRequired", name, plainly
-    for number, material in enumerate(header.get("materials", [])):
-        for key, texture in _textures(material).items():
-            where = f"materials[{number}].{key}"
-            moved = texture.get("extensions", {}).get("KHR_texture_transform")
-            if moved:
-                yield where, "a moved texture (KHR_texture_transform)", "apply it to the coordinates"
-            if texture.get("texCoord", 0):
-                yield where, "a second set of texture coordinates", "export with one set"
-
-
-def _unread_numbers(header: Header, primitive: Header, where: str) -> Generator[tuple[str, str, str]]:
-    """Find positions, texture coordinates and indices whose numbers trimesh would take as they are."""
-    used = {key: primitive["attributes"].get(key) for key in ("POSITION", "TEXCOORD_0")}
-    used["indices"] = primitive.get("indices")
-    for key, index in used.items():
-        accessor: Header = {} if index is None else header["accessors"][index]
-        for trait in ("normalized", "sparse"):
-            if accessor.get(trait):
-                yield f"{where}.{key}", f"{trait} numbers", "export it as plain floats"
-
-
-def _textures(material: Header) -> dict[str, Header]:
-    """Textures of a material that are read, by key."""
-    found = material | material.get("pbrMetallicRoughness", {})
-    return {key: found[key] for key in TEXTURES if key in found}
-
-
-def stated_materials(path: Path, header: Header) -> dict[str, StatedMaterial]:
-    """Facts of the materials by name, empty for those without.
-
-    Raises
-    ------
-    ConfigError
-        For materials of one name whose normal maps are scaled differently.
-    """
-    found: dict[str, StatedMaterial] = {}
-    for material in header.get("materials", []):
-        name, textures = str(material.get("name") or ""), _textures(material)
-        scale = float(textures.get("normalTexture", {}).get("scale", 1.0))
-        here = StatedMaterial({key: _picture(header, each) for key, each in textures.items()}, scale)
-        other = found.get(name, here)
-        if other.normal_scale != scale:
-            raise ConfigError(
-                f"{path}: materials: got {name!r} twice, with normal maps scaled by {other.normal_scale:g} "
-                f"and {scale:g}, expected names that differ; cure: rename one"
-            )
-        shared = {key: where for key, where in other.textures.items() if key in here.textures}
-        found[name] = StatedMaterial(shared, scale)
-    return found
-
-
-def _picture(header: Header, texture: Header) -> str:
-    """Say where a texture's picture is."""
-    source = header["textures"][texture["index"]].get("source")
-    image: Header = {} if source is None else header["images"][source]
-    uri = str(image.get("uri", ""))
-    return uri if uri and not uri.startswith("data:") else str(image.get("mimeType", "the picture"))
 
 
 def moving_animations(header: Header) -> list[str]:

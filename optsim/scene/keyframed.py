@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -179,7 +180,7 @@ class KeyframedObjects(Part):
     def rest(self) -> Mesh:
         """Mesh at time 0."""
         mesh = _resting(self.items)
-        return Mesh(self.vertices(0.0), mesh.faces, mesh.uv)
+        return replace(mesh, vertices_m=self.vertices(0.0))
 
     def vertices(self, time_s: float) -> Doubles:
         """Positions (n, 3), m."""

@@ -102,6 +102,8 @@ class Principled(Part):
         Instead: as for :class:`Diffuse`.
     picture, part, sha256 : str, int, str
         Reflectance map: a picture, or the one of a part of a model; hash of all files.
+    vertex_colours : bool
+        Whether colours at the vertices of meshes multiply the reflectance; it is set by files that have some.
     normal_map : str or None
         As for :class:`Diffuse`.
     roughness_map, metallic_map : str or None
@@ -121,6 +123,7 @@ class Principled(Part):
     roughness_map: str | None = Field(default=None, exclude=True)
     metallic_map: str | None = Field(default=None, exclude=True)
     part: int | None = None
+    vertex_colours: bool = False
     sha256: str = ""
     tile_m: Positive = 1.0
     roughness: Roughness = 0.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -105,7 +106,7 @@ class AnimatedModel(Part):
     def rest(self) -> Mesh:
         """Mesh at time 0."""
         mesh = self.item.mesh()
-        return Mesh(self.vertices(0.0), mesh.faces, mesh.uv)
+        return replace(mesh, vertices_m=self.vertices(0.0))
 
     def vertices(self, time_s: float) -> Doubles:
         """Positions (n, 3), m."""
@@ -166,7 +167,7 @@ def _placed(item: MeshObject) -> Mesh:
     """Triangles of a part in the scene's frame; cached, since every pose starts from it."""
     model = read_model(Path(item.file))
     mesh = model.parts[item.part][1]
-    return Mesh(_in_scene(item, model, mesh.vertices_m), mesh.faces, mesh.uv)
+    return replace(mesh, vertices_m=_in_scene(item, model, mesh.vertices_m))
 
 
 def _in_scene(item: MeshObject, model: Model, vertices: Doubles) -> Doubles:

@@ -6,12 +6,14 @@ import functools
 import hashlib
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
 from optsim.core.foreign import reading
-from optsim.scene.gltf import gltf_parts
+from optsim.scene.gltf import open_gltf, source
+from optsim.scene.gltf_model import textures_of
+from optsim.scene.model_surface import beside
+from optsim.scene.obj_files import libraries_of, named_pictures, parse_mtl
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -59,24 +61,20 @@ def model_hash(path: Path) -> str:
 def _named(path: Path, _mtime_ns: int, _size: int) -> tuple[tuple[str, Path], ...]:
     """Names in a model's file, and where they lead."""
     names: list[str] = []
-    if path.suffix.lower() in (".glb", ".gltf"):
-        with reading(path, "a glTF 2.0 file", "export it again, for example as GLB"):
-            header, _ = gltf_parts(path)
-            listed: list[dict[str, Any]] = [*header.get("buffers", []), *header.get("images", [])]
-            names = [
-                unquote(each["uri"]) for each in listed if not each.get("uri", "data:").startswith("data:")
+    with reading(path, "a model", "export it again, for example as GLB"):
+        if path.suffix.lower() in (".glb", ".gltf"):
+            header = open_gltf(path).header
+            used = {
+                source(header["textures"][each["index"]])
+                for material in header.get("materials", [])
+                for each in textures_of(material).values()
+            }
+            listed: list[dict[str, Any]] = header.get("buffers", []) + [
+                image for number, image in enumerate(header.get("images", [])) if number in used
             ]
-    elif path.suffix.lower() == ".obj":
-        names = _after(path, "mtllib")
-        libraries = [path.parent / name for name in names if (path.parent / name).is_file()]
-        names += [name for library in libraries for name in _after(library, "map_Kd")]
-    return tuple((name, (path.parent / name).resolve()) for name in dict.fromkeys(names))
-
-
-def _after(path: Path, key: str) -> list[str]:
-    """Names after a key of an OBJ or MTL file; options stand before a name."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    found = [
-        line.split(maxsplit=1)[1].strip() for line in lines if line.split()[:1] == [key] and line.split()[1:]
-    ]
-    return [name.split()[-1] if name.startswith("-") else name for name in found]
+            names = [each["uri"] for each in listed if not each.get("uri", "data:").startswith("data:")]
+        elif path.suffix.lower() == ".obj":
+            names = libraries_of(path)
+            there = [file for name in names if (file := beside(path, name)).is_file()]
+            names = names + [name for file in there for name in named_pictures(parse_mtl(file))]
+        return tuple((name, beside(path, name)) for name in dict.fromkeys(names))

@@ -7,6 +7,7 @@ names. So all that is known of objects holds for models.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -16,9 +17,10 @@ import numpy as np
 from optsim.core.config import Table, build
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
-from optsim.scene.gltf import gltf_parts, morphs, moving_animations
+from optsim.scene.gltf import morphs, moving_animations, open_gltf
 from optsim.scene.mesh_objects import UNITS_M, UPRIGHT, MeshObject, steps_of, upright
 from optsim.scene.model_files import check_files, model_hash
+from optsim.scene.model_surface import listed
 from optsim.scene.models import FORMATS, inside, read_model
 from optsim.scene.pictures import MAPS, read_map, read_picture
 from optsim.scene.vehicle import Car
@@ -142,7 +144,7 @@ def _animated(
     found: Table = {}
     parts = _expanded(own, name, folder, place, distance_m)
     file = Path(parts[0][1][0]["file"])
-    header, _ = gltf_parts(file) if file.suffix.lower() in (".glb", ".gltf") else ({}, b"")
+    header = open_gltf(file).header if file.suffix.lower() in (".glb", ".gltf") else {}
     moving = moving_animations(header)
     if len(moving) > 1:
         raise ConfigError(
@@ -199,15 +201,17 @@ def _expanded(
                 f'{distance_m:.3g} m; is it in another unit? cure: unit = "mm", or height_m = 0.3'
             )
     found: list[tuple[str, tuple[Table, Table | None]]] = []
-    for number, (surface, _) in enumerate(model.parts):
+    lost = [model.lost]
+    for number, (surface, mesh) in enumerate(model.parts):
         key = name if len(model.parts) == 1 else f"{name}-{number}"
         material: Table | None = None
         if stated.get("material") is None:
-            if surface.lost:
+            if surface.refused:
                 raise ConfigError(
-                    f"{where}.file: {file.name}: {surface.lost} cannot be read, expected PNG or JPEG by a "
-                    "name without spaces; cure: export it again, or give the object a material of the scene"
+                    f"{where}.file: {file.name}: {surface.refused}; cure: export it again, or give the "
+                    "object a material of the scene"
                 )
+            lost.append(surface.lost)
             material = {
                 "kind": "principled",
                 "colour": np.clip(surface.colour, 0, 1).tolist(),
@@ -215,6 +219,8 @@ def _expanded(
                 "metallic": float(np.clip(surface.metallic, 0, 1)),
                 "opacity": float(np.clip(surface.opacity, 0, 1)),
             }
+            if mesh.colours is not None:
+                material["vertex_colours"] = True
             shown = [key for key in MAPS if key in surface.maps]
             if surface.picture is not None or surface.cutout is not None:
                 shown.append("picture")
@@ -222,6 +228,8 @@ def _expanded(
                 material |= dict.fromkeys(shown, str(file))
                 material |= {"sha256": stated["sha256"], "part": number}
         found.append((key, ({**stated, "material": stated.get("material") or key, "part": number}, material)))
+    if said := listed(*lost):
+        warnings.warn(f"{file.name}: left out: {said}", stacklevel=2)
     return found
 
 

@@ -1,35 +1,21 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
-"""Animations of the nodes of a glTF file, which trimesh leaves out: translation, rotation and scale in time.
+"""Nodes of a glTF file, at rest and by its animation: translation, rotation and scale in time.
 
 Skins and morph targets are refused: they deform, and a ``vertices`` mover does that.
 """
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles
-from optsim.scene.gltf import gltf_parts
+from optsim.scene.gltf import Gltf
 
 _PATHS = ("translation", "rotation", "scale")
-_SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-# Component type -> its kind, and the largest value of what is normalised (glTF 2.0, section 3.11).
-_NUMBERS = {
-    5126: ("<f4", 0),
-    5120: ("i1", 127),
-    5121: ("u1", 255),
-    5122: ("<i2", 32767),
-    5123: ("<u2", 65535),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,85 +71,95 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class NodeAnimation:
-    """First animation of a file.
+class Nodes:
+    """Tree of nodes that a file shows, and its first animation that moves any.
 
     Parameters
     ----------
-    channels : tuple of Channel
-        What changes.
     nodes : list of dict
-        The file's nodes, as it has them.
+        All nodes, as the file has them.
+    roots : tuple of int
+        Those at the top.
+    channels : tuple of Channel
+        What changes; may be empty.
     """
 
-    channels: tuple[Channel, ...]
     nodes: list[dict[str, Any]]
+    roots: tuple[int, ...]
+    channels: tuple[Channel, ...]
 
     @property
     def duration_s(self) -> float:
         """Time of the last keyframe, s."""
         return max(float(channel.times_s[-1]) for channel in self.channels)
 
-    def local_matrices(self, time_s: float) -> dict[int, Doubles]:
-        """Matrix of each animated node in its parent's frame, (4, 4)."""
+    def matrices(self, time_s: float | None = None) -> dict[int, Doubles]:
+        """Matrix of each visible node in the file's frame at a time, or at rest; (4, 4).
+
+        Raises
+        ------
+        ValueError
+            For a node below itself, or below two.
+        """
         changed: dict[int, dict[str, Doubles]] = {}
-        for channel in self.channels:
-            changed.setdefault(channel.node, {})[channel.path] = channel.at(time_s)
-        return {node: _matrix({**self.nodes[node], **values}) for node, values in changed.items()}
+        for channel in self.channels if time_s is not None else ():
+            changed.setdefault(channel.node, {})[channel.path] = channel.at(time_s or 0.0)
+        found: dict[int, Doubles] = {}
+        waiting = [(root, np.eye(4)) for root in self.roots]
+        while waiting:
+            node, above = waiting.pop()
+            if node in found or not 0 <= node < len(self.nodes):
+                raise ValueError(f"nodes[{node}] is named twice, or is not there")
+            about = self.nodes[node]
+            if not about.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
+                continue
+            if "matrix" in about and node not in changed:
+                own = np.asarray(about["matrix"], np.float64).reshape(4, 4).T
+            else:
+                own = _matrix({**about, **changed.get(node, {})})
+            found[node] = above @ own
+            waiting += [(child, found[node]) for child in about.get("children", [])]
+        return found
 
 
-def read_animation(path: Path) -> NodeAnimation | None:
-    """Read the first animation of a glTF or GLB file that moves nodes; None if there is none.
+def read_nodes(gltf: Gltf) -> Nodes:
+    """Read the tree of the file's scene, of all nodes where it has none.
 
     Raises
     ------
-    StorageError
+    ConfigError, ValueError
         For a damaged file.
     """
-    with reading(path, "a glTF 2.0 file", "export it again, for example as GLB"):
-        header, binary = gltf_parts(path)
-        for animation in header.get("animations", []):
-            channels = [
-                _channel(header, binary, path, animation["samplers"][each["sampler"]], each["target"])
-                for each in animation["channels"]
-                if each["target"].get("path") in ("translation", "rotation", "scale")
-                and "node" in each["target"]
-            ]
-            if channels:
-                return NodeAnimation(tuple(channels), header["nodes"])
-    return None
+    header = gltf.header
+    nodes: list[dict[str, Any]] = header.get("nodes", [])
+    below = {child for node in nodes for child in node.get("children", [])}
+    roots = [number for number in range(len(nodes)) if number not in below]
+    if header.get("scenes"):
+        roots = gltf.entry("scenes", header.get("scene", 0)).get("nodes", [])
+    for number, animation in enumerate(header.get("animations", [])):
+        channels = [
+            _channel(gltf, animation, each, f"animations[{number}]")
+            for each in animation["channels"]
+            if each["target"].get("path") in _PATHS and "node" in each["target"]
+        ]
+        if channels:
+            return Nodes(nodes, tuple(roots), tuple(channels))
+    return Nodes(nodes, tuple(roots), ())
 
 
-def _channel(
-    header: dict[str, Any], binary: bytes, path: Path, sampler: dict[str, Any], target: dict[str, Any]
-) -> Channel:
-    times = _accessor(header, binary, path, sampler["input"])[:, 0]
-    values = _accessor(header, binary, path, sampler["output"])
+def _channel(gltf: Gltf, animation: dict[str, Any], channel: dict[str, Any], where: str) -> Channel:
+    sampler, target = animation["samplers"][channel["sampler"]], channel["target"]
+    gltf.entry("nodes", target["node"])
+    times = gltf.numbers(sampler["input"])[:, 0]
+    values = gltf.numbers(sampler["output"])
     kind = sampler.get("interpolation", "LINEAR")
     if kind == "CUBICSPLINE":
         values = values.reshape(len(times), 3, -1)
-    if not (len(times) == len(values) > 0 and (np.diff(times) > 0).all() and np.isfinite(values).all()):
-        raise ValueError("an animation whose keyframes don't fit its values")
-    return Channel(int(target["node"]), target["path"], times, values, kind)
-
-
-def _accessor(header: dict[str, Any], binary: bytes, path: Path, index: int) -> Doubles:
-    """Rows of an accessor; those of animations are never interleaved."""
-    accessor = header["accessors"][index]
-    view = header["bufferViews"][accessor["bufferView"]]
-    uri = header["buffers"][view["buffer"]].get("uri")
-    if uri is None:
-        content = binary
-    elif uri.startswith("data:"):
-        content = base64.b64decode(uri.partition(",")[2])
-    else:
-        content = (path.parent / uri).read_bytes()
-    kind, largest = _NUMBERS[accessor["componentType"]]
-    width, count = _SIZES[accessor["type"]], int(accessor["count"])
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    numbers: NDArray[Any] = np.frombuffer(content, kind, width * count, start)
-    rows = numbers.astype(np.float64).reshape(count, width)
-    return np.maximum(rows / largest, -1) if largest else rows
+    if not (len(times) == len(values) > 0 and np.isfinite(values).all()):
+        raise ValueError(f"{where}: its keyframes don't fit its values")
+    if not (np.diff(times) > 0).all():
+        raise ValueError(f"{where}: its times don't increase")
+    return Channel(target["node"], target["path"], times, values, kind)
 
 
 def _matrix(node: dict[str, Any]) -> Doubles:
@@ -175,20 +171,3 @@ def _matrix(node: dict[str, Any]) -> Doubles:
     matrix[:3, :3] *= np.asarray(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
-
-
-def world_matrices(animation: NodeAnimation, roots: Sequence[int], time_s: float) -> dict[int, Doubles]:
-    """Matrix of each node in the file's frame at a time, (4, 4)."""
-    local = animation.local_matrices(time_s)
-    found: dict[int, Doubles] = {}
-    waiting = [(root, np.eye(4)) for root in roots]
-    while waiting:
-        node, above = waiting.pop()
-        about = animation.nodes[node]
-        if "matrix" in about and node not in local:
-            own = np.asarray(about["matrix"], np.float64).reshape(4, 4).T
-        else:
-            own = local.get(node, _matrix(about))
-        found[node] = above @ own
-        waiting += [(child, found[node]) for child in about.get("children", [])]
-    return found

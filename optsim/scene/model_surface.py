@@ -1,0 +1,236 @@
+"""Surfaces of models: colour, pictures, maps and how they lie; the same for every format."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optsim.core.errors import ConfigError
+from optsim.core.foreign import reading
+from optsim.core.quantities import Doubles, Floats, Ints
+from optsim.optics.srgb import srgb_to_linear
+from optsim.scene.geometry import Mesh
+from optsim.scene.pictures import checked_map
+
+_PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF")
+_GREY = (0.5, 0.5, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a file says of a material; by default matt grey.
+
+    Parameters
+    ----------
+    name : str
+        Name in the file; may be empty.
+    colour : ndarray of shape (3,)
+        Base colour, linear sRGB, 0..1.
+    picture : ndarray of shape (y, x, 3), float32, or None
+        Reflectance map, linear sRGB, that the base colour multiplies, row 0 at the lower edge.
+    cutout : ndarray of shape (y, x), float32, or None
+        Opacity map, where the file has one.
+    opacity, roughness, metallic : float
+        0..1.
+    maps : dict
+        Maps of raw numbers by the keys of :data:`optsim.scene.pictures.MAPS`: normals (y, x, 3), whose
+        vectors are 2 values - 1; roughness and metallic (y, x), which the numbers above multiply.
+    wrap : {"repeat", "clamp", "mirror"}
+        How all pictures go on beyond texture coordinates of 0..1.
+    lost : str
+        What the file states beyond that; it is left out, and the user is told.
+    refused : str
+        What it states that can't be left out, or a picture that can't be read: an error if it is shown.
+    """
+
+    name: str = ""
+    colour: Doubles = field(default_factory=lambda: np.array(_GREY))
+    picture: Floats | None = None
+    cutout: Floats | None = None
+    opacity: float = 1.0
+    roughness: float = 1.0
+    metallic: float = 0.0
+    maps: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    wrap: str = "repeat"
+    lost: str = ""
+    refused: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Triangles of one surface as a file has them; ``colours`` (n, 3) are linear, nothing multiplies them."""
+
+    name: str
+    surface: Surface
+    points: Doubles
+    faces: Ints
+    uv: Doubles | None = None
+    colours: Floats | None = None
+    node: int = -1
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How a picture lies: set of texture coordinates, matrix for (u, v up, 1), wrap modes along u and v."""
+
+    coordinates: int = 0
+    matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    wraps: tuple[str, str] = ("repeat", "repeat")
+
+    def placed(self, uv: Doubles) -> Doubles:
+        """Coordinates in the picture."""
+        rows = np.reshape(self.matrix, (2, 3))
+        return uv @ rows[:, :2].T + rows[:, 2]
+
+
+def laid(surface: Surface, uv: Doubles | None, places: Sequence[Placement]) -> tuple[Surface, Doubles | None]:
+    """Lay the pictures of a surface on texture coordinates; all must lie alike."""
+    if not places:
+        return surface, uv
+    if len(set(places)) > 1:
+        said = "pictures that lie differently (texture coordinates, transform or wrap modes)"
+        return replace(surface, refused=listed(surface.refused, f"{said}; expected one way for all")), uv
+    if uv is None:
+        return replace(surface, lost=listed(surface.lost, "a picture without texture coordinates")), None
+    uv = places[0].placed(uv)
+    # Along an axis that stays within the picture its wrap mode doesn't count.
+    wraps = places[0].wraps
+    beyond = [wrap for wrap, axis in zip(wraps, uv.T, strict=True) if (abs(axis - 0.5) > 0.501).any()]
+    modes = {*(beyond or wraps[:1])}
+    if len(modes) > 1:
+        said = f"wrap modes {' and '.join(wraps)} along u and v; expected one"
+        return replace(surface, refused=listed(surface.refused, said)), uv
+    return replace(surface, wrap=modes.pop()), uv
+
+
+def tinted(surface: Surface, colours: Doubles | None, *, plain: bool) -> tuple[Surface, Floats | None]:
+    """Combine a surface with colours at the vertices, (n, 3), linear; ``plain`` is one without a material.
+
+    Equal ones become the base colour. Beside a picture their mean counts, which is said.
+    """
+    if colours is None or not len(colours):
+        return surface, None
+    colours, own = np.clip(colours, 0, 1), np.ones(3) if plain else surface.colour
+    varied, lost = bool(np.ptp(colours, axis=0).max() > 1e-6), surface.lost
+    if varied and surface.picture is None:
+        return replace(surface, colour=np.ones(3)), (colours * own).astype(np.float32)
+    if varied:
+        lost = listed(lost, "colours at vertices beside a picture (their mean counts)")
+    return replace(surface, colour=own * colours.mean(axis=0), lost=lost), None
+
+
+def decoded(content: bytes) -> NDArray[Any]:
+    """Read a picture by its content's own mark: (y, x, 4) of 8 or 16 bits, row 0 at the lower edge.
+
+    Raises
+    ------
+    ValueError
+        For another format, or a damaged picture.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content), formats=_PICTURES) as picture:
+            if picture.mode.startswith("I"):
+                # Pillow would clip grey of 16 bits at 255.
+                grey = np.asarray(picture).astype(np.uint16)[::-1, :, None]
+                return np.concatenate([grey, grey, grey, np.full_like(grey, 65535)], axis=2)
+            return np.ascontiguousarray(np.asarray(picture.convert("RGBA"))[::-1])
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {error}") from None
+
+
+def shares(coded: NDArray[Any]) -> Floats:
+    """Values as they are stored, 0..1."""
+    return coded.astype(np.float32) / np.float32(np.iinfo(coded.dtype).max)
+
+
+def reflectances(coded: NDArray[Any]) -> Floats:
+    """Linear light of values of sRGB, 0..1."""
+    most = int(np.iinfo(coded.dtype).max)
+    return srgb_to_linear(np.arange(most + 1) / most).astype(np.float32)[coded]
+
+
+def linear_colours(path: Path, values: NDArray[Any]) -> Doubles:
+    """Linear colours of sRGB ones, (n, 3): whole numbers to 255 or of 16 bits, or others of 0 to 1.
+
+    Raises
+    ------
+    ConfigError
+        For a value beyond.
+    """
+    largest = float(values.max(initial=0))
+    whole = values.dtype.kind in "iu" or (largest > 1 and bool((values == np.rint(values)).all()))
+    most = float(np.iinfo(values.dtype).max) if values.dtype == np.uint16 else 255.0 if whole else 1.0
+    if not (values.min(initial=0) >= 0 and largest <= most):
+        raise ConfigError(f"{path}: got a vertex with colour {largest:g}, expected 0 to 1, or whole to 255")
+    return srgb_to_linear(values.astype(np.float64) / most)
+
+
+def slopes(coded: NDArray[Any], scale: float, where: str) -> Floats:
+    """Make a normal map whose slopes are scaled."""
+    vectors = checked_map(shares(coded[..., :3]), "normal_map", where) - np.float32(0.5)
+    vectors *= np.array([scale, scale, 1.0], np.float32)
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.maximum(2 * length, 1e-6) + np.float32(0.5)
+
+
+def beside(path: Path, name: str) -> Path:
+    """Where a name in a file leads: as it stands, else with slashes for backslashes, else percent-decoded."""
+    slashed = name.replace("\\", "/")
+    places = [path.parent / each for each in (name, slashed, unquote(slashed))]
+    return next((place for place in places if place.is_file()), places[-1]).resolve()
+
+
+def content_beside(path: Path, name: str) -> bytes:
+    """Content of a file that another one names.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    file = beside(path, name)
+    if not file.is_file():
+        raise ConfigError(f"{path.name} names {name!r}, but there is no such file; cure: copy it there too")
+    with reading(file, "a file that a model names"):
+        return file.read_bytes()
+
+
+def split_by_hand(surface: Surface, mesh: Mesh) -> list[tuple[Surface, Mesh]]:
+    """Split a part where its picture is mirrored, for the renderer takes a normal map's y from its x.
+
+    What is mirrored has its pictures turned over, so that they look the same, and the map's x with them.
+    """
+    if "normal_map" not in surface.maps:
+        return [(surface, mesh)]
+    corners = mesh.uv[mesh.faces]
+    (across, up), (further, higher) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    mirrored = across * higher < up * further
+    # Copies: they are changed here.
+    maps = {key: image[:, ::-1].copy() for key, image in surface.maps.items()}
+    maps["normal_map"][..., 0] = 1 - maps["normal_map"][..., 0]
+    over = replace(
+        surface,
+        picture=None if surface.picture is None else np.ascontiguousarray(surface.picture[:, ::-1]),
+        cutout=None if surface.cutout is None else np.ascontiguousarray(surface.cutout[:, ::-1]),
+        maps=maps,
+    )
+    parts = [
+        (surface, replace(mesh, faces=mesh.faces[~mirrored])),
+        # By 1 - u, which is right for every wrap mode.
+        (over, replace(mesh, faces=mesh.faces[mirrored], uv=mesh.uv * (-1, 1) + (1, 0))),
+    ]
+    return [part for part in parts if len(part[1].faces)]
+
+
+def listed(*said: str) -> str:
+    """Join remarks, without empty ones and repetitions."""
+    return ", ".join(dict.fromkeys(each for each in said if each))
