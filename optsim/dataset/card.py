@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from optsim.core.files import content_hash
+from optsim.dataset.arrays import PASSES
 from optsim.dataset.channels import CONVENTIONS
-from optsim.dataset.reading import KIND, MANIFEST, PASSES
+from optsim.dataset.reading import KIND, MANIFEST
 from optsim.dataset.spec import SPLITS, DatasetSpec, SequencePlan
 from optsim.experiment.run_folder import versions
 

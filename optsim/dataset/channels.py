@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from optsim.core.quantities import Floats, Ids, Passes, RadianceVideo
+from optsim.core.quantities import Floats, Ids, Passes, Video
 
 # Stored as 16 bit on demand. Depth and flow stay float32: half of 7 m has steps of 4 mm, and flow must agree
 # with the poses. Noise stays float32 too, because it may lie below the range of half. Half
@@ -60,8 +60,8 @@ UNITS = {
 }
 
 
-def slot_mean(radiance: RadianceVideo, slot: int) -> Floats:
-    """Mean radiance over a slot on the fine grid: (y, x), float32."""
+def slot_mean(radiance: Video, slot: int) -> Floats:
+    """Mean light over a slot on the fine grid: (y, x), float32."""
     first = slot % radiance.slots_per_segment * radiance.instants_per_slot
     segment = radiance.load(slot // radiance.slots_per_segment)
     total = np.zeros((radiance.rows, radiance.cols))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,60 +11,14 @@ from pathlib import Path
 from typing import Any, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optsim.core.errors import StorageError, ValueCheckError, unknown_name
-from optsim.core.files import read_exr, read_exr_header, read_record
+from optsim.core.files import read_exr_header, read_record
+from optsim.dataset.arrays import BY_SCHEME, PASSES, SHARED, Array, Coded, Table, tables
 from optsim.dataset.spec import SPLITS, Split
 
 KIND = "optsim data set 1"
 CARD, MANIFEST, ARRAYS = "dataset.json", "manifest.jsonl", "arrays"
-Array = NDArray[Any]
-
-
-@dataclass(frozen=True)
-class Pass:
-    """A named array of the truth.
-
-    Parameters
-    ----------
-    channels : tuple of str
-        Channels in a slot's file; several become an axis of their own.
-    unit : str
-        SI unit, or the meaning of the numbers.
-    axes : str
-        Axes of the array of a sequence.
-    """
-
-    channels: tuple[str, ...]
-    unit: str
-    axes: str = "slot, y, x"
-
-
-_FLOW_AXES, _NORMAL_AXES = "slot, y, x, (row, col)", "slot, y, x, (x, y, z)"
-PASSES = {
-    "radiance": Pass(("Y",), "W m^-2 sr^-1"),
-    "colour": Pass(("R", "G", "B"), "W m^-2 sr^-1, in the bands R, G and B", "slot, band, y, x"),
-    "radiance_sigma": Pass(("Y.sigma",), "W m^-2 sr^-1"),
-    "depth": Pass(("Z",), "m, along the optical axis"),
-    "distance": Pass(("distance",), "m, along the ray"),
-    "normal": Pass(("N.X", "N.Y", "N.Z"), "1, world axes", _NORMAL_AXES),
-    "albedo": Pass(("albedo",), "1"),
-    "id": Pass(("id",), "object id"),
-    "part": Pass(("part",), "part of an object"),
-    "flow_forward": Pass(("flow.forward.row", "flow.forward.col"), "fine samples", _FLOW_AXES),
-    "flow_backward": Pass(("flow.backward.row", "flow.backward.col"), "fine samples", _FLOW_AXES),
-    "occluded_forward": Pass(("occluded.forward",), "mask"),
-    "occluded_backward": Pass(("occluded.backward",), "mask"),
-    "moving": Pass(("moving",), "mask"),
-}
-# For each scheme: files of a coded frame, unit and axes.
-_CODED = {
-    "frames": ("png", "DN", "frame, y, x"),
-    "masks": ("png", "mask", "frame, v, u"),
-    "codes": ("exr", "drive level, 0..255", "frame, slot, v, u"),
-    "reconstructions": ("exr", "W m^-2 sr^-1", "frame, slot, v, u"),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +53,25 @@ class Sample(Mapping[str, Array]):
             )
         held = self._header[0]
         passes = [name for name, each in PASSES.items() if each.channels[0] in held]
+        shared = [name for name in SHARED if (self.folder / name).is_dir()]
         coded = [
-            f"{kind}/{place.name}" for kind in _CODED for place in sorted((self._coded / kind).glob("*"))
+            f"{kind}/{place.name}"
+            for kind, each in BY_SCHEME.items()
+            for place in sorted((self._coded / each.files.partition("/")[0]).glob("*"))
         ]
-        return (*passes, *coded)
+        held = [f"{kind}/{name}" for kind, table in self._tables.items() for name in table.names()]
+        return (*passes, *shared, *coded, *held)
+
+    @cached_property
+    def _tables(self) -> dict[str, Table]:
+        return tables(self.folder, self._coded)
+
+    def _kind(self, name: str) -> tuple[Coded, list[Path]]:
+        """Kind of an array of coded frames, and its files."""
+        kind, _, scheme = name.partition("/")
+        found = SHARED.get(name) or BY_SCHEME[kind]
+        place = self._coded if scheme else self.folder
+        return found, sorted(place.glob(found.files.format(glob.escape(scheme))))
 
     @cached_property
     def _slots(self) -> list[Path]:
@@ -141,27 +111,36 @@ class Sample(Mapping[str, Array]):
         if (mapped := self.mapped(name)).is_file():
             return cast("Array", np.load(mapped, mmap_mode="r"))
         if name in PASSES:
-            return np.stack([_pass(read_exr(path)[0], PASSES[name]) for path in self._slots])
-        kind, _, scheme = name.partition("/")
-        suffix = _CODED[kind][0]
-        paths = sorted((self._coded / kind / scheme).glob(f"*.{suffix}"))
-        return np.stack([_picture(path) if suffix == "png" else _slots_of(path) for path in paths])
+            return np.stack([PASSES[name].of(path) for path in self._slots])
+        kind, _, key = name.partition("/")
+        if kind in self._tables:
+            return self._tables[kind].read(key)
+        found, paths = self._kind(name)
+        return np.stack([found.read(path) for path in paths])
 
     def mapped(self, name: str) -> Path:
         """File of an array in the layout ``npy``, whether it exists or not."""
-        return self.folder / ARRAYS / (f"{name}.npy" if name in PASSES else f"seed{self.seed}/{name}.npy")
+        shared = name in PASSES or name in SHARED or name.startswith("operator/")
+        return self.folder / ARRAYS / (f"{name}.npy" if shared else f"seed{self.seed}/{name}.npy")
 
     def slot(self, name: str, index: int) -> Array:
         """Read a pass in one slot: (y, x), (y, x, component), or (band, y, x)."""
-        return _pass(read_exr(self._slots[index])[0], PASSES[name])
+        return PASSES[name].of(self._slots[index])
 
     def unit(self, name: str) -> str:
         """Return the unit of an array."""
-        return PASSES[name].unit if name in PASSES else _CODED[name.partition("/")[0]][1]
+        return self._meaning(name)[0]
 
     def axes(self, name: str) -> str:
         """Axes of an array; ``v, u`` are panel pixels, ``y, x`` fine samples of the truth or CCD pixels."""
-        return PASSES[name].axes if name in PASSES else _CODED[name.partition("/")[0]][2]
+        return self._meaning(name)[1]
+
+    def _meaning(self, name: str) -> tuple[str, str]:
+        kind, _, key = name.partition("/")
+        if kind in self._tables:
+            return self._tables[kind].meaning(key)
+        said = PASSES[name] if name in PASSES else self._kind(name)[0]
+        return said.unit, said.axes
 
     @cached_property
     def camera(self) -> dict[str, Array]:
@@ -335,23 +314,3 @@ def manifest(folder: Path) -> list[dict[str, Any]]:
         raise StorageError(
             f"{path}: got {error}, expected a line of JSON a file; cure: build it again"
         ) from None
-
-
-def _pass(channels: dict[str, Array], which: Pass) -> Array:
-    arrays = [channels[name] for name in which.channels]
-    array = np.stack(arrays, axis=0 if "band" in which.axes else -1) if len(arrays) > 1 else arrays[0]
-    return array.astype(np.bool_) if which.unit == "mask" else array
-
-
-def _slots_of(path: Path) -> Array:
-    channels, _ = read_exr(path)
-    stacked = np.stack([channels[name] for name in sorted(channels)])
-    return stacked.astype(np.uint8) if path.parents[1].name == "codes" else stacked
-
-
-def _picture(path: Path) -> Array:
-    from PIL import Image
-
-    with Image.open(path) as image:
-        array = np.asarray(image)
-    return array > 0 if path.parents[1].name == "masks" else array.astype(np.uint16)

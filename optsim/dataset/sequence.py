@@ -3,9 +3,10 @@
 ::
 
     truth/slot000000.exr ... manifest.json passes.png
+    light_on_panel/slot000000.exr  target/000000.exr  operator.npz
     seed1/calibration.npz experiment.json light.json checksums.json
     seed1/frames/SCHEME/000000.png  codes/SCHEME/000000.exr  masks/SCHEME/000000.png
-    seed1/reconstructions/SCHEME/000000.exr
+    seed1/expected/SCHEME/000000.exr  weights/SCHEME/000000.exr  reconstructions/SCHEME/000000.exr
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from optsim.core.config import Table, build
 from optsim.core.files import write_json
+from optsim.dataset.coded_arrays import write_explained, write_light
 from optsim.dataset.export import export_passes
 from optsim.dataset.spec import DatasetSpec, SequencePlan
 from optsim.experiment.calibrations import calibrate_all
@@ -47,19 +49,24 @@ def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
         place = folder / f"seed{seed}"
         if not (place / "light.json").is_file():
             shutil.rmtree(place, ignore_errors=True)
-            _take(chosen.experiment_of(plan, seed), place, reconstruct=chosen.reconstruct)
+            _take(chosen.experiment_of(plan, seed), place, reconstruct=chosen.reconstruct, half=chosen.half)
 
 
-def _take(experiment: Experiment, folder: Path, *, reconstruct: bool) -> None:
-    """Calibrate, take the coded frames of all schemes, and decode them if requested."""
+def _take(experiment: Experiment, folder: Path, *, reconstruct: bool, half: bool) -> None:
+    """Calibrate, take the coded frames of all schemes with what explains them, and decode if requested."""
     modelled, _ = planned(experiment)
     known = calibrate_all(modelled)
     experiment.check_methods(known)
     radiance = render_truth(experiment)
     camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
-    frames = capture(modelled, camera, camera.form_image(radiance), known)
+    truth = camera.form_image(radiance)
+    frames = capture(modelled, camera, truth, known)
     write_calibrations(experiment, folder, known)
     write_frames(folder, frames)
+    write_light(folder.parent, camera, truth, modelled.n_frames, half=half)
+    for method in modelled.methods:
+        calibration = known[modelled.choice_of(method)]
+        write_explained(folder, method.name, camera, truth, calibration, frames[method.name])
     if reconstruct:
         for decoded in decode(modelled, frames, known):
             for name, video in decoded.videos.items():

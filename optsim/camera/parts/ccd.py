@@ -261,6 +261,15 @@ class Ccd(Part):
     def _bent_signal(self, electrons: Doubles, smear_e: Doubles | float) -> Doubles:
         return self.bent(np.minimum(electrons, self.full_well_e) + smear_e)
 
+    def noise_e(self, expected_e: Doubles, exposure_s: float) -> Doubles:
+        """Temporal noise of a frame, rms electrons after the bend, (y, x), as if no well were full."""
+        filled = np.clip(expected_e, 0, self.full_well_e)
+        x = filled / self.full_well_e
+        # Derivative of the bend, which applies to shot noise alone.
+        slope = 1 - 6 * self.bend_at_full_well * x**5
+        smear = self.smear_e(expected_e, exposure_s)
+        return np.sqrt(slope**2 * filled + smear + self.dark_noise_e**2)
+
     def digitise(
         self, expected_e: Doubles, exposure_s: float, serial_number: int, rng: Generator
     ) -> tuple[Words, int]:

@@ -1,0 +1,110 @@
+"""Arrays of a sequence that explain its coded frames: light on the panel, target, weights, noise, operator.
+
+Light is stored as radiance: irradiance on the modulator over ``irradiance_per_radiance`` of the light rule.
+So it does not depend on the neutral density, and half floats hold its dark parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from optsim.calibration import Calibration
+from optsim.camera.camera import CodedCamera
+from optsim.camera.true_operator import true_operator
+from optsim.core.files import atomic, write_exr
+from optsim.core.quantities import CodedFrame, IrradianceVideo, PanelState
+from optsim.dataset.channels import slot_mean
+
+LIGHT, TARGET, OPERATOR = "light_on_panel", "target", "operator.npz"
+_RADIANCE = "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance"
+
+
+def write_light(
+    folder: Path, camera: CodedCamera, truth: IrradianceVideo, n_frames: int, *, half: bool
+) -> None:
+    """Write what all coded frames of a sequence see: each slot's light, and its mean over each panel pixel.
+
+    Parameters
+    ----------
+    folder : Path
+        The sequence's folder; ``operator.npz`` is written last and marks the rest as complete.
+    camera : CodedCamera
+        The true camera, behind its neutral density.
+    truth : IrradianceVideo
+        Light on the modulator.
+    n_frames : int
+        Coded frames.
+    half : bool
+        16-bit floats.
+    """
+    if (folder / OPERATOR).is_file():
+        return
+    per_radiance = camera.irradiance_per_radiance
+    for index in range(n_frames):
+        target = camera.reference(truth, index) / np.float32(per_radiance)
+        write_exr(
+            folder / TARGET / f"{index:06d}.exr",
+            {f"slot{slot:02d}": target[slot] for slot in range(len(target))},
+            attributes={"unit": _RADIANCE, "axes": "slot, v, u", "frame": index, "shading": "divided out"},
+            half=half,
+        )
+        for slot in range(index * len(target), (index + 1) * len(target)):
+            write_exr(
+                folder / LIGHT / f"slot{slot:06d}.exr",
+                {"E": slot_mean(truth, slot) / np.float32(per_radiance)},
+                attributes={"unit": _RADIANCE, "axes": "y, x", "slot": slot, "shading": "included"},
+                half=half,
+            )
+    operator = true_operator(camera)
+    held: dict[str, Any] = {each.name: getattr(operator, each.name) for each in fields(operator)}
+    with atomic(folder / OPERATOR) as part, part.open("wb") as stream:
+        np.savez_compressed(stream, **cast("Any", {**held, "core": operator.core.astype(np.float16)}))
+
+
+def write_explained(
+    folder: Path,
+    method: str,
+    camera: CodedCamera,
+    truth: IrradianceVideo,
+    calibration: Calibration,
+    frames: tuple[CodedFrame, ...],
+) -> None:
+    """Write each frame of a method without noise, its noise, and the calibrated weight of each slot.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the seed.
+    method : str
+        Its name.
+    camera, truth
+        As for :func:`write_light`.
+    calibration : Calibration
+        The method's.
+    frames : tuple of CodedFrame
+        All coded frames from the first.
+    """
+    sensor = camera.sensor
+    before: PanelState | None = None
+    known: PanelState | None = None
+    for frame in frames:
+        expected_e, before = camera.expected_electrons(truth, frame.index, frame.code, before)
+        signal_e = sensor.signal_e(np.maximum(expected_e, 0), camera.exposure_s, camera.serial_number)
+        expected_dn = np.clip(signal_e / sensor.step_e + sensor.zero_dn, 0, sensor.max_dn)
+        noise_dn = sensor.noise_e(expected_e, camera.exposure_s) / sensor.step_e
+        write_exr(
+            folder / "expected" / method / f"{frame.index:06d}.exr",
+            {"expected": expected_dn.astype(np.float32), "sigma": noise_dn.astype(np.float32)},
+            attributes={"unit": "DN", "axes": "y, x", "frame": frame.index},
+        )
+        weights, known = calibration.weights(frame.code, known)
+        write_exr(
+            folder / "weights" / method / f"{frame.index:06d}.exr",
+            {f"slot{slot:02d}": weights[slot] for slot in range(len(weights))},
+            attributes={"unit": "1", "axes": "slot, v, u", "frame": frame.index},
+            half=True,
+        )
