@@ -161,7 +161,7 @@ def stats(folder: Folder, as_json: Json = False) -> None:
 @dataset_app.command("export")
 def export(
     folder: Folder,
-    kind: Annotated[Literal["webdataset", "hdf5", "nerf"], typer.Option("--to", help="Form.")],
+    kind: Annotated[Literal["webdataset", "hdf5", "nerf", "coco"], typer.Option("--to", help="Form.")],
     out: Annotated[Path, typer.Option(help="New folder; of hdf5 a new file.")],
 ) -> None:
     """Convert a data set for other loaders."""

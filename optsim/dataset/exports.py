@@ -1,4 +1,4 @@
-"""A data set in the formats of other loaders: webdataset shards, HDF5, and NeRF's transforms.json."""
+"""A data set in the formats of other loaders: webdataset shards, HDF5, NeRF's transforms.json, COCO."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from optsim.core.errors import StorageError
 from optsim.core.files import atomic, write_json, write_png8
 from optsim.core.folder_claims import claimed_empty
 from optsim.core.progress import Progress, silent
-from optsim.core.quantities import Doubles
+from optsim.dataset.coco import eight_bits, export_coco
 from optsim.dataset.reading import Dataset, Sample
 from optsim.dataset.spec import SPLITS
-from optsim.optics.srgb import linear_to_srgb
 
 _SHARD = 64
 
@@ -92,18 +91,13 @@ def export_nerf(dataset: Dataset, folder: Path, progress: Progress = silent) -> 
 
 
 def _transforms(sample: Sample, folder: Path) -> None:
-    radiance: Doubles = sample["radiance"].astype(np.float64)[..., None]
-    if "colour" in sample:
-        radiance = np.moveaxis(sample["colour"].astype(np.float64), 1, -1)
+    pictures, white = eight_bits(sample)
     camera = sample.camera
     (focal_x, _, center_x), (_, focal_y, center_y), _ = camera["intrinsics_px"].tolist()
-    white = float(np.percentile(radiance, 99))
-    rows, cols = radiance.shape[1:3]
+    rows, cols = pictures.shape[1:3]
     frames: list[dict[str, Any]] = []
-    for slot, image in enumerate(radiance):
-        share: Doubles = np.clip(image / white, 0, 1)
-        picture = np.rint(255 * linear_to_srgb(share)).astype(np.uint8)
-        write_png8(folder / "images" / f"{slot:06d}.png", np.broadcast_to(picture, (rows, cols, 3)))
+    for slot, picture in enumerate(pictures):
+        write_png8(folder / "images" / f"{slot:06d}.png", picture)
         # OpenCV's axes (y down, z forward) to OpenGL's.
         pose = camera["camera_to_world"][slot] @ np.diag([1.0, -1.0, -1.0, 1.0])
         frames.append(
@@ -141,4 +135,5 @@ EXPORTS: dict[str, Callable[[Dataset, Path, Progress], None]] = {
     "webdataset": export_webdataset,
     "hdf5": export_hdf5,
     "nerf": export_nerf,
+    "coco": export_coco,
 }
