@@ -64,12 +64,13 @@ def eight_bits(sample: Sample) -> tuple[Array, float]:
 
 def _camera(sample: Sample, slot: int) -> dict[str, Any]:
     matrix: Doubles = sample.camera["intrinsics_px"] - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    inverse: Doubles = np.linalg.inv(sample.camera["camera_to_world"][slot]).astype(np.float64)
+    pose: Doubles = sample.camera["camera_to_world"][slot]
+    turn: Doubles = pose[:3, :3].T
     return {
         "cam_K": matrix.ravel().tolist(),
         "k1": float(sample.camera["radial_k1"]),
-        "cam_R_w2c": inverse[:3, :3].ravel().tolist(),
-        "cam_t_w2c": (1000 * inverse[:3, 3]).tolist(),
+        "cam_R_w2c": turn.ravel().tolist(),
+        "cam_t_w2c": (-1000 * turn @ pose[:3, 3]).tolist(),
     }
 
 
