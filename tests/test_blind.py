@@ -69,6 +69,27 @@ def test_a_shift_and_a_rotation_come_back_from_the_frames_alone(record: dict[str
     assert (found["true_shift_x_px"], found["true_rotation_rad"]) == (0.6, 2e-3)
 
 
+def test_a_rotation_comes_back_with_its_sign(base: Experiment, stage: Stage, known: Calibration) -> None:
+    turned = base.model_copy(update={"drift": {"relay": {"rotation_rad": 4e-3}}})
+    camera = turned.at_work().with_nd(stage.light.nd_transmission)
+    taken = capture(turned, camera, stage.truth, stage.known)["hdr_mosaic"]
+    found = registered_blind(taken, known).registration
+    # As far as a film of 24 x 32 panel pixels tells it.
+    assert 2e-3 < found.rotation_rad < 8e-3
+    assert abs(found.shift_x_px) + abs(found.shift_y_px) < 0.2
+
+
+def test_a_registration_turns_as_the_relay_does(base: Experiment) -> None:
+    relay, sensor = base.camera.relay, base.camera.sensor
+    moved = Registration(0.3, -0.7, 5e-3)
+    drift = {"shift_y_px": 0.3, "shift_x_px": -0.7, "rotation_rad": 5e-3}
+    turned = base.camera.model_copy(update={"relay": relay.model_copy(update=drift)})
+    (v, u) = np.array([[3.5, 4.5], [3.5, 28.5], [20.5, 4.5]]).T
+    before, after = (np.array(each.geometry().panel_to_ccd(v, u)) for each in (base.camera, turned))
+    now = np.array(moved.now(before[0] - 0.5, before[1] - 0.5, (sensor.rows, sensor.cols))) + 0.5
+    np.testing.assert_allclose(now, after, atol=2e-3)
+
+
 def test_blind_wins_back_most_and_the_true_operator_is_best(record: dict[str, Any]) -> None:
     db = {(row["method"], row["what"]): row["db"] for row in record["rows"] if row["region"] == "static"}
     ideal, calibrated, blind, true = (

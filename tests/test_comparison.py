@@ -20,6 +20,7 @@ from test_cli import cli  # noqa: F401  a fixture
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import read_json, write_json
 from optsim.metrics.comparison import Judgement, estimate, judge, row_level
+from optsim.metrics.tolerances import TOLERANCES
 from optsim.report.baseline import Facts, Run, Scored, read_baseline, scored_runs, write_baseline
 from optsim.report.comparison import ALL_CASES, Comparison, Delta, between_methods, compare
 from optsim.report.comparison_page import write_comparison
@@ -33,6 +34,28 @@ METRICS = {
 }
 FRAMES = 5
 CONTENT = np.array([0.0, 1.5, -1.0, 0.7, 2.0])
+
+
+_ACCEPTED = [
+    ("PU21-PSNR", 0.1),
+    ("log-RMSE", 0.01),
+    ("mu-law-PSNR", 0.1),
+    ("SMAPE", 0.003),
+    ("PU21-SSIM", 0.003),
+    ("PU21-MS-SSIM", 0.003),
+    ("difference-PSNR", 0.1),
+    ("one-gain PU21-PSNR", 0.1),
+    ("valid share", 0.002),
+    ("bench: read noise", 1.0),
+    ("bench: gain", 1.0),
+    ("bench: saturation", 1.0),
+    ("bench: responsivity", 1.0),
+    ("bench: crosstalk", 1.5),
+    ("bench: pixel map, row", 0.05),
+    ("bench: pixel map, column", 0.05),
+    ("time: capture", 30.0),
+    ("memory: capture", 15.0),
+]
 
 
 def units(values: np.ndarray, first_seed: int = 1) -> dict[tuple[int, int], float]:
@@ -222,6 +245,43 @@ def test_small_losses_in_all_scenes_add_up() -> None:
     )
     failed = {d.case for d in found.deltas if d.alarm == "fail"}
     assert ALL_CASES in failed
+
+
+def test_the_interval_over_scenes_is_that_of_their_mean() -> None:
+    """Of independent scenes variances add; freedom by Welch and Satterthwaite, the level by Sidak."""
+    rng = np.random.default_rng(12)
+    names = [f"scene_{k}" for k in range(5)]
+    shifts = [rng.normal(0.1 * k, 0.1 + 0.1 * k, FRAMES + k % 2) for k in range(5)]
+    sides: list[list[Scored]] = [[], []]
+    for name, shift in zip(names, shifts, strict=True):
+        base = 20 + rng.normal(size=shift.size)
+        for each, values in zip(sides, (base, base + shift), strict=True):
+            each.append(side("s", {PU21: values[None]}, case=name))
+    found = compared(*map(with_cases, sides))
+    (row,) = (d for d in found.deltas if (d.case, d.region) == (ALL_CASES, "all"))
+    errors = np.array([stats.sem(shift) for shift in shifts])
+    freedom = (errors**2).sum() ** 2 / sum(e**4 / (x.size - 1) for e, x in zip(errors, shifts, strict=True))
+    level = 1 - 0.95 ** (1 / found.judged)
+    half = stats.t.ppf(1 - level / 2, freedom) * np.sqrt((errors**2).sum()) / len(errors)
+    mean = np.mean([shift.mean() for shift in shifts])
+    assert (row.low, row.high) == pytest.approx((mean - half, mean + half))
+
+
+@pytest.mark.parametrize(("metric", "tolerance"), _ACCEPTED)
+def test_a_loss_of_more_than_the_accepted_one_fails(metric: str, tolerance: float) -> None:
+    """Accepted losses are a choice; changing one changes this list too."""
+    assert set(TOLERANCES) | {"time: capture", "memory: capture"} == {name for (name, _) in _ACCEPTED}
+    noise = 0.01 * tolerance * np.array([1, -1, 0.5, -0.5, 0])
+    for share, outcome in ((0.9, "pass"), (1.1, "regression")):
+        facts = {metric: Facts(unit="", higher_is_better=True)}
+        a, b = (
+            side("s", {PU21: 20 + CONTENT[None] + shift}).model_copy(update={"metrics": facts})
+            for shift in (0.0, noise - share * tolerance)
+        )
+        for each in (a, b):
+            for run in each.runs:
+                run.scores[metric] = run.scores.pop(PU21)
+        assert compared(a, b).outcome == outcome, share
 
 
 def test_linear_psnr_decides_nothing() -> None:

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from optsim.core.errors import ConfigError, OptsimError
 from optsim.scene import load_scene
@@ -113,6 +114,18 @@ def test_a_spline_with_flat_tangents_is_hermites(tmp_path):
     for time in (0.25, 0.5, 0.75):
         size = 1 + 2 * (3 * time**2 - 2 * time**3)
         np.testing.assert_allclose(model.vertices(0, time), size * POINTS + LIFT, atol=1e-6)
+
+
+def test_a_spline_with_tangents_is_scipys(tmp_path):
+    """Tangents are per second (glTF 2.0, appendix C): the second interval is two seconds long."""
+    into, keys, out = np.random.default_rng(3).uniform(-2, 2, (3, 3, 3))
+    spline = (1, "translation", "CUBICSPLINE", np.stack([into, keys, out], axis=1).reshape(9, 3))
+    model = read_model(gltf(tmp_path / "arm.gltf", [spline]))
+    for first, (start, stop) in enumerate(((0.0, 1.0), (1.0, 3.0))):
+        pair = slice(first, first + 2)
+        theirs = CubicHermiteSpline([start, stop], keys[pair], [out[first], into[first + 1]])
+        for time in np.linspace(start, stop, 7)[:-1]:
+            np.testing.assert_allclose(model.vertices(0, time), POINTS + LIFT + theirs(time), atol=1e-5)
 
 
 def test_a_child_moves_in_its_parents_frame(tmp_path):

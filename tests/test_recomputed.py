@@ -1,0 +1,184 @@
+"""Columns of studies that users act on, computed again from the raw tables by other code."""
+
+import csv
+import statistics
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+from small_study import done_here, load, write_experiment
+
+from optsim.study.comparison import Compared, Estimate, pool_scatter, student
+from optsim.study.folder import Workplace
+from optsim.study.tolerance import TolerancePlan, tolerance
+from optsim.study.tolerance_page import sheet, won_back
+from optsim.study.yields import YieldPlan, yields
+from optsim.study.yields_page import shared_lines, write_yield_page
+
+SHIFT, TURN = "camera.relay.shift_x_px", "camera.relay.rotation_rad"
+WON = {"unknown": 1.0, "compensated": 0.5, "known": 0.1}
+"""Share of the loss that is left, by mode."""
+LIMITS = {"shift_x": {-1: 1.0, 1: 2.0}, "rotation": {-1: 2e-3, 1: 1e-3}}
+"""Change that costs 1 dB, by parameter and sign, in the keys' units: each costs by its square."""
+TOGETHER = 300.0
+"""dB that a pixel and a radian cost together, beside what each costs."""
+
+
+def loss_db(shift: float, turn: float, mode: str = "unknown") -> float:
+    alone = [
+        (value / LIMITS[name][1 if value > 0 else -1]) ** 2
+        for name, value in (("shift_x", shift), ("rotation", turn))
+    ]
+    return WON[mode] * (sum(alone) + TOGETHER * shift * turn)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    return load(write_experiment(tmp_path_factory.mktemp("study")), "hdr_mosaic")
+
+
+@pytest.fixture(scope="module")
+def by_formula(base):
+    """Studies whose scores come from :func:`loss_db`: nothing is rendered, exposed or decoded."""
+
+    def compared(stage, point, seeds, decides=list):
+        changes = dict(point.changes)
+        loss = loss_db(changes.get(SHIFT, 0.0), changes.get(TURN, 0.0), point.mode)
+        change = {("hdr_mosaic", "static"): Estimate(-loss, 0.05, 4)}
+        return Compared(point, change, change, {}, SimpleNamespace(values={}), "", {})
+
+    def measured(stage, point):
+        changes = dict(point.changes)
+        db = 30 - loss_db(changes.get(SHIFT, 0.0), changes.get(TURN, 0.0), point.mode)
+        return SimpleNamespace(db={("hdr_mosaic", "static"): db}, map_residual_px=0.0, refused="", work={})
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("render_truth", "calibrate_all"):
+            patch.setattr(f"optsim.study.folder.{name}", lambda *_, **__: None)
+        patch.setattr("optsim.study.folder.run_tasks", done_here)
+        for study, name, stand_in in (("tolerance", "compare", compared), ("yields", "measured", measured)):
+            patch.setattr(f"optsim.study.{study}.{name}", stand_in)
+            patch.setattr(f"optsim.study.{study}.stage_of", lambda *_: SimpleNamespace(base=base))
+        yield
+
+
+@pytest.fixture(scope="module")
+def record(base, tmp_path_factory, by_formula):
+    plan = TolerancePlan(1.0, ("shift_x", "rotation"), ("static",), known=False, draws=200)
+    return tolerance(base, plan, Workplace(tmp_path_factory.mktemp("sheet")))
+
+
+def ends_of(record):
+    return {(row["parameter"], row["sign"]): row for row in record["rows"]}
+
+
+def test_limits_and_db_a_unit_are_those_of_the_formula(record):
+    for (name, sign), row in ends_of(record).items():
+        limit = LIMITS[name][sign]
+        assert row["change"] == pytest.approx(limit, rel=0.01)
+        # Of a loss that is 1 at its limit and grows with the square: 2 dB over the limit, as drawn.
+        drawn = {"CCD px": limit, "mrad": 1e3 * limit}[row["unit"]]
+        assert row["value"] == pytest.approx(drawn, rel=0.01)
+        assert row["db_per_unit"] == pytest.approx(2 / drawn, rel=0.02)
+        assert row["value_half"] == pytest.approx(0.05 * drawn / 2, rel=0.02)
+    steepest = {name: float(slope) for name, *_, slope, _ in sheet(record["rows"], "unknown")}
+    assert steepest == pytest.approx({"shift_x": 2.0, "rotation": 2.0}, rel=0.02)
+
+
+def test_each_remedy_is_measured_in_its_own_mode(record):
+    left = {row["compensator"]: row["after_db"] for row in record["compensators"] if row["change"] > 0}
+    assert left["whole bench"] == pytest.approx(-0.1, rel=0.05)
+    others = [db for name, db in left.items() if name != "whole bench"]
+    assert others == pytest.approx([-0.5] * 3, rel=0.05)
+    before = [row["before_db"] for row in record["compensators"]]
+    assert before == pytest.approx([-1] * 16, rel=0.05)
+    heads, lines = won_back(record["compensators"])
+    for line in lines:
+        cell = dict(zip(heads, line, strict=True))["whole bench"]
+        assert cell.startswith("−0.10")
+
+
+def test_a_pair_is_measured_at_the_ends_that_are_nearer(record):
+    (pair,) = record["interactions"]
+    assert set(pair["names"]) == {"shift_x", "rotation"}
+    ends = ends_of(record)
+    # A pixel down and a milliradian up are half as far as the other ends.
+    shift, turn = -ends["shift_x", -1]["change"], ends["rotation", 1]["change"]
+    assert pair["alone_db"] == pytest.approx([1, 1], rel=0.05)
+    assert pair["together_db"] == pytest.approx(loss_db(shift, turn), rel=0.02)
+    assert pair["interaction_db"] == pytest.approx(TOGETHER * shift * turn, rel=0.05)
+    assert pair["interaction_db"] == pytest.approx(pair["together_db"] - sum(pair["alone_db"]))
+
+
+def test_the_budget_is_that_of_cameras_drawn_between_the_limits(record):
+    ends = ends_of(record)
+    drawn = [r for name, r in record["results"].items() if name.startswith("budget/")]
+    for name in ("shift_x", "rotation"):
+        values = np.array([each["drawn"][name] for each in drawn])
+        low, high = -ends[name, -1]["value"], ends[name, 1]["value"]
+        assert low <= values.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < values.max() <= high
+        # Even draws: five standard errors of the mean.
+        error = (high - low) / np.sqrt(12 * len(values))
+        assert values.mean() == pytest.approx((low + high) / 2, abs=5 * error)
+    losses = [loss_db(each["drawn"]["shift_x"], 1e-3 * each["drawn"]["rotation"]) for each in drawn]
+    assert [each["loss_db"] for each in drawn] == pytest.approx(losses)
+    budget = record["budget"]
+    assert budget["mean_db"] == pytest.approx(statistics.fmean(losses))
+    assert budget["p90_db"] == pytest.approx(statistics.quantiles(losses, n=10, method="inclusive")[8])
+    assert budget["worst_db"] == pytest.approx(max(losses))
+    assert budget["within_loss"] == len([loss for loss in losses if loss <= 1])
+    squares = [ends[name, sign]["loss_db"] ** 2 for name in LIMITS for sign in (-1, 1)]
+    assert budget["rss_db"] == pytest.approx(np.sqrt(sum(squares) / 2))
+
+
+def test_the_columns_of_a_yield_are_those_of_its_raw_table(base, tmp_path, by_formula):
+    limits = {"shift_x": (1.0, 2.0), "rotation": (2e-3, 1.5e-3)}
+    plan = YieldPlan(limits, 120, "unknown", (), "hdr_mosaic", "static", None)
+    record = yields(base, plan, Workplace(tmp_path))
+    with (tmp_path / "points.csv").open() as stream:
+        raw = list(csv.DictReader(stream))
+    db = np.array([float(row["db"]) for row in raw])
+    changes = {name: np.array([float(row[name]) for row in raw]) for name in limits}
+    assert db == pytest.approx([30 - loss_db(x, 1e-3 * y) for x, y in zip(*changes.values(), strict=True)])
+    good = db >= 29
+    assert 0.2 < good.mean() < 0.8
+    # Some cameras lie where a target half a decibel off would count them otherwise.
+    assert min(np.count_nonzero((db > low) & (db < low + 0.5)) for low in (28.5, 29)) > 3
+    assert (record["target_db"], record["good"]) == (29, np.count_nonzero(good))
+    assert [row["good"] for row in raw] == [str(bool(each)) for each in good]
+    shared = {row["parameter"]: row for row in record["shared"]}
+    # A rotation is drawn in mrad.
+    for name, most in (("shift_x", 2.0), ("rotation", 2.0)):
+        size = np.abs(changes[name]) / most
+        row = shared[name]
+        assert row["failures"] == pytest.approx(size[~good].mean())
+        assert row["good"] == pytest.approx(size[good].mean())
+        t = stats.ttest_ind(size[~good], size[good], equal_var=False).statistic
+        assert row["sigmas"] == pytest.approx(t)
+        assert row["correlation"] == pytest.approx(stats.pearsonr(size, db).statistic)
+    cells = {line[0]: line[1:3] for line in shared_lines(record)}
+    for name, row in shared.items():
+        assert cells[name] == (f"{row['failures']:.2f}", f"{row['good']:.2f}")
+    write_yield_page(tmp_path, record)
+    tenths = statistics.quantiles(db.tolist(), n=10, method="inclusive")
+    said = f"Median {statistics.median(db):.2f} dB, the middle 80 % at {tenths[0]:.2f} to {tenths[8]:.2f} dB"
+    assert said in (tmp_path / "study.html").read_text()
+
+
+def test_the_intervals_of_a_curve_are_those_of_its_pooled_raw_scores():
+    rng = np.random.default_rng(8)
+    points = [rng.normal(25 + at, 0.4, n) for at, n in enumerate((2, 3, 4, 2))]
+    curve = {"mode": "known", "method": "a", "region": "all", "refused": ""}
+    rows = []
+    for scores in points:
+        level = student(scores.tolist())
+        score = {"db": level.mean, "db_half": level.half, "change_db": level.mean, "change_half": level.half}
+        rows.append(curve | score | {"seeds": len(scores)})
+    pool_scatter(rows)
+    freedom = sum(len(scores) - 1 for scores in points)
+    pooled = np.sqrt(sum(((scores - scores.mean()) ** 2).sum() for scores in points) / freedom)
+    for row, scores in zip(rows, points, strict=True):
+        half = stats.t.ppf(0.975, freedom) * pooled / np.sqrt(len(scores))
+        assert (row["db_half"], row["change_half"]) == pytest.approx((half, half))
