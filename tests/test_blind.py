@@ -79,17 +79,6 @@ def test_a_rotation_comes_back_with_its_sign(base: Experiment, stage: Stage, kno
     assert abs(found.shift_x_px) + abs(found.shift_y_px) < 0.2
 
 
-def test_a_registration_turns_as_the_relay_does(base: Experiment) -> None:
-    relay, sensor = base.camera.relay, base.camera.sensor
-    moved = Registration(0.3, -0.7, 5e-3)
-    drift = {"shift_y_px": 0.3, "shift_x_px": -0.7, "rotation_rad": 5e-3}
-    turned = base.camera.model_copy(update={"relay": relay.model_copy(update=drift)})
-    (v, u) = np.array([[3.5, 4.5], [3.5, 28.5], [20.5, 4.5]]).T
-    before, after = (np.array(each.geometry().panel_to_ccd(v, u)) for each in (base.camera, turned))
-    now = np.array(moved.now(before[0] - 0.5, before[1] - 0.5, (sensor.rows, sensor.cols))) + 0.5
-    np.testing.assert_allclose(now, after, atol=2e-3)
-
-
 def test_blind_wins_back_most_and_the_true_operator_is_best(record: dict[str, Any]) -> None:
     db = {(row["method"], row["what"]): row["db"] for row in record["rows"] if row["region"] == "static"}
     ideal, calibrated, blind, true = (
