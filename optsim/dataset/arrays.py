@@ -121,6 +121,9 @@ BY_SCHEME = {
     "masks": Coded("masks/{}/*.png", "mask", "frame, v, u", _mask),
     "codes": Coded("codes/{}/*.exr", "drive level, 0..255", "frame, slot, v, u", _levels),
     "weights": Coded("weights/{}/*.exr", "1, effective weight as calibrated", "frame, slot, v, u", _slots),
+    "transmission": Coded(
+        "transmission/{}/*.exr", "1, of the panel, fully on as 1", "frame, slot, y, x", _slots
+    ),
     "reconstructions": Coded("reconstructions/{}/*.exr", "W m^-2 sr^-1", "frame, slot, v, u", _slots),
 }
 """Arrays of each scheme, KIND/SCHEME."""
@@ -133,7 +136,8 @@ _OPERATOR = {
     "tails": ("share of the light", "dv, du"),
     "mirrored": ("share of the light, of the opposite pixels", "dv, du"),
     "veil": ("share of the light", ""),
-    "borders": ("share of the weight", "sample of a pixel, (before, own, after)"),
+    "bend": ("share of the signal at full_dn", ""),
+    "full_dn": ("DN above black", ""),
 }
 _LIGHT_UNITS = {
     "nd_transmission": "1",

@@ -73,7 +73,7 @@ def write_explained(
     calibration: Calibration,
     frames: tuple[CodedFrame, ...],
 ) -> None:
-    """Write each frame of a method without noise, its noise, and the calibrated weight of each slot.
+    """Write each frame of a method without noise, its noise, and what the panel let through in each slot.
 
     Parameters
     ----------
@@ -92,6 +92,7 @@ def write_explained(
     before: PanelState | None = None
     known: PanelState | None = None
     for frame in frames:
+        panel = before
         expected_e, before = camera.expected_electrons(truth, frame.index, frame.code, before)
         signal_e = sensor.signal_e(np.maximum(expected_e, 0), camera.exposure_s, camera.serial_number)
         expected_dn = np.clip(signal_e / sensor.step_e + sensor.zero_dn, 0, sensor.max_dn)
@@ -102,9 +103,13 @@ def write_explained(
             attributes={"unit": "DN", "axes": "y, x", "frame": frame.index},
         )
         weights, known = calibration.weights(frame.code, known)
-        write_exr(
-            folder / "weights" / method / f"{frame.index:06d}.exr",
-            {f"slot{slot:02d}": weights[slot] for slot in range(len(weights))},
-            attributes={"unit": "1", "axes": "slot, v, u", "frame": frame.index},
-            half=True,
-        )
+        for kind, axes, each in (
+            ("weights", "slot, v, u", weights),
+            ("transmission", "slot, y, x", camera.transmission(frame.code, panel)),
+        ):
+            write_exr(
+                folder / kind / method / f"{frame.index:06d}.exr",
+                {f"slot{slot:02d}": each[slot] for slot in range(len(each))},
+                attributes={"unit": "1", "axes": axes, "frame": frame.index},
+                half=True,
+            )

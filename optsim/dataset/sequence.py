@@ -6,7 +6,8 @@
     light_on_panel/slot000000.exr  target/000000.exr  operator.npz
     seed1/calibration.npz experiment.json light.json checksums.json
     seed1/frames/SCHEME/000000.png  codes/SCHEME/000000.exr  masks/SCHEME/000000.png
-    seed1/expected/SCHEME/000000.exr  weights/SCHEME/000000.exr  reconstructions/SCHEME/000000.exr
+    seed1/expected/SCHEME/000000.exr  weights/SCHEME/000000.exr  transmission/SCHEME/000000.exr
+    seed1/reconstructions/SCHEME/000000.exr
 """
 
 from __future__ import annotations
