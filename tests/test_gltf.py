@@ -400,6 +400,10 @@ def test_a_node_of_scale_0_at_rest_grows_in_the_scene(tmp_path):
         for time in (0.0, 0.5)
     ]
     np.testing.assert_allclose(sizes, [[0, 1], [1, 1]], atol=1e-6)
+    content["scenes"] = [{"nodes": [0]}]
+    (mover,) = load(tmp_path, content | {"animations": [grows]}, PLAY + "height_m = 0.5\n").singles().values()
+    sizes = [np.ptp(mover.vertices(time), axis=0)[2] for time in (0.0, 0.5, 0.99999)]
+    np.testing.assert_allclose(sizes, [0, 0.25, 0.5], atol=1e-5)
 
 
 @pytest.mark.parametrize(

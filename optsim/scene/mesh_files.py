@@ -76,7 +76,7 @@ def _read_obj(path: Path) -> list[_Mesh]:
     """Read its one mesh; indices count from 0."""
     text = parse_obj(path)
     indices = [group.indices()[0][group.used] for group in text.faces.values()]
-    return [(text.points(), np.concatenate([np.zeros(0, np.int64), *indices]))]
+    return [(text.columns(0, 0.0), np.concatenate([np.zeros(0, np.int64), *indices]))]
 
 
 def _read_ply(path: Path) -> list[_Mesh]:

@@ -183,7 +183,11 @@ def _in_scene(item: MeshObject, model: Model, vertices: Doubles) -> Doubles:
 
 def upright(model: Model, up: str) -> tuple[Doubles, Doubles]:
     """Lowest and highest corner with the file's up axis along z."""
-    points = [mesh.vertices_m @ UPRIGHT[up].T for _, mesh in model.parts]
+    found = [mesh.vertices_m for _, mesh in model.parts]
+    if model.animation is not None and not any(np.ptp(each, axis=0).any() for each in found):
+        # Hidden by scale 0 at rest: as large as at the end.
+        found = [model.vertices(part, model.animation.duration_s) for part in range(len(found))]
+    points = [each @ UPRIGHT[up].T for each in found]
     return np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
 
 

@@ -147,7 +147,7 @@ def _checked(surface: Surface) -> Surface:
 def _mesh(path: Path, piece: Piece) -> Mesh:
     """Triangles of a piece in its own frame."""
     check_indices(path, piece.faces.ravel(), len(piece.points))
-    if not np.isfinite(piece.points[np.unique(piece.faces)]).all():
+    if (~np.isfinite(piece.points).all(axis=1))[piece.faces].any():
         raise ConfigError(f"{path}: {piece.name}: got a vertex that is not finite; cure: export it again")
     uv = np.zeros((len(piece.points), 2)) if piece.uv is None else piece.uv
     if not all(np.isfinite(each).all() for each in (uv, piece.colours) if each is not None):
@@ -167,6 +167,8 @@ def _spanned(mesh: Mesh) -> Bools:
 
 def _placed(path: Path, mesh: Mesh, matrix: Doubles) -> Mesh:
     """Triangles in the file's frame; a node that mirrors turns them inside out."""
+    if (matrix == np.eye(4)).all():
+        return mesh
     vertices = mesh.vertices_m @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(vertices).all():
         raise ConfigError(f"{path}: got a node whose matrix is not finite; cure: export it again")

@@ -28,6 +28,7 @@ _READ = (*_MAPS, "kd", "d", "tr", "ns", "ks", "pr", "pm", "ka", "map_ka", "illum
 _HONOURED = {"-s": 3, "-o": 3, "-clamp": 1}
 _HARMLESS = dict.fromkeys(("-blendu", "-blendv", "-boost", "-texres", "-bm", "-cc", "-colorspace"), 1)
 _OPTIONS = _HONOURED | _HARMLESS | {"-t": 3, "-mm": 2, "-imfchan": 1, "-type": 1}
+_WHOLE = re.compile(r"-?\d+").fullmatch
 Library = dict[str, dict[str, str]]
 
 
@@ -35,30 +36,40 @@ Library = dict[str, dict[str, str]]
 class Corners:
     """Faces of one material: corners that differ, by text and smoothing group, and those of each face."""
 
-    known: dict[tuple[str, int], int] = field(default_factory=dict[tuple[str, int], int])
+    known: dict[str, int] = field(default_factory=dict[str, int])
     used: list[int] = field(default_factory=list[int])
     counts: list[int] = field(default_factory=list[int])
 
     def indices(self) -> tuple[Ints, Ints]:
         """Vertex and texture coordinate of each known corner, from 0; -1 for none."""
-        rows = [(*word.split("/"), "")[:2] for word, _ in self.known]
-        table = np.array([[int(each or 0) for each in row] for row in rows], np.int64).reshape(-1, 2) - 1
-        return table[:, 0], table[:, 1]
+        rows = [(*word.partition(" ")[0].split("/"), "")[:2] for word in self.known]
+        if wrong := [row for row in rows if not (_WHOLE(row[0]) and (not row[1] or _WHOLE(row[1])))]:
+            raise ValueError(
+                f"a face has the corner {'/'.join(wrong[0]).strip('/')!r}, expected whole numbers"
+            )
+        table = np.array([[int(vertex), int(other or 0)] for vertex, other in rows], np.int64).reshape(-1, 2)
+        return table[:, 0] - 1, table[:, 1] - 1
 
 
 @dataclass(frozen=True, eq=False)
 class ObjText:
-    """Numbers of an OBJ file's vertices and texture coordinates, its faces by material, its libraries."""
+    """An OBJ file's vertices (all numbers, and how many each has), coordinates, faces and libraries."""
 
-    vertices: list[list[float]]
-    coordinates: list[list[float]]
+    numbers: list[float]
+    widths: list[int]
+    coordinates: list[float]
     faces: dict[str, Corners]
     libraries: list[str]
     lost: str
 
-    def points(self) -> Doubles:
-        """Vertices, (n, 3)."""
-        return np.array([row[:3] for row in self.vertices], np.float64).reshape(-1, 3)
+    def columns(self, first: int, default: float) -> Doubles:
+        """Three numbers of each vertex, (n, 3)."""
+        widths, flat = np.array(self.widths, np.int64), np.array(self.numbers, np.float64)
+        found = np.full((len(widths), 3), default)
+        there = widths >= first + 3
+        starts = (np.cumsum(widths) - widths)[there] + first
+        found[there] = flat[starts[:, None] + np.arange(3)]
+        return found
 
 
 def lines_of(path: Path) -> list[str]:
@@ -72,8 +83,9 @@ def lines_of(path: Path) -> list[str]:
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    text = re.sub(r"(^|[ \t])#.*", "", text, flags=re.MULTILINE)
-    return re.sub(r"\\[ \t]*\n", " ", text).split("\n")
+    if "\\" in text:
+        text = re.sub(r"\\[ \t]*\n", " ", text)
+    return [re.sub(r"(^|[ \t])#.*", "", line) if "#" in line else line for line in text.split("\n")]
 
 
 def parse_obj(path: Path) -> ObjText:
@@ -84,7 +96,7 @@ def parse_obj(path: Path) -> ObjText:
     StorageError
         With the line, for what isn't read or is no number.
     """
-    found = ObjText([], [], {}, [], "")
+    found = ObjText([], [], [], {}, [], "")
     lost: dict[str, None] = {}
     material, smooth, faces, normals = "", "", 0, 0
     for number, line in enumerate(lines_of(path), 1):
@@ -92,11 +104,12 @@ def parse_obj(path: Path) -> ObjText:
         why = "expected numbers"
         try:
             if key == "v":
-                found.vertices.append([float(word) for word in words])
+                found.numbers.extend(map(float, words))
+                found.widths.append(len(words))
                 if len(words) < 3:
                     raise ValueError
             elif key == "vt":
-                found.coordinates.append([float(word) for word in (*words, "0")[:2]])
+                found.coordinates.extend(map(float, (*words, "0")[:2]))
             elif key == "f":
                 faces += 1
                 group = found.faces.setdefault(material, Corners())
@@ -105,13 +118,13 @@ def parse_obj(path: Path) -> ObjText:
                 if len(words) < 3:
                     why = f"a face has {len(words)} corners"
                     raise ValueError
-                for word in words:
-                    if not re.fullmatch(r"-?\d+(/-?\d*){0,2}", word):
-                        raise ValueError
-                    if "-" in word:
-                        word = _counted(word, (len(found.vertices), len(found.coordinates), normals))
-                    corner = word, 0 if word.count("/") > 1 else own
-                    group.used.append(group.known.setdefault(corner, len(group.known)))
+                if "-" in line:
+                    counts = len(found.widths), len(found.coordinates) // 2, normals
+                    words = [_counted(word, counts) for word in words]
+                if own and words[0].count("/") < 2:
+                    words = [f"{word} {own}" for word in words]
+                known = group.known
+                group.used.extend([known.setdefault(word, len(known)) for word in words])
                 group.counts.append(len(words))
             elif key == "vn":
                 normals += 1
@@ -164,16 +177,16 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
     for name in text.libraries:
         library = shared.beside(path, name)
         materials = (parse_mtl(library) if library.is_file() else {}) | materials
-    points, lost, pieces = text.points(), [text.lost], list[Piece]()
+    points, lost, pieces = text.columns(0, 0.0), [text.lost], list[Piece]()
     coded = None
-    if any(len(row) >= 6 for row in text.vertices):
+    if max(text.widths, default=0) >= 6:
         # White for a vertex without.
-        rows = [row[3:6] if len(row) >= 6 else [1.0] * 3 for row in text.vertices]
-        coded = shared.linear_colours(path, np.array(rows))
+        coded = shared.linear_colours(path, text.columns(3, 1.0))
+    flat = np.array([*text.coordinates, 0.0, 0.0]).reshape(-1, 2)
     for name, group in text.faces.items():
         vertices, coordinates = group.indices()
         check_indices(path, vertices, len(points))
-        check_indices(path, coordinates[coordinates != -1], len(text.coordinates), "texture coordinate")
+        check_indices(path, coordinates[coordinates != -1], len(flat) - 1, "texture coordinate")
         used = np.array(group.used)
         faces, crossed = triangles(points[vertices], used, np.array(group.counts))
         lost.append(f"the outline of {crossed} faces that cross themselves" if crossed else "")
@@ -184,7 +197,7 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
             surface = replace(surface, lost=f"material {name!r}, which no library has")
         uv = None
         if (coordinates >= 0).any():
-            uv = np.array([*text.coordinates, [0.0, 0.0]])[coordinates]
+            uv = flat[coordinates]
             if places and (coordinates < 0).any():
                 surface = replace(surface, lost=listed(surface.lost, "a picture where coordinates lack"))
         surface, uv = shared.laid(surface, uv, places)
