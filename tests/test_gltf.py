@@ -169,7 +169,11 @@ BASE = ("materials", 0, "pbrMetallicRoughness", "baseColorTexture")
             {"uri": embedded(b"no picture")},
             r"materials\[0\]\.baseColorTexture: got no PNG, JPEG",
         ),
-        (("images", 1), {"uri": embedded(png((90, 90, 90)))}, "normalTexture: got vectors of length"),
+        (
+            ("images", 1),
+            {"uri": embedded(png((90, 90, 90)))},
+            "normalTexture: the normal map: got vectors of length",
+        ),
     ],
 )
 def test_what_would_look_wrong_is_refused(tmp_path, place, value, message):

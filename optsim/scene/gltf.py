@@ -55,13 +55,7 @@ class Gltf:
     loaded: dict[int, bytes] = field(default_factory=dict[int, bytes])
 
     def entry(self, kind: str, number: object) -> Header:
-        """Entry of a list of the file.
-
-        Raises
-        ------
-        ConfigError
-            For a number that the list hasn't.
-        """
+        """Entry of a list of the file."""
         listed = self.header.get(kind, [])
         if type(number) is not int or not 0 <= number < len(listed):
             raise ConfigError(
@@ -130,13 +124,7 @@ def source(texture: Header) -> object:
 
 
 def open_gltf(path: Path) -> Gltf:
-    """Read JSON and binary chunk, and check that what it lists are lists of entries.
-
-    Raises
-    ------
-    ValueError
-        For a damaged file, or another version.
-    """
+    """Read JSON and binary chunk, and check that what it lists are lists of entries."""
     content, binary = path.read_bytes(), b""
     if content[:4] == b"glTF":
         version, length = struct.unpack_from("<II", content, 4)
@@ -162,13 +150,7 @@ def open_gltf(path: Path) -> Gltf:
 
 
 def check_readable(gltf: Gltf) -> None:
-    """Refuse a file whose triangles or surfaces would be read wrongly.
-
-    Raises
-    ------
-    ConfigError
-        With the place in the file, and the cure.
-    """
+    """Refuse a file whose triangles or surfaces would be read wrongly."""
     for where, got, cure in _unread(gltf.header):
         raise ConfigError(f"{gltf.path}: {where}: got {got}, which is not read; cure: {cure}")
 

@@ -21,6 +21,12 @@ _KINDS = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 _STRIP, _FAN, _TRIANGLES = 5, 6, 4
 _WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _NEAREST = 9728
+# What each texture gives a surface.
+_MAPS = {
+    "baseColorTexture": ("picture", "alpha"),
+    "metallicRoughnessTexture": ("roughness_map", "metallic_map"),
+    "normalTexture": ("normal_map",),
+}
 _Found = tuple[Surface, tuple[Placement, ...]]
 
 
@@ -52,10 +58,8 @@ def read_gltf(path: Path) -> tuple[list[Piece], str, Nodes]:
 
 def textures_of(material: Header) -> dict[str, Header]:
     """Textures of a material that are read, by key."""
-    base = _base(material)
-    keys = [key for key in ("baseColorTexture", "metallicRoughnessTexture") if key in base]
-    found = {key: base[key] for key in keys}
-    return found | ({"normalTexture": material["normalTexture"]} if "normalTexture" in material else {})
+    found = {**material, **_base(material)}
+    return {key: found[key] for key in _MAPS if key in found}
 
 
 def _base(material: Header) -> Header:
@@ -126,34 +130,22 @@ def _surface(gltf: Gltf, material: Header, where: str, alpha: float) -> _Found:
     # glTF 2.0: both factors are 1 by default.
     roughness, metallic = (float(base.get(key, 1.0)) for key in ("roughnessFactor", "metallicFactor"))
     lost, refused = [*extensions], ""
-    if any(material.get("emissiveFactor", [])):
-        lost.append("emission")
+    lost += ["emission"] if any(material.get("emissiveFactor", [])) else []
     surface = Surface(str(material.get("name", "")), factor[:3], None, None, 1.0, roughness, metallic)
     mode, opacity = material.get("alphaMode", "OPAQUE"), float(factor[3]) * alpha
-    least = float(material.get("alphaCutoff", 0.5))
-    cutout = None
     for key, texture in textures.items():
         sampler = gltf.entry("textures", texture["index"]).get("sampler")
         if sampler is not None and gltf.entry("samplers", sampler).get("magFilter") == _NEAREST:
             lost.append("unfiltered pictures (magFilter NEAREST)")
         try:
-            coded = shared.decoded(gltf.picture(texture["index"]))
-            if key == "baseColorTexture":
-                surface = replace(surface, picture=shared.reflectances(coded[..., :3]))
-                cutout = shared.shares(coded[..., 3]) if mode != "OPAQUE" else None
-            elif key == "normalTexture":
-                normals = shared.slopes(coded, float(texture.get("scale", 1.0)), key)
-                surface = replace(surface, maps={**surface.maps, "normal_map": normals})
-            else:
-                # glTF 2.0, section 3.9.2: roughness is green, metal is blue.
-                packed = {
-                    "roughness_map": shared.shares(coded[..., 1]),
-                    "metallic_map": shared.shares(coded[..., 2]),
-                }
-                surface = replace(surface, maps={**surface.maps, **packed})
+            content = gltf.picture(texture["index"])
+            for each in _MAPS[key]:
+                surface = shared.with_picture(surface, each, content, float(texture.get("scale", 1.0)))
         except (ValueError, OptsimError) as error:
-            refused = listed(refused, f"{where}.{key}: {error}")
+            refused = listed(refused, f"{where}.{key}: {shared.fault(error)}")
+    cutout = surface.cutout if mode != "OPAQUE" else None
     if mode == "MASK":
+        least = float(material.get("alphaCutoff", 0.5))
         cutout = None if cutout is None else np.float32(opacity * cutout >= least)
         opacity = 1.0 if cutout is not None else float(opacity >= least)
     surface = replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.geometry import Mesh
 from optsim.scene.pictures import checked_map
 
-_PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF")
+_PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
 _GREY = (0.5, 0.5, 0.5)
 
 
@@ -126,18 +127,15 @@ def tinted(surface: Surface, colours: Doubles | None, *, plain: bool) -> tuple[S
     return replace(surface, colour=own * colours.mean(axis=0), lost=lost), None
 
 
+@functools.lru_cache(maxsize=1)
 def decoded(content: bytes) -> NDArray[Any]:
-    """Read a picture by its content's own mark: (y, x, 4) of 8 or 16 bits, row 0 at the lower edge.
-
-    Raises
-    ------
-    ValueError
-        For another format, or a damaged picture.
-    """
+    """Read a picture by its content's own mark: (y, x, 4) of 8 or 16 bits, row 0 at the lower edge."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(content), formats=_PICTURES) as picture:
+            if (turn := picture.getexif().get(274, 1)) != 1 or getattr(picture, "is_animated", False):
+                raise ValueError(f"EXIF orientation {turn}, or an animation")
             if picture.mode.startswith("I"):
                 # Pillow would clip grey of 16 bits at 255.
                 grey = np.asarray(picture).astype(np.uint16)[::-1, :, None]
@@ -147,25 +145,8 @@ def decoded(content: bytes) -> NDArray[Any]:
         raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {error}") from None
 
 
-def shares(coded: NDArray[Any]) -> Floats:
-    """Values as they are stored, 0..1."""
-    return coded.astype(np.float32) / np.float32(np.iinfo(coded.dtype).max)
-
-
-def reflectances(coded: NDArray[Any]) -> Floats:
-    """Linear light of values of sRGB, 0..1."""
-    most = int(np.iinfo(coded.dtype).max)
-    return srgb_to_linear(np.arange(most + 1) / most).astype(np.float32)[coded]
-
-
 def linear_colours(path: Path, values: NDArray[Any]) -> Doubles:
-    """Linear colours of sRGB ones, (n, 3): whole numbers to 255 or of 16 bits, or others of 0 to 1.
-
-    Raises
-    ------
-    ConfigError
-        For a value beyond.
-    """
+    """Linear colours of sRGB ones, (n, 3): whole numbers to 255 or of 16 bits, or others of 0 to 1."""
     largest = float(values.max(initial=0))
     whole = values.dtype.kind in "iu" or (largest > 1 and bool((values == np.rint(values)).all()))
     most = float(np.iinfo(values.dtype).max) if values.dtype == np.uint16 else 255.0 if whole else 1.0
@@ -174,12 +155,33 @@ def linear_colours(path: Path, values: NDArray[Any]) -> Doubles:
     return srgb_to_linear(values.astype(np.float64) / most)
 
 
-def slopes(coded: NDArray[Any], scale: float, where: str) -> Floats:
-    """Make a normal map whose slopes are scaled."""
-    vectors = checked_map(shares(coded[..., :3]), "normal_map", where) - np.float32(0.5)
-    vectors *= np.array([scale, scale, 1.0], np.float32)
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(2 * length, 1e-6) + np.float32(0.5)
+def with_picture(surface: Surface, key: str, content: bytes, scale: float = 1.0) -> Surface:
+    """Surface with a picture as ``picture``, ``alpha``, ``cutout`` (its alpha, or else grey) or a map's key.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        For one that can't be read; ``scale`` is that of the slopes of a normal map.
+    """
+    coded = decoded(content)
+    most = int(np.iinfo(coded.dtype).max)
+    shares = (np.arange(most + 1) / most).astype(np.float32)
+    if key == "picture":
+        return replace(
+            surface, picture=srgb_to_linear(shares.astype(np.float64)).astype(np.float32)[coded[..., :3]]
+        )
+    if key in ("alpha", "cutout"):
+        clear = key == "alpha" or bool((coded[..., 3] < most).any())
+        return replace(surface, cutout=shares[coded[..., 3 if clear else 1]])
+    if key == "normal_map":
+        vectors = checked_map(shares[coded[..., :3]], key, "the normal map") - np.float32(0.5)
+        vectors *= np.array([scale, scale, 1.0], np.float32)
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+        values = vectors / np.maximum(2 * length, 1e-6) + np.float32(0.5)
+    else:
+        # glTF 2.0, section 3.9.2: roughness is green, metal is blue; of grey it is all the same.
+        values = shares[coded[..., 1 if key == "roughness_map" else 2]]
+    return replace(surface, maps={**surface.maps, key: values})
 
 
 def beside(path: Path, name: str) -> Path:
@@ -190,13 +192,7 @@ def beside(path: Path, name: str) -> Path:
 
 
 def content_beside(path: Path, name: str) -> bytes:
-    """Content of a file that another one names.
-
-    Raises
-    ------
-    ConfigError
-        If there is none.
-    """
+    """Content of a file that another one names."""
     file = beside(path, name)
     if not file.is_file():
         raise ConfigError(f"{path.name} names {name!r}, but there is no such file; cure: copy it there too")
@@ -229,6 +225,11 @@ def split_by_hand(surface: Surface, mesh: Mesh) -> list[tuple[Surface, Mesh]]:
         (over, replace(mesh, faces=mesh.faces[mirrored], uv=mesh.uv * (-1, 1) + (1, 0))),
     ]
     return [part for part in parts if len(part[1].faces)]
+
+
+def fault(error: Exception) -> str:
+    """Text of an error without its cure."""
+    return str(error).partition("; cure:")[0]
 
 
 def listed(*said: str) -> str:

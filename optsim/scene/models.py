@@ -147,7 +147,7 @@ def _checked(surface: Surface) -> Surface:
 def _mesh(path: Path, piece: Piece) -> Mesh:
     """Triangles of a piece in its own frame."""
     check_indices(path, piece.faces.ravel(), len(piece.points))
-    if (~np.isfinite(piece.points).all(axis=1))[piece.faces].any():
+    if not np.isfinite(piece.points)[piece.faces].all():
         raise ConfigError(f"{path}: {piece.name}: got a vertex that is not finite; cure: export it again")
     uv = np.zeros((len(piece.points), 2)) if piece.uv is None else piece.uv
     if not all(np.isfinite(each).all() for each in (uv, piece.colours) if each is not None):

@@ -72,17 +72,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Tree of nodes that a file shows, and its first animation that moves any.
-
-    Parameters
-    ----------
-    nodes : list of dict
-        All nodes, as the file has them.
-    roots : tuple of int
-        Those at the top.
-    channels : tuple of Channel
-        What changes; may be empty.
-    """
+    """Tree of nodes that a file shows, and its first animation that moves any."""
 
     nodes: list[dict[str, Any]]
     roots: tuple[int, ...]
@@ -94,13 +84,7 @@ class Nodes:
         return max(float(channel.times_s[-1]) for channel in self.channels)
 
     def matrices(self, time_s: float | None = None) -> dict[int, Doubles]:
-        """Matrix of each visible node in the file's frame at a time, or at rest; (4, 4).
-
-        Raises
-        ------
-        ValueError
-            For a node below itself, or below two.
-        """
+        """Matrix of each visible node in the file's frame at a time, or at rest; (4, 4)."""
         changed: dict[int, dict[str, Doubles]] = {}
         for channel in self.channels if time_s is not None else ():
             changed.setdefault(channel.node, {})[channel.path] = channel.at(time_s or 0.0)
@@ -123,13 +107,7 @@ class Nodes:
 
 
 def read_nodes(gltf: Gltf) -> Nodes:
-    """Read the tree of the file's scene, of all nodes where it has none.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        For a damaged file.
-    """
+    """Read the tree of the file's scene, of all nodes where it has none."""
     header = gltf.header
     nodes: list[dict[str, Any]] = header.get("nodes", [])
     below = {child for node in nodes for child in node.get("children", [])}

@@ -89,13 +89,7 @@ def lines_of(path: Path) -> list[str]:
 
 
 def parse_obj(path: Path) -> ObjText:
-    """Read the lines of a file.
-
-    Raises
-    ------
-    StorageError
-        With the line, for what isn't read or is no number.
-    """
+    """Read the lines of a file."""
     found = ObjText([], [], [], {}, [], "")
     lost: dict[str, None] = {}
     material, smooth, faces, normals = "", "", 0, 0
@@ -262,9 +256,9 @@ def _material(path: Path, name: str, stated: Mapping[str, str]) -> tuple[Surface
             (wide, high), (right, up) = (
                 [*each, k, k][:2] for each, k in zip(numbers, (1.0, 0.0), strict=True)
             )
-            surface = _with_map(surface, _MAPS[key], shared.content_beside(path, file), file)
+            surface = shared.with_picture(surface, _MAPS[key], shared.content_beside(path, file))
         except (ValueError, OptsimError) as error:
-            refused = listed(refused, f"material {name!r}: {key}: {error}")
+            refused = listed(refused, f"material {name!r}: {key}: {shared.fault(error)}")
         else:
             wrap = "clamp" if options.get("-clamp", [""])[0].lower() == "on" else "repeat"
             places.append(Placement(0, (wide, 0.0, right, 0.0, high, up), (wrap, wrap)))
@@ -295,18 +289,6 @@ def _by_numbers(surface: Surface, stated: Mapping[str, str]) -> Surface:
         roughness=number("pr", 1.0 if "map_pr" in stated else (2 / (2 + shiny)) ** 0.25),
         metallic=number("pm", 1.0 if "map_pm" in stated else 0.0),
     )
-
-
-def _with_map(surface: Surface, key: str, content: bytes, where: str) -> Surface:
-    coded = shared.decoded(content)
-    if key == "picture":
-        return replace(surface, picture=shared.reflectances(coded[..., :3]))
-    if key == "cutout":
-        # Its alpha, where it has any.
-        clear = (coded[..., 3] < np.iinfo(coded.dtype).max).any()
-        return replace(surface, cutout=shared.shares(coded[..., 3 if clear else 1]))
-    values = shared.slopes(coded, 1.0, where) if key == "normal_map" else shared.shares(coded[..., 1])
-    return replace(surface, maps={**surface.maps, key: values})
 
 
 def _nothing(key: str, text: str) -> bool:

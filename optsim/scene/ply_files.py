@@ -112,13 +112,7 @@ def _chosen(
 
 
 def parse_ply(path: Path) -> PlyContent:
-    """Read all elements of a file.
-
-    Raises
-    ------
-    ValueError
-        For a damaged file.
-    """
+    """Read all elements of a file."""
     content = path.read_bytes()
     head, mark, _ = content.partition(b"end_header")
     if not mark:

@@ -14,13 +14,7 @@ _FLAT = 1e-9
 
 
 def check_indices(path: Path, indices: Ints, count: int, what: str = "vertex") -> None:
-    """Refuse indices beyond what they count.
-
-    Raises
-    ------
-    ConfigError
-        With the first wrong one.
-    """
+    """Refuse indices beyond what they count."""
     wrong = indices[(indices < 0) | (indices >= count)]
     if len(wrong):
         raise ConfigError(
@@ -32,24 +26,8 @@ def check_indices(path: Path, indices: Ints, count: int, what: str = "vertex") -
 def triangles(points: Doubles, corners: Ints, counts: Ints) -> tuple[Ints, int]:
     """Triangulate faces; winding stays.
 
-    A fan from the first corner is kept where all its triangles face as the outline does; other faces are cut
-    in their own plane.
-
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        Vertices.
-    corners : ndarray of shape (c,)
-        Vertices of all faces in a row.
-    counts : ndarray of shape (f,)
-        Corners of each face.
-
-    Returns
-    -------
-    ndarray of shape (m, 3)
-        Triangles, as places in ``corners``.
-    int
-        Faces whose outline crosses itself, so that no cut is right.
+    Returned are places in ``corners`` (m, 3), and how many outlines cross themselves, so that no cut is
+    right. A fan is kept where all its triangles face as the outline does; others are cut in their own plane.
     """
     starts = np.cumsum(counts) - counts
     found, crossed = [np.zeros((0, 3), np.int64)], 0

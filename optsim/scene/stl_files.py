@@ -14,13 +14,7 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 
 
 def read_stl(path: Path) -> tuple[list[Piece], str]:
-    """Read the one piece of a file, and what is left out: colours, which programs put in several ways.
-
-    Raises
-    ------
-    ValueError
-        For a damaged file.
-    """
+    """Read the one piece of a file, and what is left out: colours, which programs put in several ways."""
     content, lost = path.read_bytes(), ""
     count = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
     if len(content) == _HEAD + count * _FACET.itemsize:
