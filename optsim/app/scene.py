@@ -1,4 +1,4 @@
-"""Commands of scenes: ``optsim scene show`` and ``optsim check``."""
+"""Commands of scenes: ``optsim scene show``, ``optsim scene drop`` and ``optsim check``."""
 
 from __future__ import annotations
 
@@ -40,6 +40,27 @@ def show(
         typer.echo(f"{each}: {size} {unit}, middle at {', '.join(f'{x:.3g}' for x in (low + high) / 2)}")
     write_png8(out, by_logarithm(preview(scene, time_s=time_s, samples=samples)))
     people.print(f"{out}: written")
+
+
+@scene_app.command("drop")
+def drop(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene's folder.")],
+    variation: Annotated[str, typer.Option(help="A variation, or numbers FIRST:LAST, LAST not included.")],
+    duration_s: Annotated[float, typer.Option(min=0.01, max=60, help="Length, s.")] = 2.0,
+    rate_hz: Annotated[float, typer.Option(min=10, max=2000, help="Poses a second.")] = 180.0,
+) -> None:
+    """Let populations with `physics = true` fall and collide, and write their poses beside the scene."""
+    from optsim.core.console import people
+    from optsim.core.files import write_json
+    from optsim.scene.physics import drop as dropped
+
+    first, colon, last = variation.partition(":")
+    for name in (
+        map(str, range(int(first), int(last))) if colon and (first + last).isdecimal() else [variation]
+    ):
+        out = scene / "physics" / f"{name}.json"
+        write_json(out, dropped(scene, name, duration_s, rate_hz))
+        people.print(f"{out}: written")
 
 
 def check(

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from optsim.core.cache import hash_of
 from optsim.core.config import Part, Table, build
 from optsim.core.errors import ConfigError
+from optsim.core.files import read_record
 from optsim.core.quantities import Doubles
 from optsim.scene.fields import Positive, Share, Vector
 from optsim.scene.models import FORMATS, inside
@@ -24,6 +26,7 @@ from optsim.scene.variation import number_of
 
 # Tries for a free place, and instants at which two bounding spheres must be apart, s.
 _TRIES = 200
+GRAVITY_M_S2 = 9.81
 _INSTANTS_S = np.linspace(0.0, 0.5, 11)
 _Pair = tuple[float, float]
 
@@ -62,6 +65,11 @@ class Population(Part):
         Slowest and fastest spin, about a random axis; resting ones spin about the vertical.
     falling : bool
         Whether those in the air fall, by 9.81 m/s^2.
+    physics : bool
+        Whether all of them fall and collide, from the velocity and spin that are drawn; ``optsim scene drop``
+        writes their poses into the scene's folder.
+    restitution, friction : float
+        Share of the speed that a bounce returns, and coefficient of sliding friction (no source).
     """
 
     count: tuple[int, int]
@@ -78,6 +86,9 @@ class Population(Part):
     rise_m_s: _Pair = (0.0, 0.0)
     spin_hz: _Pair = (0.0, 0.0)
     falling: bool = False
+    physics: bool = False
+    restitution: Share = 0.4
+    friction: float = Field(default=0.5, ge=0)
 
     @field_validator("count", "size_m", "speed_m_s", "rise_m_s", "spin_hz")
     @classmethod
@@ -106,7 +117,7 @@ class Population(Part):
         return self
 
 
-def with_population(table: Table, variation: str, folder: Path, where: str) -> Table:
+def with_population(table: Table, variation: str, folder: Path, where: str, *, physics: bool = True) -> Table:
     """Draw the objects of all populations.
 
     Parameters
@@ -119,11 +130,13 @@ def with_population(table: Table, variation: str, folder: Path, where: str) -> T
         Of ``scene.toml``.
     where : str
         Name of the file, for messages.
+    physics : bool
+        Whether populations with physics take their poses; otherwise they start as drawn, and go on so.
 
     Raises
     ------
     ConfigError
-        For a bad table, or a region that has no room.
+        For a bad table, a region that has no room, or poses that are missing or of other objects.
     """
     listed = table.get("populate")
     if listed is None:
@@ -131,6 +144,7 @@ def with_population(table: Table, variation: str, folder: Path, where: str) -> T
     if not isinstance(listed, Mapping):
         raise ConfigError(f"{where}: populate: got {listed!r}, expected tables [populate.NAME]")
     objects, movers = dict(table.get("objects", {})), dict(table.get("movers", {}))
+    falling: list[str] = []
     for name, stated in cast("Table", listed).items():
         population = build(Population, stated, where=f"{where}: populate.{name}")
         made = _drawn(population, str(table.get("name", "")), name, variation, folder, where)
@@ -142,8 +156,29 @@ def with_population(table: Table, variation: str, folder: Path, where: str) -> T
             objects[key] = item
             if motion is not None:
                 movers[key] = motion
+        falling += made if population.physics else []
     rest = {key: value for key, value in table.items() if key != "populate"}
-    return {**rest, "objects": objects, "movers": movers}
+    whole = {**rest, "objects": objects, "movers": movers}
+    if falling and physics:
+        poses = _poses(folder / "physics" / f"{variation}.json", drawn_for(whole), variation, where)
+        movers |= {key: {"kind": "keyframed", "objects": [key], **poses[key]} for key in falling}
+    return whole
+
+
+def drawn_for(table: Table) -> str:
+    """Hash of drawn objects and their first motions: poses belong to these alone."""
+    return hash_of(repr((table["objects"], table["movers"])))
+
+
+def _poses(path: Path, drawn: str, variation: str, where: str) -> Table:
+    record = read_record(path) if path.is_file() else {}
+    if record.get("made_for") != drawn:
+        got = "poses of other objects" if record else "no poses"
+        raise ConfigError(
+            f"{where}: populate: physics: got {got} in {path}, expected those of these objects; "
+            f"cure: optsim scene drop {path.parents[1]} --variation {variation}"
+        )
+    return record["movers"]
 
 
 def _drawn(
@@ -199,18 +234,20 @@ def _drawn(
 
 def _motion(population: Population, rng: np.random.Generator, key: str, place: Doubles) -> Table | None:
     """Draw how an object moves; None for one that stands still."""
-    if rng.random() >= population.moving_share:
+    moves = rng.random() < population.moving_share
+    if not (moves or population.physics):
         return None
     speed, heading = float(rng.uniform(*population.speed_m_s)), float(rng.uniform(0, 2 * np.pi))
     rise, spin = float(rng.uniform(*population.rise_m_s)), float(rng.uniform(*population.spin_hz))
     axis = rng.standard_normal(3)
+    speed, rise, spin = (speed, rise, spin) if moves else (0.0, 0.0, 0.0)
     velocity = [speed * np.cos(heading), speed * np.sin(heading), 0.0 if population.resting else rise]
     falls = population.falling and not population.resting
     return {
         "kind": "keyframed",
         "objects": [key],
         "velocity_m_s": [float(v) for v in velocity],
-        "acceleration_m_s2": [0.0, 0.0, -9.81 if falls else 0.0],
+        "acceleration_m_s2": [0.0, 0.0, -GRAVITY_M_S2 if falls else 0.0],
         "spin_axis": [0.0, 0.0, 1.0] if population.resting else axis.tolist(),
         "spin_center_m": place.tolist(),
         "spin_hz": spin,

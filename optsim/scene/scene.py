@@ -48,7 +48,6 @@ Mover = Annotated[
 # Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.
 SingleMover = Single | Wheel | CarBody | KeyframedObjects | VertexSequence | AnimatedModel
 
-
 # Name of the sky among the lamps.
 SKY = "sky"
 
@@ -80,8 +79,7 @@ class Scene(Part):
     reserved : bool
         Reserved for testing: no prior may be trained on it.
     owners, categories : dict
-        Part -> the object that it belongs to, and object -> category, both as ``object/NAME`` or
-        ``mover/NAME``; set when a file is read, from its models, its cars and the keys ``category``.
+        Part -> object, and object -> category, as ``object/NAME`` or ``mover/NAME``; set by reading a file.
     """
 
     name: str
@@ -341,7 +339,7 @@ def _shipped() -> dict[str, Path]:
     return {path.parent.name: path for path in sorted(scenes_folder().glob("*/scene.toml"))}
 
 
-def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
+def load_scene(name_or_path: str | Path, variation: str = "main", *, physics: bool = True) -> Scene:
     """Read a scene and one of its variations.
 
     Parameters
@@ -351,6 +349,8 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     variation : str
         ``main``, a table of overrides under ``[variations.<name>]``, or a whole number as text: every key of
         ``[ranges]`` is drawn anew, by the scene's name and this number alone.
+    physics : bool
+        Whether populations with physics take the poses that ``optsim scene drop`` wrote.
 
     Raises
     ------
@@ -373,8 +373,9 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
         table["static"] = read_static(path.parent, static)
     for extreme in extremes(table, str(path)):
         end = f"{path}, at an end of its ranges"
-        build(Scene, _expanded(extreme, "0", path.parent, end), where=end)
-    chosen = _expanded(varied(table, variation, str(path)), variation, path.parent, str(path))
+        build(Scene, _expanded(extreme, "0", path.parent, end, physics=False), where=end)
+    chosen = varied(table, variation, str(path))
+    chosen = _expanded(chosen, variation, path.parent, str(path), physics=physics)
     scene = build(Scene, chosen | {"variation": variation}, where=str(path))
     for material in scene.materials.values():
         if isinstance(material, Diffuse | Plastic) and material.texture in PHOTOGRAPHS:
@@ -382,10 +383,10 @@ def load_scene(name_or_path: str | Path, variation: str = "main") -> Scene:
     return scene
 
 
-def _expanded(table: Table, variation: str, folder: Path, where: str) -> Table:
+def _expanded(table: Table, variation: str, folder: Path, where: str, *, physics: bool) -> Table:
     """Draw the populations of a scene's table, expand its models and find the picture of its sky."""
-    whole = with_sky(with_population(table, variation, folder, where), folder, where)
-    return with_models(whole, folder, where)
+    table = with_population(table, variation, folder, where, physics=physics)
+    return with_models(with_sky(table, folder, where), folder, where)
 
 
 def model_scene(path: Path) -> Scene:
