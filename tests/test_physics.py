@@ -116,7 +116,7 @@ def test_a_set_needs_no_engine_and_poses_belong_to_their_objects(dropped, monkey
     dropped()
     folder = dropped.folder
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert load_scene(folder, "1").movers["thing_1"].turns_wxyz
+    assert load_scene(folder, "1").movers["thing_1"].rotations_wxyz
     with pytest.raises(ConfigError, match=r"got no poses in .*cure: optsim scene drop .* --variation 2"):
         load_scene(folder, "2")
     (folder / "scene.toml").write_text(SCENE.replace("[0.15, 0.3]", "[0.15, 0.31]"))
@@ -136,11 +136,14 @@ def test_without_such_a_population_nothing_falls(dropped):
 def test_turns_go_the_short_way_at_a_steady_rate():
     ends = Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.2]]).as_quat()[:, [3, 0, 1, 2]]
     motion = Keyframed(
-        objects=("a",), times_s=(0.0, 2.0), turns_wxyz=(tuple(ends[0]), tuple(-ends[1])), pivot_m=(1, 0, 0)
+        objects=("a",),
+        times_s=(0.0, 2.0),
+        rotations_wxyz=(tuple(ends[0]), tuple(-ends[1])),
+        pivot_m=(1, 0, 0),
     )
     for time_s, angle in ((-1, 0), (0.5, 0.3), (2, 1.2), (9, 1.2)):
         (place,) = motion.placed(np.array([[2.0, 0, 0]]), time_s)
         np.testing.assert_allclose(place, [1 + np.cos(angle), np.sin(angle), 0], atol=1e-12)
     for bad, message in (((2.0, 0, 0, 0), "not of length 1"), ((1.0, 0, 0, 0), "got 1 values for 2")):
         with pytest.raises(ValueError, match=message):
-            Keyframed(objects=("a",), times_s=(0.0, 2.0), turns_wxyz=(bad,) * (2 if bad[0] == 2 else 1))
+            Keyframed(objects=("a",), times_s=(0.0, 2.0), rotations_wxyz=(bad,) * (2 if bad[0] == 2 else 1))

@@ -50,7 +50,7 @@ class Keyframed(Part):
         Steady spin, revolutions per second.
     spin_rad : tuple of float
         Angle of the spin on top of the steady one, one a keyframe; empty for none.
-    turns_wxyz : tuple of (float, float, float, float)
+    rotations_wxyz : tuple of (float, float, float, float)
         Rotation about ``pivot_m`` from the rest position after spin and yaw, a unit quaternion a keyframe;
         between two it turns steadily. Empty for none.
     velocity_m_s, acceleration_m_s2 : vector
@@ -75,7 +75,7 @@ class Keyframed(Part):
     spin_center_m: Vector | None = None
     spin_hz: float = 0.0
     spin_rad: tuple[float, ...] = ()
-    turns_wxyz: tuple[tuple[float, float, float, float], ...] = ()
+    rotations_wxyz: tuple[tuple[float, float, float, float], ...] = ()
     velocity_m_s: Vector = (0.0, 0.0, 0.0)
     acceleration_m_s2: Vector = (0.0, 0.0, 0.0)
     interpolation: Literal["linear", "smooth"] = "smooth"
@@ -90,17 +90,17 @@ class Keyframed(Part):
                 raise ValueError(
                     f"times_s must increase; got {later} after {earlier}; cure: sort the keyframes by time"
                 )
-        for name in ("positions_m", "yaw_rad", "spin_rad", "turns_wxyz"):
+        for name in ("positions_m", "yaw_rad", "spin_rad", "rotations_wxyz"):
             count = len(getattr(self, name))
             if count not in (0, len(self.times_s)):
                 raise ValueError(
                     f"{name}: got {count} values for {len(self.times_s)} times_s; expected one a keyframe, "
                     "or none"
                 )
-        if any(abs(np.linalg.norm(turn) - 1) > 1e-6 for turn in self.turns_wxyz):
-            raise ValueError("turns_wxyz: got a quaternion that is not of length 1; cure: normalise it")
-        if self.repeat and self.turns_wxyz:
-            raise ValueError("repeat: got it beside turns_wxyz, expected one of the two; cure: drop it")
+        if any(abs(np.linalg.norm(turn) - 1) > 1e-6 for turn in self.rotations_wxyz):
+            raise ValueError("rotations_wxyz: got a quaternion that is not of length 1; cure: normalise it")
+        if self.repeat and self.rotations_wxyz:
+            raise ValueError("repeat: got it beside rotations_wxyz, expected one of the two; cure: drop it")
         if self.repeat:
             self._check_round()
         return self
@@ -126,7 +126,7 @@ class Keyframed(Part):
         spin = self._at(self.spin_rad, time_s) + 2 * np.pi * self.spin_hz * time_s
         spun = (points_m - center) @ rotation(self.spin_axis, float(spin)).T + center
         turned = geometry.turn(spun - pivot, float(self._at(self.yaw_rad, time_s))) + pivot
-        if self.turns_wxyz:
+        if self.rotations_wxyz:
             turned = (turned - pivot) @ self._turn(time_s).T + pivot
         steady = np.asarray(self.velocity_m_s) * time_s + np.asarray(self.acceleration_m_s2) / 2 * time_s**2
         return turned + self._at(self.positions_m, time_s) + steady
@@ -137,7 +137,7 @@ class Keyframed(Part):
 
         times = np.asarray(self.times_s)
         first = int(np.clip(np.searchsorted(times, time_s) - 1, 0, max(len(times) - 2, 0)))
-        near = Rotation.from_quat(np.roll(self.turns_wxyz[first : first + 2], -1, axis=1))
+        near = Rotation.from_quat(np.roll(self.rotations_wxyz[first : first + 2], -1, axis=1))
         if len(times) == 1:
             return near.as_matrix()[0]
         at = np.clip(time_s, times[first], times[first + 1])

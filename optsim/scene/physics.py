@@ -100,7 +100,7 @@ def drop(folder: Path, variation: str, duration_s: float, rate_hz: float) -> Tab
             "times_s": times.tolist(),
             "pivot_m": middle.tolist(),
             "positions_m": (found[:, places[key] : places[key] + 3] - middle).tolist(),
-            "turns_wxyz": found[:, places[key] + 3 : places[key] + 7].tolist(),
+            "rotations_wxyz": found[:, places[key] + 3 : places[key] + 7].tolist(),
         }
         for key, (_, middle) in thrown.items()
     }
