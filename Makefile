@@ -43,7 +43,7 @@ regress: setup ## the regression matrix against its baseline, reports/baselines/
 planted-faults: setup ## does that gate catch faults planted into the code? writes reports/planted_faults.md
 	$(BIN)/python validation/planted_faults.py
 
-claims: setup ## the registered claims over seeds and phases of motion; writes reports/claims.md (90 minutes)
+claims: setup ## the registered claims over seeds and phases of motion; writes reports/claims.md (hours; goes on)
 	$(BIN)/python validation/claims.py
 
 figure4: setup ## all schemes on the same scenes, as the paper's figure 4; writes reports/figure4.md (about an hour)

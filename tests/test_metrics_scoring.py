@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from optsim import metrics
 from optsim.core.errors import ValueCheckError
@@ -392,30 +393,63 @@ def test_a_claim_is_judged_by_its_interval(mean: float, sd: float, verdict: str)
     assert f"{mean:+.2f} dB over random" in measured(found)
 
 
-def test_fewer_than_six_draws_decide_nothing() -> None:
-    assert judge_claims(draws(3.0, 3.1, 3.0, 3.1, 3.0))[0].verdict == "undecided"
+def test_fewer_than_six_draws_are_too_few_with_their_finding() -> None:
+    few = judge_claims(draws(3.0, 3.1, 3.0, 3.1, 3.0))[0]
+    assert (few.verdict, few.superior) == ("holds", "holds")
+    assert few.said == "too few draws (5 of 6): holds, superior"
+    night = judge_claims(draws(-4.05, -4.08, -3.68, -2.68))[0]
+    assert night.said == "too few draws (4 of 6): fails"
+    theirs = stats.ttest_1samp([-4.05, -4.08, -3.68, -2.68], 0).confidence_interval(0.95)
+    assert (night.low, night.high) == pytest.approx((theirs.low, theirs.high))
     alone = judge_claims(draws(3.0))[0]
-    assert (alone.verdict, alone.low, alone.draws) == ("undecided", None, 1)
+    assert (alone.said, alone.low, alone.draws) == (
+        "too few draws (1 of 6): undecided at these seeds",
+        None,
+        1,
+    )
     assert "one draw" in measured(alone)
     nothing = judge_claims([[]])
     assert [v.verdict for v in nothing] == ["undecided"] * 3
     assert all("not measured" in measured(v) for v in nothing)
 
 
-def test_the_third_claim_is_against_every_rival_with_a_tie_band_and_a_correction() -> None:
-    def judged(near: float, far: float, sd: float) -> Verdict:
-        jitter = sd * SPREAD / SPREAD.std(ddof=1)
-        both = zip(
-            draws(*(near + jitter), claim=2), draws(*(far + jitter), claim=2, rival="hdr_mosaic"), strict=True
-        )
-        return judge_claims([[*a, *b] for a, b in both])[2]
+@pytest.mark.parametrize(
+    ("mean", "said"),
+    [
+        (0.2, "holds, superior"),
+        (-0.02, "holds, superiority undecided"),
+        (-0.15, "holds, not superior"),
+        (-0.3, "undecided at these seeds, not superior"),
+        (-0.5, "fails"),
+    ],
+)
+def test_superior_and_not_inferior_are_both_said(mean: float, said: str) -> None:
+    values = mean + 0.1 * SPREAD / SPREAD.std(ddof=1)
+    assert judge_claims(draws(*values))[0].said == said
 
-    assert judged(0.1, 0.2, 0.001).rival == "random"
-    assert judged(-0.005, 0.2, 0.001).verdict == "holds"  # a tie
-    assert judged(-0.02, 0.2, 0.001).verdict == "fails"
-    assert judged(0.0, 0.2, 0.05).verdict == "undecided"
+
+@pytest.mark.parametrize("claim", [0, 1, 2])
+def test_each_claim_is_against_the_best_of_all_rivals_with_a_correction(claim: int) -> None:
+    unit = CLAIMS[claim].margin
+
+    def judged(near: float, far: float, sd: float) -> Verdict:
+        jitter = unit * sd * SPREAD / SPREAD.std(ddof=1)
+        both = zip(
+            draws(*(unit * near + jitter), claim=claim, rival="normal"),
+            draws(*(unit * far + jitter), claim=claim, rival="hdr_mosaic"),
+            strict=True,
+        )
+        return judge_claims([[*a, *b] for a, b in both])[claim]
+
+    assert judged(10, 20, 0.1).rival == "normal"
+    assert judged(-0.5, 20, 0.1).verdict == "holds"  # a tie
+    assert judged(-2, 20, 0.1).verdict == "fails"
+    assert judged(0, 20, 5).verdict == "undecided"
     # Bonferroni: for two rivals Student's t of 98.75 % at 5 degrees of freedom, 3.163381.
-    assert judged(0.1, 0.2, 0.01).low == pytest.approx(0.1 - 3.163381 * 0.01 / math.sqrt(6))
+    found = judged(10, 20, 1)
+    assert found.low == pytest.approx(unit * (10 - 3.163381 / math.sqrt(6)))
+    assert found.rivals == 2
+    assert "6 draws, 95 % for 2 rivals together (Bonferroni))" in measured(found)
 
 
 def test_window_and_room_are_judged_apart() -> None:

@@ -116,9 +116,13 @@ def test_content_classes_fold_away_with_means_and_intervals(run_folder: Path, le
 
 def test_a_claim_that_one_run_cannot_decide_says_so(run_folder: Path, lean: dict[str, Any]) -> None:
     page = report.write_report(run_folder, lean).read_text()
-    assert "<h2>Registered claims: undecided at these seeds</h2>" in page
-    assert page.count('<span class="chip warn">undecided at these seeds</span>') == len(lean["claims"])
-    some = {**lean, "claims": [{**lean["claims"][0], "verdict": "holds"}, *lean["claims"][1:]]}
-    page = report.write_report(run_folder, some).read_text()
-    assert f"claims: holds (1), undecided at these seeds ({len(lean['claims']) - 1})</h2>" in page
-    assert '<span class="chip good">holds</span>' in page
+    said = "too few draws (1 of 6): undecided at these seeds"
+    assert {claim["draws"] for claim in lean["claims"]} <= {0, 1}
+    assert page.count(f'<span class="chip warn">{said}</span>') == sum(c["draws"] for c in lean["claims"]) > 0
+    first = {**lean["claims"][0], "verdict": "holds", "superior": "fails", "draws": 6}
+    page = report.write_report(run_folder, {**lean, "claims": [first, *lean["claims"][1:]]}).read_text()
+    assert "claims: holds, not superior (1), too few draws" in page
+    assert '<span class="chip good">holds, not superior</span>' in page
+    few = {**first, "draws": 4}
+    page = report.write_report(run_folder, {**lean, "claims": [few, *lean["claims"][1:]]}).read_text()
+    assert '<span class="chip warn">too few draws (4 of 6): holds, not superior</span>' in page

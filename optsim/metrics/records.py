@@ -176,8 +176,10 @@ class PairRecord(Record):
 class Verdict(Record):
     """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
 
-    ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. ``excluded``
-    is the share of pixels invalid in either of the pair; ``advantage_of_all`` is the same on all pixels.
+    ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. They hold for
+    all ``rivals`` together. ``superior`` says whether it is ahead of all, ``registered`` how many draws were
+    to be taken. ``excluded`` is the share of pixels invalid in either of the pair; ``advantage_of_all`` is
+    the same on all pixels.
     """
 
     claim: str
@@ -194,8 +196,17 @@ class Verdict(Record):
     draws: int
     excluded: float | None
     advantage_of_all: float | None
+    superior: Literal["holds", "fails", "undecided"] = "undecided"
+    rivals: int = 1
+    registered: int = 6
 
     @property
     def said(self) -> str:
-        """The verdict in words; an undecided one may be decided by more seeds."""
-        return "undecided at these seeds" if self.verdict == "undecided" else self.verdict
+        """The verdict in words, with superiority; too few draws are said before what they found."""
+        found = "undecided at these seeds" if self.verdict == "undecided" else self.verdict
+        if self.verdict == "holds" or (self.verdict, self.superior) == ("undecided", "fails"):
+            ahead = {"holds": "superior", "fails": "not superior", "undecided": "superiority undecided"}
+            found += f", {ahead[self.superior]}"
+        if self.draws < self.registered:
+            return f"too few draws ({self.draws} of {self.registered}): {found}"
+        return found

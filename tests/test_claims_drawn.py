@@ -1,0 +1,107 @@
+"""How ``make claims`` draws and writes: rivals, latencies, moments, and what its files hold."""
+
+import importlib.util
+import itertools
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from scipy import stats
+
+from optsim.experiment.experiment import load_experiment
+from optsim.metrics.claims import CLAIMS, LEAST_DRAWS
+from optsim.metrics.records import PairRecord, Verdict
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def claims() -> ModuleType:
+    place = ROOT / "validation"
+    spec = importlib.util.spec_from_file_location("validation_claims", place / "claims.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [str(place), *sys.path])
+        spec.loader.exec_module(module)
+    return module
+
+
+def test_draws_of_one_motion_begin_a_coded_frame_apart(claims: ModuleType) -> None:
+    for name, draws in claims.DRAWS.items():
+        assert len(draws) == LEAST_DRAWS, name
+        for (one, first), (other, second) in itertools.combinations(draws, 2):
+            assert one != other or abs(first - second) >= 1, name
+
+
+def test_rivals_are_all_of_figure_4_at_the_hardwares_latency_first(claims: ModuleType) -> None:
+    hardware = load_experiment("paper_prototype").camera.latency_frames
+    assert list(claims.LATENCIES) == [hardware, load_experiment("demo").camera.latency_frames]
+    found = claims.experiment_of("night_street", "away", hardware, 5)
+    assert [m.name for m in found.methods] == [m.name for m in load_experiment("figure4").methods]
+    assert found.scene is not None
+    assert (found.camera.latency_frames, found.n_frames, found.scene.variation) == (hardware, 5, "away")
+
+
+def made_up(number: int, near: float) -> dict[str, object]:
+    """A draw: every rival of every claim, of which ``flutter`` is the nearest."""
+    pairs = [
+        PairRecord(
+            rival=rival,
+            metric=claim.metric,
+            unit=claim.unit,
+            higher_is_better=claim.unit == "dB",
+            area="room",
+            region=claim.region,
+            ours=20.0,
+            theirs=20.0 - (1 if claim.unit == "dB" else -1) * (near + far),
+            excluded=0.0,
+            ours_of_all=20.0,
+            theirs_of_all=20.0,
+        ).as_json()
+        for claim in CLAIMS
+        for rival, far in (("flutter", 0.0), ("random", 1.0), ("grid", 2.0), ("adaptive_mean", -9.0))
+    ]
+    about = {"seed": number + 1, "variation": "main", "first_frame": number, "moves": 0.25}
+    return {**about, "pairs": pairs, "no_rivals": ["adaptive_mean"]}
+
+
+def test_page_and_figures_hold_the_draws_verdicts(claims: ModuleType) -> None:
+    near = [-3.6, -4.1, -3.2, -3.9]
+    found = {3: {"night_street": claims.judged([made_up(k, each) for k, each in enumerate(near)])}}
+    figures = claims.all_figures(found)["latency_3"]["night_street"]
+    said = figures["moving"]["room"]
+    assert (said["said"], said["rival"], said["rivals"]) == ("too few draws (4 of 6): fails", "flutter", 3)
+    half = stats.t.ppf(1 - 0.025 / 3, 3) * stats.sem(near)
+    mean = sum(near) / 4
+    assert (said["low"], said["high"]) == pytest.approx((mean - half, mean + half))
+    page = claims.page(found)
+    assert "## Latency 3, the hardware's" in page
+    assert f"| **too few draws (4 of 6): fails** | {mean:+.2f} dB over flutter" in page
+    assert "4 draws, 95 % for 3 rivals together (Bonferroni))" in page
+    assert "| 2 | main | 1 | 25.0% | -4.100 |" in page
+
+
+def test_stored_verdicts_follow_from_their_intervals() -> None:
+    """By other code than that which wrote them."""
+    stored = json.loads((ROOT / "reports" / "figures" / "claims.json").read_text())
+    page = (ROOT / "reports" / "claims.md").read_text()
+    found = 0
+    for scene in (scene for scenes in stored.values() for scene in scenes.values()):
+        for region in ("moving", "static", "all"):
+            for said in scene.get(region, {}).values():
+                low, high, margin = said["low"], said["high"], said["margin"]
+                keeps = "fails" if high < -margin else "holds" if low > -margin else "undecided"
+                ahead = "fails" if high < 0 else "holds" if low > 0 else "undecided"
+                for key, own in (("verdict", keeps), ("superior", ahead)):
+                    # Other rivals can only worsen what the interval over the best one says.
+                    assert said[key] == own or (said["rivals"] > 1 and own == "holds")
+                assert ("too few draws" in said["said"]) == (said["draws"] < LEAST_DRAWS)
+                known = {key: said[key] for key in Verdict.model_fields}
+                assert Verdict(**known).said == said["said"]
+                assert f"**{said['said']}** | {said['measured']} |" in page
+                found += 1
+    assert found > 10
