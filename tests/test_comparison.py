@@ -378,6 +378,22 @@ def cut_short(scores: dict[str, Any], n: int) -> dict[str, Any]:
     }
 
 
+def test_a_reading_of_zero_is_compared() -> None:
+    """An ideal calibration has no crosstalk."""
+    facts = Facts(unit="share", higher_is_better=True, either_way=True, relative=True)
+    sides: list[Scored] = []
+    for shares in ((0.0, 0.0), (0.0, 0.0), (0.2, 0.21)):
+        whole = two_methods(2)
+        runs = [
+            run.model_copy(update={"readings": {"bench: crosstalk": share}})
+            for run, share in zip(whole.runs, shares, strict=True)
+        ]
+        metrics = whole.metrics | {"bench: crosstalk": facts}
+        sides.append(whole.model_copy(update={"runs": runs, "metrics": metrics}))
+    assert compared(sides[0], sides[1]).outcome == "pass"
+    assert compared(sides[0], sides[2]).outcome == "regression"
+
+
 def test_lost_seeds_and_scenes_are_named() -> None:
     found = compared(two_methods(4), two_methods(2))
     assert (found.outcome, found.missing) == ("cannot compare", ["scene_a: seeds 3, 4"])

@@ -11,6 +11,7 @@ from optsim.report.baseline import Scored
 
 RUN = "whole run"
 """Method and region of readings of the bench and of costs."""
+_LEAST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,9 @@ def units_of(scored: Scored) -> Units:
     for run in scored.runs:
         for name, value in run.readings.items():
             units = found.setdefault(Key(run.case, RUN, name, RUN), {})
-            units[run.seed, 0] = 100 * math.log(value) if scored.metrics[name].relative else value
+            # An ideal calibration has a crosstalk of 0.
+            relative = scored.metrics[name].relative
+            units[run.seed, 0] = 100 * math.log(max(value, _LEAST)) if relative else value
         for metric, methods in run.scores.items():
             for method, regions in methods.items():
                 for region, values in regions.items():
