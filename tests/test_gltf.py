@@ -154,6 +154,11 @@ BASE = ("materials", 0, "pbrMetallicRoughness", "baseColorTexture")
             {"KHR_texture_transform": {"scale": [2, 2]}},
             "pictures that lie differently",
         ),
+        (
+            ("textures", 0),
+            {"extensions": {"KHR_texture_basisu": {"source": 0}}, "source": None},
+            "got a picture KHR_texture_basisu, expected PNG",
+        ),
         (("asset", "version"), "1.0", r"its asset\.version is not 2\.0"),
         (("nodes", 0, "mesh"), -1, r"got meshes\[-1\], but it has 1 of them"),
         (("nodes", 0, "children"), [0], r"no triangles|nodes\[0\] is named twice"),

@@ -1,6 +1,8 @@
 """OBJ with MTL, PLY and STL as programs write them: faces, materials and colours are the file's own."""
 
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -109,6 +111,9 @@ def test_a_face_that_crosses_itself_is_said(tmp_path):
         (("# Ω\n" + V + "f 1 2 3 4\n").encode("utf-16"), 2, 1),
         (b"\xfe\xff" + (V + "f 1 2 3 4\n").encode("utf-16-be"), 2, 1),
         (V + "f 1 2 3 4 # the lot\n#f 1 2 3\n", 2, 1),
+        ("# from C:\\models\\\n" + V + "f 1 2 3 4\n", 2, 1),
+        ((V + "f 1 2 3 4\n").encode("utf-16-le"), 2, 1),
+        ((V + "f 1 2 3 4\n").encode("utf-16-be"), 2, 1),
     ],
 )
 def test_obj_text_of_every_kind_is_read(tmp_path, text, triangles, area):
@@ -186,6 +191,7 @@ def painted(tmp_path):
         ("map_Kd -s 2 3 1 t.png", (2, 3, 0, 0), "repeat"),
         ("map_Kd -s 2 t.png", (2, 1, 0, 0), "repeat"),
         ("map_Kd -o .25 .5 -s 2 2 2 my  wood.png", (2, 2, 0.25, 0.5), "repeat"),
+        ("map_Kd -mm 0 1 -t 0 0 0 t.png", (1, 1, 0, 0), "repeat"),
         ("map_Kd -clamp on t.png", (1, 1, 0, 0), "clamp"),
         ("map_Kd -clamp off -s 1 1 1 t.png", (1, 1, 0, 0), "repeat"),
     ],
@@ -238,6 +244,18 @@ def test_a_changed_picture_behind_options_is_another_scene(painted):
         material(painted, "newmtl my paint\nmap_Kd -s 2 2 my  wood.png\n")
         seen.add(load(painted).model_dump_json())
     assert len(seen) == 2
+
+
+@pytest.mark.parametrize("where", ["mats/wood.png", "wood.png"])
+def test_a_picture_lies_beside_its_library_or_beside_the_model(tmp_path, where):
+    (tmp_path / "mats").mkdir()
+    Image.new("RGB", (4, 4), (188,) * 3).save(tmp_path / where)
+    written(tmp_path, "newmtl my paint\nmap_Kd wood.png\n", "mats/m.mtl")
+    surface, _ = material(tmp_path, "", "mtllib mats\\m.mtl\n")
+    np.testing.assert_allclose(surface.picture, 0.5028865, atol=1e-5)
+    before = load(tmp_path).model_dump_json()
+    Image.new("RGB", (4, 4), (10,) * 3).save(tmp_path / where)
+    assert load(tmp_path).model_dump_json() != before
 
 
 def test_maps_of_a_material_are_read(painted):
@@ -353,6 +371,12 @@ def test_colours_of_faces_split_the_vertices_between_them(tmp_path):
         np.testing.assert_array_equal(mesh.uv[face, 0], np.array([0, 1, 1, 0, 2.0])[list(stated)])
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", " \n"])
+def test_a_ply_ends_its_lines_in_any_way(tmp_path, end):
+    text = ply([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)]).replace("\n", end)
+    assert areas(read_model(written(tmp_path, text, "m.ply")))[1] == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize("names", [("s", "t"), ("u", "v"), ("texture_u", "texture_v")])
 def test_texture_coordinates_of_a_ply_are_there_for_a_material_of_the_scene(tmp_path, names):
     points = [(0, 0, 0), (1, 0, 0), (1, 1, 0)]
@@ -388,6 +412,16 @@ def test_what_a_ply_has_beyond_is_said(tmp_path):
     said = r"a picture \(TextureFile\), vertex nx, vertex alpha"
     with pytest.warns(UserWarning, match=rf"m\.ply: left out: {said}"):
         load(tmp_path, "m.ply")
+
+
+def test_a_remark_is_one_line_on_the_terminal(tmp_path):
+    written(tmp_path, ply([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)], quality=[0.5] * 3), "m.ply")
+    more = 'material = "grey"\n[ranges]\n"lamps.a.radiance_w_m2_sr" = [4.0, 5.0]\n'
+    with pytest.warns(UserWarning, match="left out"):
+        load(tmp_path, "m.ply", more)
+    command = [sys.executable, "-m", "optsim", "run", "demo", "--dry-run", "--set", f"scene.name={tmp_path}/"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stderr
+    assert said.count("left out") == said.count("optsim: m.ply: left out: vertex quality\n") == 1
 
 
 FACET = struct.pack("<12fH", *[0] * 3, *[0, 0, 0, 1, 0, 0, 0, 1, 0], 0)

@@ -109,7 +109,11 @@ class Gltf:
 
     def picture(self, texture: object) -> bytes:
         """Content of a texture's picture."""
-        image = self.entry("images", source(self.entry("textures", texture)))
+        about = self.entry("textures", texture)
+        if source(about) is None:
+            kinds = ", ".join(about.get("extensions", {}))
+            raise ValueError(f"got a picture {kinds or 'without a source'}, expected PNG, JPEG or WebP")
+        image = self.entry("images", source(about))
         if "uri" in image:
             return self.named(image["uri"])
         view = self.entry("bufferViews", image["bufferView"])

@@ -13,7 +13,7 @@ from optsim.core.foreign import reading
 from optsim.scene.gltf import open_gltf, source
 from optsim.scene.gltf_model import textures_of
 from optsim.scene.model_surface import beside
-from optsim.scene.obj_files import libraries_of, named_pictures, parse_mtl
+from optsim.scene.obj_files import libraries_of, named_pictures
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -60,7 +60,7 @@ def model_hash(path: Path) -> str:
 @functools.lru_cache(maxsize=64)
 def _named(path: Path, _mtime_ns: int, _size: int) -> tuple[tuple[str, Path], ...]:
     """Names in a model's file, and where they lead."""
-    names: list[str] = []
+    names, pictures = list[str](), list[tuple[str, Path]]()
     with reading(path, "a model", "export it again, for example as GLB"):
         if path.suffix.lower() in (".glb", ".gltf"):
             header = open_gltf(path).header
@@ -75,6 +75,6 @@ def _named(path: Path, _mtime_ns: int, _size: int) -> tuple[tuple[str, Path], ..
             names = [each["uri"] for each in listed if not each.get("uri", "data:").startswith("data:")]
         elif path.suffix.lower() == ".obj":
             names = libraries_of(path)
-            there = [file for name in names if (file := beside(path, name)).is_file()]
-            names = names + [name for file in there for name in named_pictures(parse_mtl(file))]
-        return tuple((name, beside(path, name)) for name in dict.fromkeys(names))
+            libraries = [file for name in names if (file := beside(path, name)).is_file()]
+            pictures = [each for library in libraries for each in named_pictures(path, library)]
+        return (*((name, beside(path, name)) for name in dict.fromkeys(names)), *dict.fromkeys(pictures))

@@ -27,6 +27,7 @@ _READ = (*_MAPS, "kd", "d", "tr", "ns", "ks", "pr", "pm", "ka", "map_ka", "illum
 # Options of a map -> the most words that they take; the first are honoured, the next change no colour.
 _HONOURED = {"-s": 3, "-o": 3, "-clamp": 1}
 _HARMLESS = dict.fromkeys(("-blendu", "-blendv", "-boost", "-texres", "-bm", "-cc", "-colorspace"), 1)
+_IDLE = {"-mm": ["0", "1"], "-t": ["0", "0", "0"], "-type": ["none"], "-imfchan": ["m"]}
 _OPTIONS = _HONOURED | _HARMLESS | {"-t": 3, "-mm": 2, "-imfchan": 1, "-type": 1}
 _WHOLE = re.compile(r"-?\d+").fullmatch
 Library = dict[str, dict[str, str]]
@@ -77,15 +78,16 @@ def lines_of(path: Path) -> list[str]:
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = content.decode("utf-16")
+    elif b"\0" in content[:2]:
+        text = content.decode("utf-16-be" if content[:1] == b"\0" else "utf-16-le")
     else:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if "\\" in text:
-        text = re.sub(r"\\[ \t]*\n", " ", text)
-    return [re.sub(r"(^|[ \t])#.*", "", line) if "#" in line else line for line in text.split("\n")]
+    lines = [re.sub(r"(^|[ \t])#.*", "", line) if "#" in line else line for line in text.split("\n")]
+    return re.sub(r"\\[ \t]*\n", " ", "\n".join(lines)).split("\n") if "\\" in text else lines
 
 
 def parse_obj(path: Path) -> ObjText:
@@ -167,10 +169,10 @@ def libraries_of(path: Path) -> list[str]:
 def read_obj(path: Path) -> tuple[list[Piece], str]:
     """Read the pieces of a file, one a material, and what is left out."""
     text = parse_obj(path)
-    materials: Library = {}
-    for name in text.libraries:
-        library = shared.beside(path, name)
-        materials = (parse_mtl(library) if library.is_file() else {}) | materials
+    materials: dict[str, tuple[Path, dict[str, str]]] = {}
+    for library in [shared.beside(path, name) for name in text.libraries]:
+        stated = parse_mtl(library) if library.is_file() else {}
+        materials = {name: (library, each) for name, each in stated.items()} | materials
     points, lost, pieces = text.columns(0, 0.0), [text.lost], list[Piece]()
     coded = None
     if max(text.widths, default=0) >= 6:
@@ -186,7 +188,7 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
         lost.append(f"the outline of {crossed} faces that cross themselves" if crossed else "")
         surface, places = Surface(name), list[Placement]()
         if name in materials:
-            surface, places = _material(path, name, materials[name])
+            surface, places = _material(path, name, *materials[name])
         elif name:
             surface = replace(surface, lost=f"material {name!r}, which no library has")
         uv = None
@@ -215,9 +217,16 @@ def parse_mtl(path: Path) -> Library:
     return found
 
 
-def named_pictures(library: Library) -> list[str]:
-    """Names of the pictures of a library that are read."""
-    return [_map(each[key])[0] for each in library.values() for key in _MAPS if key in each]
+def named_pictures(path: Path, library: Path) -> list[tuple[str, Path]]:
+    """Pictures of a library that are read: their names and places."""
+    stated = parse_mtl(library).values()
+    names = [_map(each[key])[0] for each in stated for key in _MAPS if key in each]
+    return [(name, shared.beside(_base(path, library, name), name)) for name in names]
+
+
+def _base(path: Path, library: Path, name: str) -> Path:
+    """File beside which a picture lies: its library, else the model."""
+    return library if shared.beside(library, name).is_file() else path
 
 
 def _map(text: str) -> tuple[str, dict[str, list[str]]]:
@@ -237,7 +246,9 @@ def _map(text: str) -> tuple[str, dict[str, list[str]]]:
     return text.strip("\"' "), options
 
 
-def _material(path: Path, name: str, stated: Mapping[str, str]) -> tuple[Surface, list[Placement]]:
+def _material(
+    path: Path, name: str, library: Path, stated: Mapping[str, str]
+) -> tuple[Surface, list[Placement]]:
     """Surface of a material, and how its pictures lie."""
     lost = [key for key, text in stated.items() if key not in _READ and not _nothing(key, text)]
     surface, places = Surface(name, np.full(3, 1.0 if "map_kd" in stated else 0.5)), list[Placement]()
@@ -250,13 +261,16 @@ def _material(path: Path, name: str, stated: Mapping[str, str]) -> tuple[Surface
         file, options = _map(stated[key])
         lost += [f"{key} {option}" for option in options if option in _HARMLESS]
         try:
-            if bad := [each for each in options if each not in _HONOURED | _HARMLESS]:
+            idle = [each for each in options if options[each] == _IDLE.get(each)]
+            if bad := [each for each in options if each not in (*_HONOURED, *_HARMLESS, *idle)]:
                 raise ValueError(f"got {bad[0]} {' '.join(options[bad[0]])}, which is not read")
             numbers = [[float(word) for word in options.get(each, [])] for each in ("-s", "-o")]
             (wide, high), (right, up) = (
                 [*each, k, k][:2] for each, k in zip(numbers, (1.0, 0.0), strict=True)
             )
-            surface = shared.with_picture(surface, _MAPS[key], shared.content_beside(path, file))
+            surface = shared.with_picture(
+                surface, _MAPS[key], shared.content_beside(_base(path, library, file), file)
+            )
         except (ValueError, OptsimError) as error:
             refused = listed(refused, f"material {name!r}: {key}: {shared.fault(error)}")
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,11 +115,11 @@ def _chosen(
 def parse_ply(path: Path) -> PlyContent:
     """Read all elements of a file."""
     content = path.read_bytes()
-    head, mark, _ = content.partition(b"end_header")
-    if not mark:
+    if (end := re.search(rb"end_header[ \t]*(\r\n|\n|\r)", content)) is None:
         raise ValueError("its header has no end")
+    head = content[: end.start()]
     order, elements = _header(head.decode("ascii", errors="replace"))
-    body, at = content[content.index(b"\n", len(head)) + 1 :], 0
+    body, at = content[end.end() :], 0
     if not order:
         # Text becomes numbers of one type, and is then read like binary.
         body = np.array(body.split(), np.float64).tobytes()
