@@ -34,6 +34,7 @@ def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("set")
     export_passes(load_experiment("demo", SMALL), folder / "test/solids/truth", range(5, 7))
     sequences = [{"name": "test/solids", "split": "test", "seeds": []}]
+    (folder / "manifest.jsonl").touch()
     return Dataset(folder, {"name": "solids", "sequences": sequences})
 
 

@@ -14,10 +14,11 @@ from optsim.core.config import build
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import write_exr, write_json, write_png8, write_png16
 from optsim.dataset import DatasetSpec, build_dataset, load_spec, open_dataset
-from optsim.dataset.building import CHECKS, _own, _take_back, finish
+from optsim.dataset.building import CHECKS, _take_back, finish, own
 from optsim.dataset.consistency import consistency
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.filters import content
+from optsim.dataset.sources import carried, hashes
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
 from optsim.render import choose_backend
@@ -123,7 +124,7 @@ def test_arrays_come_back_with_units_and_axes(folder):
 
 def test_the_lines_of_the_manual_read_it(folder, monkeypatch, capsys):
     page = (Path(__file__).parents[1] / "docs/how-to/datasets.md").read_text()
-    (code,) = re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    code, *_ = re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
     exec(code.replace("reports/datasets/demo", str(folder)), {})
     assert "(3, 6, 8) W m^-2 sr^-1 slot, y, x" in capsys.readouterr().out
 
@@ -267,9 +268,10 @@ def test_a_number_that_was_not_measured_is_outside():
 
 
 def test_other_filters_are_a_build_of_the_same_spec(folder):
-    write_json(folder / "spec.json", spec_of().model_dump(mode="json"))
+    first, files = carried(spec_of(), folder)
+    write_json(folder / "spec.json", first.model_dump(mode="json") | {"sources": hashes(files)})
     strict = spec_of(filter={"moving_share": [0.01, 1]})
-    _own(folder, strict)
+    own(folder, strict)
     assert not (folder / "dataset.json").exists()
     finish(strict, folder, "exr", recipe=False)
     gone = folder / "train/wheel-main-main"
@@ -280,7 +282,7 @@ def test_other_filters_are_a_build_of_the_same_spec(folder):
     assert not gone.exists()
     assert (folder / "test/wheel-1-main/truth").is_dir()
     with pytest.raises(StorageError, match="a build of another spec"):
-        _own(folder, spec_of(half=True))
+        own(folder, spec_of(half=True))
 
 
 def test_statistics_add_up(folder):

@@ -32,7 +32,7 @@ def build(
         bool, typer.Option("--recipe", help="Keep hashes only; 'regenerate' makes any sequence again.")
     ] = False,
     plan: Annotated[
-        bool, typer.Option("--plan", help="Build two sequences a scene, then say time, disk and memory.")
+        bool, typer.Option("--plan", help="Build two sequences a scene unless there; say time, disk, memory.")
     ] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -43,21 +43,30 @@ def build(
     """Build a data set: every scene, variation, camera and seed of SPEC. Stopped, it goes on."""
     from optsim.core.console import people, progress_bars
     from optsim.core.files import read_record
+    from optsim.core.threads import CORES
     from optsim.dataset import build_dataset, forecast, load_spec
     from optsim.dataset.filters import lines
     from optsim.dataset.reading import CARD
+    from optsim.dataset.spec import check_spec, remarks
 
     loaded = load_spec(spec)
     folder = out or Path("reports") / "datasets" / loaded.name
+    check_spec(loaded)
+    for each in remarks(loaded):
+        people.print(f"remark: {each}")
     if plan:
         with progress_bars() as progress:
             said = forecast(loaded, folder, workers=workers, layout=layout, progress=progress)
+        _fail(said.failed)
+        times = ", ".join(
+            f"{n} workers {said.wall_s(n) / 60:.1f} min" for n in sorted({1, 2, workers or CORES})
+        )
         people.print(
-            f"{said.sequences} sequences, {said.to_do} to do: {said.wall_s / 60:.1f} min "
-            f"with {said.workers} workers, {said.disk_mb:.0f} MB of disk in all, "
-            f"{said.peak_mb:.0f} MB of memory a worker "
+            f"{said.sequences} sequences, {said.to_do} to do: {said.core_s:.0f} core-seconds, "
+            f"{said.disk_mb:.0f} MB of disk in all, {said.peak_mb:.0f} MB of memory a worker "
             f"(measured on {said.measured} sequences, which are kept)"
         )
+        people.print(f"on {CORES} cores: {times}; n workers on n cores: {said.wall_s(1, 1) / 60:.1f} min / n")
         return
     with progress_bars() as progress:
         outcome = build_dataset(
@@ -79,27 +88,18 @@ def build(
 
 
 @dataset_app.command("regenerate")
-def regenerate(
+def regenerate_sequences(
     folder: Folder, names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Sequences.")]
 ) -> None:
-    """Make sequences of a data set again, and compare every file with the manifest."""
-    from optsim.core.config import build as built
+    """Make sequences again beside the data set, and compare every file with the manifest."""
     from optsim.core.console import people, progress_bars
-    from optsim.core.errors import unknown_name
-    from optsim.dataset import DatasetSpec, build_dataset, open_dataset
-    from optsim.dataset.verify import verify
+    from optsim.dataset import open_dataset
+    from optsim.dataset.regenerating import regenerate
 
-    dataset = open_dataset(folder)
-    known = [sequence["name"] for sequence in dataset.card["sequences"]]
-    for name in names:
-        if name not in known:
-            raise unknown_name("sequence", name, known)
-    spec = built(DatasetSpec, dataset.card["spec"], where="dataset.json")
     with progress_bars() as progress:
-        outcome = build_dataset(spec, folder, layout=dataset.card["layout"], only=names, progress=progress)
-    _fail(outcome.failed)
-    _fail(dict.fromkeys(verify(dataset), ""))
-    people.print(f"{', '.join(names)}: as the manifest says, bit by bit")
+        problems, restored = regenerate(open_dataset(folder), names, progress)
+    _fail(problems)
+    people.print(f"{', '.join(names)}: made again, every file as the manifest says; {restored} were put back")
 
 
 @dataset_app.command("verify")

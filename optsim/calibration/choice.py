@@ -33,7 +33,7 @@ def _word_or_path(value: str) -> str:
         near = nearest_name(OPERATORS, value)
         cure = f"did you mean {near!r}? Or name {_PATHS}" if near else f"or name {_PATHS}"
         raise ValueError(f"expected one of: {', '.join(OPERATORS)}; {cure}")
-    return str(_in_folder(path))
+    return str(in_folder(path))
 
 
 def _is_path(value: str) -> bool:
@@ -90,7 +90,7 @@ def kept_file(path: Path) -> Path:
     StorageError
         When there is none.
     """
-    found = _in_folder(path.expanduser())
+    found = in_folder(path.expanduser())
     if not found.exists():
         raise StorageError(f"calibration: no such file or folder: {path}; expected {_PATHS}")
     if not found.is_file():
@@ -111,7 +111,7 @@ def find_kept(table: Table, folder: Path) -> None:
             held["calibration"] = str(found) if _is_path(path) or found.exists() else path
 
 
-def _in_folder(path: Path) -> Path:
+def in_folder(path: Path) -> Path:
     """Find the calibration or bench file of a folder; else return the path itself."""
     return next((path / name for name in (CALIBRATION_FILE, BENCH_FILE) if (path / name).is_file()), path)
 

@@ -1,8 +1,9 @@
 """Data sets: the truth with all its passes, coded frames, and a reader."""
 
-from optsim.dataset.building import Forecast, build_dataset, forecast
+from optsim.dataset.building import build_dataset
 from optsim.dataset.export import check_slots, export_passes, parse_slots
 from optsim.dataset.extras import Extras, choose_extras
+from optsim.dataset.forecast import Forecast, forecast
 from optsim.dataset.reading import Dataset, Sample, open_dataset
 from optsim.dataset.spec import DatasetSpec, load_spec
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.files import read_exr, read_record
+from optsim.core.foreign import reading
 
 Array = NDArray[Any]
 
@@ -34,7 +35,7 @@ class Pass:
     unit: str
     axes: str = "slot, y, x"
 
-    def of(self, path: Path) -> Array:
+    def read(self, path: Path) -> Array:
         """Read the array of one slot."""
         channels = read_exr(path)[0]
         arrays = [channels[name] for name in self.channels]
@@ -97,14 +98,14 @@ def _channel(name: str) -> Callable[[Path], Array]:
 def _numbers(path: Path) -> Array:
     from PIL import Image
 
-    with Image.open(path) as image:
+    with reading(path, "PNG"), Image.open(path) as image:
         return np.asarray(image).astype(np.uint16)
 
 
 def _mask(path: Path) -> Array:
     from PIL import Image
 
-    with Image.open(path) as image:
+    with reading(path, "PNG"), Image.open(path) as image:
         return np.asarray(image) > 0
 
 

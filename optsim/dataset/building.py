@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from optsim.core.cache import hash_of
+from optsim.core.code_hash import hash_files
+from optsim.core.config import Table
 from optsim.core.errors import ConfigError, StorageError
-from optsim.core.files import CLAIM, read_record, write_json, write_text
+from optsim.core.files import CLAIM, atomic, content_hash, read_record, write_json, write_text
 from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
 from optsim.dataset.card import card, croissant, manifest_lines, readme
 from optsim.dataset.consistency import consistency
 from optsim.dataset.contact_sheet import write_contact_sheet
 from optsim.dataset.filters import DROPPED, content, drop, lines, take_back
-from optsim.dataset.reading import CARD, MANIFEST, Sample
+from optsim.dataset.reading import ARRAYS, CARD, MANIFEST, Sample
 from optsim.dataset.sequence import make_sequence
+from optsim.dataset.sources import carried, carry, check_sources, hashes, inside
 from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
-from optsim.experiment.resume import run_key
-from optsim.experiment.run_folder import versions
+from optsim.experiment.run_folder import libraries
 from optsim.experiment.truth import renderer
-from optsim.tasks import Outcome, Task, default_workers, run_tasks, task_record
+from optsim.tasks import Outcome, Task, run_tasks, task_record
 
 Layout = Literal["exr", "npy"]
 CHECKS = "checks.json"
@@ -35,41 +36,30 @@ _SPEC = "spec.json"
 SHEET = "contact_sheet.png"
 
 
-@dataclass(frozen=True)
-class Forecast:
-    """Time, disk and memory that a build will take, extrapolated from sequences already built.
+def tasks_of(spec: DatasetSpec, folder: Path, layout: Layout, sources: Mapping[str, str]) -> list[Task]:
+    """List the tasks of a set, one a sequence, each with a key of all that determines its files.
 
-    Parameters
-    ----------
-    sequences, to_do : int
-        All sequences, and those still missing.
-    workers : int
-        Processes that do them.
-    wall_s, disk_mb, peak_mb : float
-        Time left, disk of the whole data set, memory of a worker.
-    measured : int
-        Sequences behind the forecast.
+    Sources count by their hashes, so no scene is read for its own sequences.
+
+    Raises
+    ------
+    StorageError
+        When a source is lost or changed.
     """
-
-    sequences: int
-    to_do: int
-    workers: int
-    wall_s: float
-    disk_mb: float
-    peak_mb: float
-    measured: int
-
-
-def tasks_of(spec: DatasetSpec, layout: Layout = "exr") -> list[Task]:
-    """List the tasks of a data set, one a sequence, each with a key of all that determines its files."""
-    table, made_by = spec.model_dump(mode="json"), versions()
-    wanted = list(spec.schemes), list(spec.seeds), spec.reconstruct, spec.half, layout
-    tasks: list[Task] = []
-    for sequence in spec.sequences():
-        experiment = spec.experiment_of(sequence, spec.seeds[0])
-        backend, _ = renderer(experiment, None)
-        key = hash_of(run_key(experiment, backend, made_by), *wanted)
-        tasks.append(Task(sequence.name, key, _make, (table, asdict(sequence), layout)))
+    check_sources(folder, sources)
+    table: Table = spec.model_dump(mode="json") | {"split": {}, "filter": {}}
+    tasks, root = list[Task](), str(folder.absolute())
+    whole = hash_of(hash_files(["optsim/**/*.py", "optsim/**/*.npz"]), libraries(), dict(sources), layout)
+    backends: dict[str, str] = {}
+    with inside(folder):
+        for sequence in spec.sequences():
+            if sequence.scene not in backends:
+                experiment = spec.experiment_of(sequence, spec.seeds[0])
+                backends[sequence.scene] = renderer(experiment)[0]
+            # Of a long list each worker gets its own part.
+            own = table | {"scenes": {sequence.scene: [sequence.variation]}}
+            key = hash_of(whole, backends[sequence.scene], own, asdict(sequence))
+            tasks.append(Task(sequence.name, key, _make, (root, own, asdict(sequence), layout)))
     return tasks
 
 
@@ -82,7 +72,6 @@ def build_dataset(
     workers: int | None = None,
     scheduler: str | None = None,
     shard: tuple[int, int] = (1, 1),
-    only: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Outcome:
     """Build a data set, or continue a build.
@@ -96,13 +85,10 @@ def build_dataset(
     layout : {"exr", "npy"}
         ``npy`` writes a memory-mapped array a pass beside the EXR files.
     recipe : bool
-        Keep spec, card and the hash of each file, but not the files. With ``only`` any sequence can be made
-        again, bit for bit on the same backend.
+        Keep sources, card and the hash of each file, but not the files: :func:`regenerate` makes them again.
     workers, scheduler, shard
         As in :func:`optsim.tasks.run_tasks`. A build of several shards ends without a card; a build without
         shards then writes it.
-    only : sequence of str
-        Names of the sequences to make; all by default.
     progress : Progress
         Called after each sequence, as "tasks".
 
@@ -118,56 +104,21 @@ def build_dataset(
     StorageError
         When the folder holds other files.
     """
-    _own(folder, spec)
+    spec, sources = own(folder, spec)
     _take_back(folder, spec)
-    if recipe and not only and (folder / CARD).is_file() and read_record(folder / CARD)["recipe"]:
+    if recipe and (folder / CARD).is_file() and read_record(folder / CARD)["recipe"]:
         # Its sequences are gone on purpose.
         return Outcome((), tuple(each.name for each in spec.sequences()), {})
-    tasks = tasks_of(spec, layout)
-    wanted = [task for task in tasks if not only or task.name in only]
-    outcome = run_tasks(wanted, folder, workers=workers, scheduler=scheduler, shard=shard, progress=progress)
-    if not only and all(task_record(folder, task) is not None for task in tasks):
-        finish(spec, folder, layout, recipe=recipe)
+    tasks = tasks_of(spec, folder, layout, sources)
+    outcome = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, shard=shard, progress=progress)
+    if all(task_record(folder, task) is not None for task in tasks):
+        finish(spec, folder, layout, recipe=recipe, sources=sources)
     return outcome
 
 
-def forecast(
-    spec: DatasetSpec,
-    folder: Path,
-    *,
-    workers: int | None = None,
-    layout: Layout = "exr",
-    progress: Progress = silent,
-) -> Forecast:
-    """Build two sequences of each scene, as a pilot, and estimate the time of the rest.
-
-    The second measures a warm worker. The pilot is part of the build: nothing is made twice.
-    """
-    _own(folder, spec)
-    workers = workers or default_workers()
-    sequences, tasks = spec.sequences(), tasks_of(spec, layout)
-    scene_of = {sequence.name: sequence.scene for sequence in sequences}
-    pilots: list[Task] = []
-    for scene in spec.scenes:
-        pilots += [task for task in tasks if scene_of[task.name] == scene][:2]
-    run_tasks(pilots, folder, workers=workers, progress=progress)
-    seconds: dict[str, float] = {}
-    sizes: dict[str, float] = {}
-    peak_mb, to_do = 0.0, Counter(scene_of[task.name] for task in tasks if task_record(folder, task) is None)
-    for task in pilots:
-        record = task_record(folder, task)
-        if record is not None:
-            # The last one of a scene ran with everything compiled, loaded and calibrated.
-            seconds[scene_of[task.name]] = record["seconds"]
-            sizes[scene_of[task.name]] = sum(p.stat().st_size for p in (folder / task.name).rglob("*")) / 1e6
-            peak_mb = max(peak_mb, record["peak_mb"])
-    counts = Counter(scene_of.values())
-    wall_s = sum(seconds[scene] * n for scene, n in to_do.items()) / max(1, min(workers, sum(to_do.values())))
-    disk_mb = sum(sizes[scene] * n for scene, n in counts.items())
-    return Forecast(len(tasks), sum(to_do.values()), workers, wall_s, disk_mb, peak_mb, len(pilots))
-
-
-def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> None:
+def finish(
+    spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool, sources: Mapping[str, str] | None = None
+) -> None:
     """Drop what filters drop, and write manifest, contact sheet, card, Croissant metadata and README.
 
     All sequences must be there.
@@ -194,9 +145,18 @@ def finish(spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool) -> 
     listed = "".join(manifest_lines(folder, sequences))
     write_text(folder / MANIFEST, listed)
     digest = hashlib.sha256(listed.encode()).hexdigest()
-    about = card(spec, sequences, checks, layout, digest, recipe=recipe, filters=filters)
+    with inside(folder):
+        about = card(spec, sequences, checks, layout, digest, recipe=recipe, filters=filters)
     write_json(folder / "croissant.json", croissant(about))
     write_text(folder / "README.md", readme(about))
+    about["sources"] = dict(sources or {})
+    left = [
+        f"{name}/{file}" for name, keys in failed.items() if keys and not recipe for file in (CHECKS, DROPPED)
+    ]
+    documents = [
+        each for each in (_SPEC, SHEET, "croissant.json", "README.md", *left) if (folder / each).is_file()
+    ]
+    about["documents"] = {each: content_hash(folder / each) for each in documents}
     if recipe:
         for name in found:
             shutil.rmtree(folder / name)
@@ -209,30 +169,45 @@ def _sample(folder: Path, spec: DatasetSpec, sequence: SequencePlan) -> Sample:
     return Sample(folder / sequence.name, seed, {"name": sequence.name})
 
 
-def _make(folder: Path, spec: Mapping[str, Any], sequence: Mapping[str, Any], layout: Layout) -> None:
-    """Fill the folder of a sequence, in a worker."""
-    make_sequence(folder, dict(spec), dict(sequence))
+def _make(
+    folder: Path, root: str, spec: Mapping[str, Any], sequence: Mapping[str, Any], layout: Layout
+) -> None:
+    """Fill the folder of a sequence, in a worker; the spec's paths start at ``root``."""
+    with inside(Path(root)):
+        make_sequence(folder, dict(spec), dict(sequence))
     if not (folder / CHECKS).is_file():
         write_json(folder / CHECKS, consistency(folder / "truth") | content(folder / "truth"))
     for hidden in folder.rglob(f"{CLAIM}*"):
         hidden.unlink(missing_ok=True)
+    # Of an attempt that was stopped: an array must not be read from the file it is written to.
+    shutil.rmtree(folder / ARRAYS, ignore_errors=True)
     if layout == "npy":
         seeds = spec["seeds"] if spec["schemes"] else [None]
         for seed in seeds:
             sample = Sample(folder, seed, {"name": sequence["scene"]})
             for name in sample:
-                path = sample.mapped(name)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                np.save(path, sample[name])
+                # Seeds share their truth.
+                if not (path := sample.mapped(name)).is_file():
+                    with atomic(path) as part:
+                        np.save(part, sample[name])
 
 
-def _own(folder: Path, spec: DatasetSpec) -> None:
-    """Check a spec and write it into its folder, or refuse a folder of another one.
+def own(folder: Path, spec: DatasetSpec) -> tuple[DatasetSpec, dict[str, str]]:
+    """Check a spec and write it and its sources into its folder, or refuse a folder of another one.
 
     Filters may change: they decide about what is made, not how. The card is then written anew.
+
+    Returns
+    -------
+    spec : DatasetSpec
+        With paths that start at the folder.
+    sources : dict
+        SHA-256 of each carried file and of those of shipped scenes.
     """
     check_spec(spec)
-    table, path = spec.model_dump(mode="json"), folder / _SPEC
+    spec, files = carried(spec, folder)
+    sources, path = hashes(files), folder / _SPEC
+    table = spec.model_dump(mode="json") | {"sources": sources}
     with claimed_file(path):
         if not path.is_file():
             if any(not each.name.startswith(CLAIM) for each in folder.iterdir()):
@@ -241,13 +216,22 @@ def _own(folder: Path, spec: DatasetSpec) -> None:
                 )
             write_json(path, table)
         elif (known := read_record(path)) != table:
-            if {**known, "filter": None} != {**table, "filter": None}:
+            was: dict[str, str] = known.get("sources", {})
+            free = {"filter": None, "sources": None}
+            if {**known, **free} != {**table, **free}:
                 raise StorageError(
                     f"--out {folder}: got a build of another spec ({path}), expected this one; "
                     "cure: choose another folder"
                 )
+            if changed := sorted(place for place in {*was, *sources} if was.get(place) != sources.get(place)):
+                raise StorageError(
+                    f"--out {folder}: got a build in which {changed[0]} was another file, expected the same; "
+                    "cure: put it back, or choose another folder"
+                )
             (folder / CARD).unlink(missing_ok=True)
             write_json(path, table)
+        carry(files, folder)
+    return spec, sources
 
 
 def _take_back(folder: Path, spec: DatasetSpec) -> None:

@@ -15,7 +15,7 @@ from optsim.core.files import content_hash
 from optsim.dataset.arrays import PASSES
 from optsim.dataset.channels import CONVENTIONS
 from optsim.dataset.reading import KIND, MANIFEST
-from optsim.dataset.spec import SPLITS, DatasetSpec, SequencePlan
+from optsim.dataset.spec import SPLITS, DatasetSpec, SequencePlan, remarks
 from optsim.experiment.run_folder import versions
 
 Record = dict[str, Any]
@@ -71,6 +71,7 @@ def card(
         ],
         "built": len(spec.sequences()),
         "filters": list(filters),
+        "remarks": remarks(spec),
         "checks": {
             name: _worst(name, checks) for name in _CHECKS if any(name in each for each in checks.values())
         },
@@ -263,6 +264,7 @@ def readme(about: Record) -> str:
         ),
         "",
         *_filtered(about),
+        *(f"\n{each[0].upper()}{each[1:]}." for each in about["remarks"]),
     ]
     if about["recipe"]:
         lines += ["", "Only the recipe is kept: `optsim dataset regenerate . NAME` makes a sequence again."]

@@ -30,7 +30,7 @@ from optsim.dataset.channels import (
 )
 from optsim.dataset.extras import ExtraChannels, Extras, channel_names
 from optsim.experiment.experiment import Experiment
-from optsim.experiment.job import versions
+from optsim.experiment.run_folder import libraries
 from optsim.experiment.truth import chosen_scene, render_truth, renderer, truth_view, whole_scene
 from optsim.report.pass_sheet import pass_sheet
 
@@ -137,7 +137,7 @@ def export_passes(
     extras.check(backend)
     share = _chosen_share(experiment, independent_noise, noise_share, backend)
     scene, view, slot_s = chosen_scene(experiment), truth_view(experiment), experiment.timing.slot_s
-    made_by = {**versions(), "variant": renderer(experiment, backend)[0]}
+    made_by = {**libraries(), "variant": renderer(experiment, backend)[0]}
     if extras.denoise:
         made_by["mitsuba-oidn"] = version("mitsuba-oidn")
     settings = experiment.render.model_dump(mode="json")

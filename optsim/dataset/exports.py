@@ -64,10 +64,10 @@ def export_hdf5(dataset: Dataset, path: Path, progress: Progress = silent) -> No
     try:
         import h5py  # pyright: ignore
     except ImportError:
-        raise StorageError("--hdf5: got no h5py; cure: pip install h5py") from None
+        raise StorageError("--to hdf5: got no h5py; cure: pip install 'optsim[hdf5]'") from None
     h5: Any = h5py
     if path.exists():
-        raise StorageError(f"--hdf5 {path}: got a file that is there, expected a new one")
+        raise StorageError(f"--out {path}: got a file that is there, expected a new one")
     with atomic(path) as part, h5.File(part, "w") as file:
         for split in SPLITS:
             for number, sample in enumerate(dataset.samples(split), start=1):

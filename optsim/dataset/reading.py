@@ -14,10 +14,13 @@ import numpy as np
 
 from optsim.core.errors import StorageError, ValueCheckError, unknown_name
 from optsim.core.files import read_exr_header, read_record
+from optsim.core.foreign.npz import npy_on_disk
 from optsim.dataset.arrays import BY_SCHEME, PASSES, SHARED, Array, Coded, Table, tables
 from optsim.dataset.spec import SPLITS, Split
 
 KIND = "optsim data set 1"
+_CURE = "cure: copy the data set again, or optsim dataset regenerate"
+_KINDS: dict[str, type] = {"path": str, "bytes": int, "sha256": str}
 CARD, MANIFEST, ARRAYS = "dataset.json", "manifest.jsonl", "arrays"
 
 
@@ -33,11 +36,14 @@ class Sample(Mapping[str, Array]):
         Seed of the coded frames; None without any.
     about : dict
         The card's entry of the sequence: scene, variation, camera, split.
+    listed : set of str
+        Its files by the manifest, without its folder; a lost one must not shift the rest. Empty: any.
     """
 
     folder: Path
     seed: int | None
     about: dict[str, Any]
+    listed: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         """Identify the sample."""
@@ -46,11 +52,6 @@ class Sample(Mapping[str, Array]):
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
-        first = next(iter(self._slots), None)
-        if first is None:
-            raise StorageError(
-                f"{self.folder}: got no slots, expected truth/slot000000.exr; cure: optsim dataset verify"
-            )
         held = self._header[0]
         passes = [name for name, each in PASSES.items() if each.channels[0] in held]
         shared = [name for name in SHARED if (self.folder / name).is_dir()]
@@ -71,11 +72,21 @@ class Sample(Mapping[str, Array]):
         kind, _, scheme = name.partition("/")
         found = SHARED.get(name) or BY_SCHEME[kind]
         place = self._coded if scheme else self.folder
-        return found, sorted(place.glob(found.files.format(glob.escape(scheme))))
+        return found, self._present(place, found.files.format(glob.escape(scheme)))
+
+    def _present(self, place: Path, pattern: str) -> list[Path]:
+        found = sorted(place.glob(pattern))
+        return [p for p in found if not self.listed or p.relative_to(self.folder).as_posix() in self.listed]
 
     @cached_property
     def _slots(self) -> list[Path]:
-        return sorted((self.folder / "truth").glob("slot*.exr"))
+        others = tuple(f"seed{seed}/" for seed in self.about.get("seeds", []) if seed != self.seed)
+        for place in sorted(self.listed):
+            if not place.startswith((f"{ARRAYS}/", *others)) and not (self.folder / place).is_file():
+                raise StorageError(f"{self.folder / place}: lost, though {MANIFEST} names it; {_CURE}")
+        if not (found := self._present(self.folder / "truth", "slot*.exr")):
+            raise StorageError(f"{self.folder}: got no slots, expected truth/slot000000.exr; {_CURE}")
+        return found
 
     @cached_property
     def _header(self) -> tuple[list[str], dict[str, Any]]:
@@ -108,15 +119,21 @@ class Sample(Mapping[str, Array]):
         """
         if name not in self._names:
             raise KeyError(str(unknown_name("array", name, list(self._names))))
-        if (mapped := self.mapped(name)).is_file():
-            return cast("Array", np.load(mapped, mmap_mode="r"))
-        if name in PASSES:
-            return np.stack([PASSES[name].of(path) for path in self._slots])
         kind, _, key = name.partition("/")
+        mapped = self.mapped(name)
         if kind in self._tables:
-            return self._tables[kind].read(key)
-        found, paths = self._kind(name)
-        return np.stack([found.read(path) for path in paths])
+            return npy_on_disk(mapped) if mapped.is_file() else self._tables[kind].read(key)
+        each, paths = (PASSES[name], self._slots) if name in PASSES else self._kind(name)
+        if mapped.is_file():
+            array = npy_on_disk(mapped)
+            if len(array) != len(paths):
+                raise StorageError(f"{mapped}: got {len(array)} in it, expected {len(paths)}; {_CURE}")
+            return array
+        arrays = [each.read(path) for path in paths]
+        for path, array in zip(paths, arrays, strict=True):
+            if array.shape != arrays[0].shape:
+                raise StorageError(f"{path}: got shape {array.shape}, expected {arrays[0].shape}; {_CURE}")
+        return np.stack(arrays)
 
     def mapped(self, name: str) -> Path:
         """File of an array in the layout ``npy``, whether it exists or not."""
@@ -125,7 +142,7 @@ class Sample(Mapping[str, Array]):
 
     def slot(self, name: str, index: int) -> Array:
         """Read a pass in one slot: (y, x), (y, x, component), or (band, y, x)."""
-        return PASSES[name].of(self._slots[index])
+        return PASSES[name].read(self._slots[index])
 
     def unit(self, name: str) -> str:
         """Return the unit of an array."""
@@ -235,10 +252,20 @@ class Dataset:
     folder: Path
     card: dict[str, Any] = field(repr=False)
 
+    @cached_property
+    def _listed(self) -> dict[str, frozenset[str]]:
+        """Files of each sequence, from its folder on."""
+        found: dict[str, set[str]] = {about["name"]: set() for about in self.card["sequences"]}
+        for record in manifest(self.folder):
+            name = "/".join(record["path"].split("/")[:2])
+            if name in found:
+                found[name].add(record["path"].removeprefix(f"{name}/"))
+        return {name: frozenset(places) for name, places in found.items()}
+
     def samples(self, split: Split) -> Samples:
         """Return the samples of a split: each sequence once a seed."""
         found = [
-            Sample(self.folder / about["name"], seed, about)
+            Sample(self.folder / about["name"], seed, about, self._listed[about["name"]])
             for about in self.card["sequences"]
             if about["split"] == split
             for seed in about["seeds"] or [None]
@@ -296,6 +323,10 @@ def open_dataset(path: str | Path) -> Dataset:
             f"{folder / CARD}: got {card.get('kind')!r}, expected {KIND!r}; "
             "cure: the version of optsim that made it"
         )
+    entries = card.get("sequences")
+    for entry in entries if isinstance(entries, list) else [{}]:  # pyright: ignore
+        if not isinstance(entry, dict) or not {"name", "split", "seeds"} <= entry.keys():  # pyright: ignore
+            raise StorageError(f"{folder / CARD}: got no list of sequences, expected one; {_CURE}")
     return Dataset(folder, card)
 
 
@@ -305,12 +336,17 @@ def manifest(folder: Path) -> list[dict[str, Any]]:
     Raises
     ------
     StorageError
-        When it is missing or damaged.
+        When it is missing or damaged, or names a file outside of the data set.
     """
     path = folder / MANIFEST
+    cure = "expected an object with path, bytes and sha256 of a file in it a line; cure: copy it again"
     try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError) as error:
-        raise StorageError(
-            f"{path}: got {error}, expected a line of JSON a file; cure: build it again"
-        ) from None
+        records: list[Any] = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError, RecursionError) as error:
+        raise StorageError(f"{path}: got {error}, {cure}") from None
+    for number, record in enumerate(records, start=1):
+        found = cast("dict[str, Any]", record) if isinstance(record, dict) else {}
+        whole = all(isinstance(found.get(key), kind) for key, kind in _KINDS.items())
+        if not whole or (place := Path(found["path"])).is_absolute() or ".." in place.parts:
+            raise StorageError(f"{path}, line {number}: got {json.dumps(record)[:80]}, {cure}")
+    return records

@@ -31,6 +31,7 @@ from optsim.experiment.run_folder import (
     write_reconstruction,
 )
 from optsim.experiment.truth import render_truth
+from optsim.tasks import tell
 
 
 def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
@@ -45,23 +46,30 @@ def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
     """
     chosen = build(DatasetSpec, spec, where="data set")
     plan = SequencePlan(**sequence)
-    export_passes(chosen.experiment_of(plan, chosen.seeds[0]), folder / "truth", half=chosen.half)
+    export_passes(
+        chosen.experiment_of(plan, chosen.seeds[0]), folder / "truth", half=chosen.half, progress=tell
+    )
     for seed in chosen.seeds if chosen.schemes else ():
         place = folder / f"seed{seed}"
         if not (place / "light.json").is_file():
             shutil.rmtree(place, ignore_errors=True)
-            _take(chosen.experiment_of(plan, seed), place, reconstruct=chosen.reconstruct, half=chosen.half)
+            experiment, draws = chosen.experiment_of(plan, seed), chosen.draws_of(plan, seed)
+            _take(experiment, place, draws=draws, reconstruct=chosen.reconstruct, half=chosen.half)
 
 
-def _take(experiment: Experiment, folder: Path, *, reconstruct: bool, half: bool) -> None:
+def _take(experiment: Experiment, folder: Path, *, draws: int, reconstruct: bool, half: bool) -> None:
     """Calibrate, take the coded frames of all schemes with what explains them, and decode if requested."""
     modelled, _ = planned(experiment)
+    tell("calibration", 0, 1)
     known = calibrate_all(modelled)
+    tell("calibration", 1, 1)
     experiment.check_methods(known)
-    radiance = render_truth(experiment)
+    radiance = render_truth(experiment, progress=tell)
     camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
     truth = camera.form_image(radiance)
-    frames = capture(modelled, camera, truth, known)
+    # The laboratory keeps the set's seed, so that one calibration serves all sequences of a camera.
+    drawn = modelled.model_copy(update={"seed": draws})
+    frames = capture(drawn, camera, truth, known, tell)
     write_calibrations(experiment, folder, known)
     write_frames(folder, frames)
     write_light(folder.parent, camera, truth, modelled.n_frames, half=half)
@@ -72,8 +80,10 @@ def _take(experiment: Experiment, folder: Path, *, reconstruct: bool, half: bool
         for decoded in decode(modelled, frames, known):
             for name, video in decoded.videos.items():
                 write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
+            tell("decode", decoded.index + 1, modelled.n_frames)
     write_checksums(folder)
     write_json(folder / "experiment.json", experiment.model_dump(mode="json"))
     # Last: its presence marks the rest as complete.
     facts = {"irradiance_per_radiance": camera.irradiance_per_radiance, "gain_e_dn": camera.sensor.step_e}
+    facts["draws"] = draws
     write_json(folder / "light.json", {**asdict(light), **facts})

@@ -13,8 +13,10 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from optsim.coding import MotionAdaptive
 from optsim.core.config import Part, Table, build, flat, read_toml
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.random_streams import stream
 from optsim.dataset.filters import Filter
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.scene.variation import is_number
@@ -88,7 +90,10 @@ class DatasetSpec(Part):
     schemes : tuple of str
         Names of the experiment's methods that take coded frames; with none, truth alone.
     seeds : tuple of int
-        Seeds of photons, codes and the laboratory: each takes all coded frames anew from the same truth.
+        Seeds of photons, codes and the laboratory: each takes all coded frames anew from the same truth. Each
+        sequence draws codes and photons of its own from a seed; the calibration is common.
+    same_draws : bool
+        Draw codes and photons once a seed for the whole set, instead of anew for each sequence.
     reconstruct : bool
         Decode the coded frames too.
     half : bool
@@ -110,6 +115,7 @@ class DatasetSpec(Part):
     cameras: dict[str, Table] = Field(default={"main": {}}, min_length=1)
     schemes: tuple[str, ...] = ()
     seeds: tuple[int, ...] = Field(default=(1,), min_length=1)
+    same_draws: bool = False
     reconstruct: bool = False
     half: bool = False
     split: Share = Share()
@@ -134,7 +140,7 @@ class DatasetSpec(Part):
         if n > _MOST:
             raise ConfigError(f"scenes, cameras: got {n} sequences, expected at most {_MOST}; split the spec")
         return [
-            SequencePlan(self.split.of(_plain(scene), variation), scene, variation, camera)
+            SequencePlan(self.split.of(plain(scene), variation), scene, variation, camera)
             for scene, variations in self.scenes.items()
             for variation in variations
             for camera in self.cameras
@@ -163,6 +169,12 @@ class DatasetSpec(Part):
         chosen = tuple(methods[name] for name in self.schemes) or loaded.methods
         return loaded.model_copy(update={"methods": chosen, "save_reconstructions": ()})
 
+    def draws_of(self, sequence: SequencePlan, seed: int) -> int:
+        """Seed of the codes and photons of a sequence, whatever its split."""
+        if self.same_draws:
+            return seed
+        return int(stream(seed, "sequence", sequence.name.partition("/")[2]).integers(2**32))
+
 
 @dataclass(frozen=True)
 class SequencePlan:
@@ -184,7 +196,7 @@ class SequencePlan:
     @property
     def name(self) -> str:
         """Folder relative to the data set's."""
-        return f"{self.split}/{_plain(self.scene)}-{self.variation.replace(',', '_')}-{self.camera}"
+        return f"{self.split}/{plain(self.scene)}-{self.variation.replace(',', '_')}-{self.camera}"
 
 
 def dataset_names() -> list[str]:
@@ -220,7 +232,8 @@ def _beside(name: str, folder: Path) -> str:
     return str((folder / Path(name).expanduser()).absolute()) if is_path else name
 
 
-def _plain(scene: str) -> str:
+def plain(scene: str) -> str:
+    """Name of a scene in the names of its sequences."""
     return Path(scene).stem if "/" not in scene else Path(scene.removesuffix("/scene.toml")).name
 
 
@@ -238,7 +251,10 @@ def _variations(scene: object, listed: object) -> Any:
         first, colon, last = text.partition(":")
         if colon and first.isdecimal() and last.isdecimal():
             if not int(first) < int(last) <= int(first) + _MOST:
-                raise ValueError(f"{scene}: got {text!r}, expected FIRST:LAST, LAST not included, as 0:100")
+                raise ValueError(
+                    f"{scene}: got {text!r}, expected FIRST:LAST, LAST not included, as 0:100, at most "
+                    f"{_MOST} variations"
+                )
             found += [str(number) for number in range(int(first), int(last))]
         else:
             found.append(text)
@@ -261,6 +277,7 @@ def check_spec(spec: DatasetSpec) -> None:
     names = Counter(sequence.name for sequence in sequences)
     if twice := [name for name, n in names.items() if n > 1]:
         raise ConfigError(f"scenes, cameras: got {twice[0]} twice, expected folders that differ; rename one")
+    _check_shares(spec.split, Counter[str](sequence.split for sequence in sequences))
     checked = set[tuple[str, str, str]]()
     for sequence in sequences:
         # All numbers of a scene draw from ranges whose ends are checked when the scene is read.
@@ -268,3 +285,39 @@ def check_spec(spec: DatasetSpec) -> None:
         if (sequence.scene, kind, sequence.camera) not in checked:
             checked.add((sequence.scene, kind, sequence.camera))
             spec.experiment_of(sequence, spec.seeds[0])
+
+
+def _check_shares(shares: Share, counts: Counter[str]) -> None:
+    """Refuse shares of which a small set has none."""
+    given = {"val": shares.val, "test": shares.test}
+    shared = {split: share for split, share in given.items() if isinstance(share, float)}
+    rest = {"train": 1 - sum(shared.values())} if shared else {}
+    for split, share in (shared | rest).items():
+        if share > 0 and not counts[split]:
+            raise ConfigError(
+                f"split.{split}: got a share of {share:g}, which is none of the {counts.total()} sequences, "
+                'expected one or more; cure: more variations, or patterns such as test = ["wheel/2"]'
+            )
+
+
+def remarks(spec: DatasetSpec) -> list[str]:
+    """Say what a set lacks that its spec may lead one to expect, without building it.
+
+    An adaptive scheme needs two frames that arrived before its first adapted one, and is steady two frames
+    after its merging phase begins (see ``Experiment.n_frames``).
+    """
+    found: dict[str, None] = {}
+    for camera in spec.cameras if spec.schemes else ():
+        first = next(each for each in spec.sequences() if each.camera == camera)
+        experiment = spec.experiment_of(first, spec.seeds[0])
+        adapted, steady = (experiment.camera.latency_frames + n for n in (2, 5))
+        for name, scheme in experiment.schemes.items():
+            if isinstance(scheme, MotionAdaptive) and spec.n_frames < steady:
+                lacks = (
+                    f"is its {scheme.first_frames} code in all {spec.n_frames} frames"
+                    if spec.n_frames < adapted
+                    else "has no steady frame"
+                )
+                said = f"its first adapted frame is number {adapted}, its first steady one number {steady}"
+                found[f"n_frames = {spec.n_frames}: {name} {lacks}; {said}"] = None
+    return list(found)

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from optsim.core.files import content_hash
+from optsim.core.files import CLAIM, content_hash
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
-from optsim.dataset.reading import MANIFEST, Dataset, manifest
+from optsim.dataset.reading import CARD, MANIFEST, Dataset, manifest
+from optsim.dataset.sources import SHIPPED
 from optsim.dataset.spec import SPLITS
+from optsim.tasks import RECORDS
 
 # Speeds in fine samples a slot; luminance in stops below the brightest.
 _SPEEDS = (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
@@ -44,12 +46,18 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
         elif path.stat().st_size != record["bytes"] or content_hash(path) != record["sha256"]:
             found.append(f"{record['path']}: changed")
         progress("verify", number, len(listed))
-    known = {record["path"] for record in listed}
-    for sequence in dataset.card["sequences"]:
-        for path in (dataset.folder / sequence["name"]).rglob("*"):
-            place = path.relative_to(dataset.folder).as_posix()
-            if path.is_file() and place not in known:
-                found.append(f"{place}: not in the manifest")
+    carried = {place: each for place, each in dataset.card.get("sources", {}).items() if SHIPPED not in place}
+    beside = {**carried, **dataset.card.get("documents", {})}
+    for place, sha256 in beside.items():
+        path = dataset.folder / place
+        if not path.is_file() or content_hash(path) != sha256:
+            found.append(f"{place}: {'changed' if path.is_file() else 'missing'}")
+    known = {record["path"] for record in listed} | {CARD, MANIFEST, *beside}
+    for path in sorted(dataset.folder.rglob("*")):
+        place = path.relative_to(dataset.folder)
+        is_ours = place.parts[0] == RECORDS or place.name.startswith(CLAIM)
+        if (path.is_symlink() or not path.is_dir()) and not is_ours and place.as_posix() not in known:
+            found.append(f"{place.as_posix()}: not in the manifest")
     return found
 
 

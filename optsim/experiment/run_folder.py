@@ -201,6 +201,11 @@ def versions() -> dict[str, str]:
     }
 
 
+def libraries() -> dict[str, str]:
+    """Versions without the machine's, for files that machines with the same libraries make alike."""
+    return {name: text for name, text in versions().items() if name != "platform"}
+
+
 def commit() -> str | None:
     """Name the commit of the source tree, with a plus where files differ from it; None outside of one."""
     root = Path(__file__).parents[2]

@@ -13,6 +13,7 @@ from typing import Any
 from optsim.core.errors import StorageError
 from optsim.core.files import read_record, write_json
 from optsim.core.folder_claims import claimed_file
+from optsim.core.threads import CORES
 
 RECORDS = ".tasks"
 """Folder below the root with a record of each finished task."""
@@ -42,7 +43,13 @@ class Task:
 
 
 def task_record(root: Path, task: Task) -> dict[str, Any] | None:
-    """Return the record of a finished task: ``key``, ``seconds``, ``peak_mb``; None while it isn't done.
+    """Return the record of a finished task, None while it isn't done.
+
+    Returns
+    -------
+    dict or None
+        ``key``; ``seconds`` of wall time by ``threads``, ``core_s`` of all of them; ``disk_mb``, and
+        ``peak_mb`` of memory.
 
     Raises
     ------
@@ -82,10 +89,16 @@ def make_folder(root: Path, task: Task) -> str:
         if task_record(root, task) is not None:
             return "found"
         part.mkdir(exist_ok=True)
-        start = time.perf_counter()
+        start, core_start = time.perf_counter(), time.process_time()
         task.make(part, *task.arguments)
-        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        record = {"key": task.key, "seconds": time.perf_counter() - start, "peak_mb": peak_mb}
+        record = {
+            "key": task.key,
+            "seconds": time.perf_counter() - start,
+            "core_s": time.process_time() - core_start,
+            "threads": CORES,
+            "disk_mb": sum(path.stat().st_size for path in part.rglob("*") if path.is_file()) / 1e6,
+            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        }
         # The record first: without its folder it says nothing.
         write_json(_record_path(root, task), record)
         part.rename(place)

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import logging
 import os
+import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from uuid import uuid4
 
 from optsim.core.errors import ConfigError, OptsimError
 from optsim.core.memory import keep_freed_memory
@@ -29,6 +32,8 @@ ATTEMPTS = 3
 _WORKER_BYTES = 2_000_000_000
 # Waiting for a scheduler that may not be there, s.
 _PATIENCE_S = 10
+_TELL_EVERY_S = 0.5
+_listener: ContextVar[Progress] = ContextVar("_listener", default=silent)
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def run_tasks(
     shard : tuple of int
         (i, n): the i-th of n parts of the list, counted from 1: for job arrays without a scheduler.
     progress : Progress
-        Told of each finished task, as "tasks".
+        Told of each finished task, as "tasks", and of stages inside those at work (:func:`tell`), summed.
 
     Raises
     ------
@@ -103,7 +108,7 @@ def run_tasks(
     progress("tasks", len(found), len(own))
     if open_tasks:
         with _client(workers or default_workers(), len(open_tasks), scheduler) as client:
-            for name, state, error in _results(client, open_tasks, root):
+            for name, state, error in _results(client, open_tasks, root, progress):
                 if error:
                     failed[name] = error
                 else:
@@ -112,16 +117,37 @@ def run_tasks(
     return Outcome(tuple(made), tuple(found), failed)
 
 
-def _results(client: Any, tasks: Sequence[Task], root: Path) -> Generator[tuple[str, str, str]]:
+def tell(stage: str, done: int, total: int) -> None:
+    """Report progress from inside a task to the process that waits for it."""
+    _listener.get()(stage, done, total)
+
+
+def _results(
+    client: Any, tasks: Sequence[Task], root: Path, progress: Progress
+) -> Generator[tuple[str, str, str]]:
     """Yield (name, state, error) of each task as it ends."""
     from distributed import as_completed
 
+    stages: dict[str, dict[str, tuple[int, int]]] = {}
+    ended, topic = set[str](), f"optsim {uuid4()}"
+
+    def heard(event: tuple[float, tuple[str, str, int, int]]) -> None:
+        name, stage, done, total = event[1]
+        # What is said last may arrive after the end.
+        at_work = {key: n for key, n in stages.get(stage, {}).items() if key not in ended} | {
+            name: (done, total)
+        }
+        stages[stage] = at_work
+        progress(stage, sum(n for n, _ in at_work.values()), sum(n for _, n in at_work.values()))
+
+    client.subscribe_topic(topic, heard)
     futures = {
-        client.submit(_attempt, root.absolute(), task, pure=False, retries=ATTEMPTS - 1): task.name
+        client.submit(_attempt, root.absolute(), task, topic, pure=False, retries=ATTEMPTS - 1): task.name
         for task in tasks
     }
     for future in as_completed(futures):
         name = futures[future]
+        ended.add(name)
         if future.status == "finished":
             yield name, *future.result()
         else:
@@ -137,13 +163,25 @@ def _why(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
-def _attempt(root: Path, task: Task) -> tuple[str, str]:
+def _attempt(root: Path, task: Task, topic: str) -> tuple[str, str]:
     """Do a task in a worker; what the user can mend is not tried again."""
+    from distributed import get_worker
+
     keep_freed_memory()
+    worker, said_s = get_worker(), dict[str, float]()
+
+    def listener(stage: str, done: int, total: int) -> None:
+        if done == total or time.monotonic() - said_s.get(stage, 0.0) > _TELL_EVERY_S:
+            said_s[stage] = time.monotonic()
+            worker.log_event(topic, (task.name, stage, done, total))
+
+    before = _listener.set(listener)
     try:
         return make_folder(root, task), ""
     except OptsimError as error:
         return "", str(error)
+    finally:
+        _listener.reset(before)
 
 
 @contextmanager

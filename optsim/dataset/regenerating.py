@@ -1,0 +1,97 @@
+"""Making sequences of a data set again, from the set alone, and comparing them with its manifest."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from optsim.core.config import build
+from optsim.core.errors import unknown_name
+from optsim.core.files import atomic, content_hash, writable_folder
+from optsim.core.progress import Progress, silent
+from optsim.dataset.building import tasks_of
+from optsim.dataset.reading import CARD, Dataset, manifest
+from optsim.dataset.spec import DatasetSpec
+from optsim.experiment.run_folder import versions
+from optsim.tasks import run_tasks
+
+
+def regenerate(
+    dataset: Dataset, names: Sequence[str], progress: Progress = silent
+) -> tuple[dict[str, str], int]:
+    """Make sequences again beside the set, with an empty cache, and compare every file with the manifest.
+
+    Files that the set lost, that changed, or of which it keeps the recipe alone are put into it if those made
+    again are as the manifest says. Nothing else in it changes.
+
+    Returns
+    -------
+    problems : dict
+        Sequence -> what went wrong or differs; empty when every file is as the manifest says.
+    restored : int
+        Files put into the set.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown sequence.
+    StorageError
+        When a source is lost or changed, or nothing can be written beside the set.
+    """
+    known = [sequence["name"] for sequence in dataset.card["sequences"]]
+    for name in names:
+        if name not in known:
+            raise unknown_name("sequence", name, known)
+    folder, card = dataset.folder.absolute(), dataset.card
+    spec = build(DatasetSpec, card["spec"], where=CARD)
+    tasks = tasks_of(spec, folder, card["layout"], card.get("sources", {}))
+    listed = {record["path"]: record["sha256"] for record in manifest(folder)}
+    writable_folder(folder.parent, "sequences made again", "make it writable")
+    restored, problems = 0, dict[str, str]()
+    with TemporaryDirectory(prefix=f".{folder.name}-again-", dir=folder.parent) as scratch:
+        root = Path(scratch) / "set"
+        with _cache(Path(scratch) / "cache"):
+            outcome = run_tasks([task for task in tasks if task.name in names], root, progress=progress)
+        for name in (*outcome.made, *outcome.failed):
+            wanted = {place for place in listed if place.startswith(f"{name}/")}
+            made = {path.relative_to(root).as_posix() for path in (root / name).rglob("*") if path.is_file()}
+            differ = sorted(
+                place
+                for place in wanted | made
+                if not (place in wanted & made and content_hash(root / place) == listed[place])
+            )
+            if name in outcome.failed or differ:
+                problems[name] = outcome.failed.get(name) or _said(differ, len(wanted), card["versions"])
+                continue
+            for place in wanted:
+                own = folder / place
+                if not own.is_file() or content_hash(own) != listed[place]:
+                    with atomic(own) as part:
+                        part.write_bytes((root / place).read_bytes())
+                    restored += 1
+    return problems, restored
+
+
+def _said(differ: Sequence[str], n: int, was: dict[str, str]) -> str:
+    """Say which files differ, and which versions do."""
+    now = versions()
+    others = [f"{each} was {was.get(each)} and is {now[each]}" for each in now if was.get(each) != now[each]]
+    why = f"; {', '.join(others)}" if others else "; versions are the same: another backend, or other code"
+    files = ", ".join(differ[:3]) + (", ..." if len(differ) > 3 else "")
+    return f"{len(differ)} of {n} files differ from the manifest: {files}{why}"
+
+
+@contextmanager
+def _cache(folder: Path) -> Generator[None]:
+    """Let workers keep renders in another folder: a render found again proves nothing."""
+    before = os.environ.get("OPTSIM_CACHE")
+    os.environ["OPTSIM_CACHE"] = str(folder)
+    try:
+        yield
+    finally:
+        del os.environ["OPTSIM_CACHE"]
+        if before is not None:
+            os.environ["OPTSIM_CACHE"] = before
