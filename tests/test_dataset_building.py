@@ -261,6 +261,7 @@ def test_a_set_too_short_for_its_adaptive_scheme_is_said_before_the_work():
     )
     assert remarks(spec_of(n_frames=6)) == []
     assert remarks(spec_of(schemes=["random"])) == []
+    assert remarks(load_spec("demo")) == []
 
 
 def test_each_sequence_has_draws_of_its_own_whatever_its_split():

@@ -32,7 +32,7 @@ ATTEMPTS = 3
 _WORKER_BYTES = 2_000_000_000
 # Waiting for a scheduler that may not be there, s.
 _PATIENCE_S = 10
-_TELL_EVERY_S = 0.5
+_TELL_EVERY_S = 2.0
 _listener: ContextVar[Progress] = ContextVar("_listener", default=silent)
 
 
