@@ -190,7 +190,8 @@ def test_boxes_and_visibility_are_those_that_other_code_finds(made, name, distor
         )
         picture = render_passes(alone, view, 0.1, 0.01)
         covered = int((picture.ids == named(picture)[key]).sum())
-        assert abs(each.covered - covered) <= max(2, 0.002 * covered), (own, each.covered, covered)
+        slack = (0.005 if distortion else 0.002) * covered
+        assert abs(each.covered - covered) <= max(2, slack), own
         if covered > 50 and each.box_px is not None:
             rows, cols = np.nonzero(picture.ids == named(picture)[key])
             box = (cols.min(), rows.min(), cols.max() + 1, rows.max() + 1)

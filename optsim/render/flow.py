@@ -81,7 +81,7 @@ class PassRenderer:
         self._faces = {name: mover.rest().faces for name, mover in self._movers.items()}
         self._rays = sample_rays(view)
         self._bodies = bodies(scene)
-        self._extents = Extents(self._bodies, view, self._rays)
+        self._extents = Extents(self._bodies, view)
 
     def at(self, time_s: float, step_s: float) -> Passes:
         """Render the passes of one instant; parameters as in :func:`render_passes`."""

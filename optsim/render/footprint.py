@@ -135,6 +135,11 @@ def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, vi
     _cover(mask, places, faces, _MARGIN_PX + blur_px(places[:, 2], camera, view) / 2)
 
 
+def fill(mask: Bools, places: Doubles, faces: Faces) -> None:
+    """Mark, in place, every sample whose centre lies in a triangle; of vertices before the camera, (n, 2)."""
+    _cover(mask, places, faces, np.zeros(len(places)))
+
+
 @compiled()
 def _cover(mask, places, faces, margins):  # type: ignore[no-untyped-def]
     rows, cols = mask.shape
