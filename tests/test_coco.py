@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from optsim.core.errors import ConfigError
 from optsim.dataset import export_passes
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.reading import Dataset
@@ -78,6 +79,20 @@ def test_instances_are_the_masks_and_boxes_of_the_set(dataset, tmp_path):
             assert 0 < each["visibility"] <= 1
             if each["bbox_amodal"][2] < image["width"] and each["area"] > 20:
                 assert each["bbox_amodal"][2] > each["bbox"][2] - 2
+
+
+def test_a_sequences_objects_are_listed(dataset, capsys):
+    from optsim.app.dataset import show
+    from optsim.core.files import write_json
+    from optsim.dataset.reading import KIND
+
+    write_json(dataset.folder / "dataset.json", {**dataset.card, "kind": KIND})
+    show(dataset.folder, "test/solids")
+    said = capsys.readouterr().out
+    for number, label in dataset.test[0].labels(1).items():
+        assert f"{number} {label['name']} ({label['category']}): " in said
+    with pytest.raises(ConfigError, match="unknown sequence 'test/solid'; .*did you mean 'test/solids'"):
+        show(dataset.folder, "test/solid")
 
 
 def test_the_camera_of_a_picture_projects_as_the_sets_own(dataset, tmp_path):

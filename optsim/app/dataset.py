@@ -117,12 +117,31 @@ def verify_files(folder: Folder) -> None:
 
 
 @dataset_app.command("show")
-def show(folder: Folder, as_json: Json = False) -> None:
-    """List the sequences of a data set, what was checked, and what filters dropped."""
+def show(
+    folder: Folder,
+    sequence: Annotated[str | None, typer.Argument(help="List its objects instead.")] = None,
+    as_json: Json = False,
+) -> None:
+    """List the sequences of a data set, checks and what filters dropped; or a sequence's objects."""
+    from optsim.core.errors import unknown_name
     from optsim.dataset import open_dataset
     from optsim.dataset.filters import lines
+    from optsim.dataset.reading import Sample
 
     card = open_dataset(folder).card
+    if sequence is not None:
+        known = {each["name"]: each for each in card["sequences"]}
+        if sequence not in known:
+            raise unknown_name("sequence", sequence, known)
+        sample = Sample(folder / sequence, None, known[sequence])
+        labels = sample.labels(sample.n_slots // 2)
+        if as_json:
+            print_json({str(number): label for number, label in labels.items()})
+        for number, label in labels.items() if not as_json else ():
+            size = " x ".join(f"{side:.3g}" for side in label["box_m"]["size"])
+            seen = f"{label['visibility']:.0%} visible, box {label['box_px']}"
+            typer.echo(f"{number} {label['name']} ({label['category']}): {size} m, {seen}")
+        return
     if as_json:
         print_json(card)
         return
