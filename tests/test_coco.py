@@ -91,7 +91,7 @@ def test_a_sequences_objects_are_listed(dataset, capsys):
     said = capsys.readouterr().out
     for number, label in dataset.test[0].labels(1).items():
         assert f"{number} {label['name']} ({label['category']}): " in said
-    with pytest.raises(ConfigError, match="unknown sequence 'test/solid'; .*did you mean 'test/solids'"):
+    with pytest.raises(ConfigError, match=r"unknown sequence 'test/solid'; .*did you mean 'test/solids'"):
         show(dataset.folder, "test/solid")
 
 
