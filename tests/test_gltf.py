@@ -159,7 +159,7 @@ BASE = ("materials", 0, "pbrMetallicRoughness", "baseColorTexture")
             {"extensions": {"KHR_texture_basisu": {"source": 0}}, "source": None},
             "got a picture KHR_texture_basisu, expected PNG",
         ),
-        (("asset", "version"), "1.0", r"its asset\.version is not 2\.0"),
+        (("asset", "version"), "1.0", r"its version is '1\.0', expected 2\.0"),
         (("nodes", 0, "mesh"), -1, r"got meshes\[-1\], but it has 1 of them"),
         (("nodes", 0, "children"), [0], r"no triangles|nodes\[0\] is named twice"),
         (("scene",), 3, r"got scenes\[3\], but it has 1"),

@@ -371,6 +371,15 @@ def test_colours_of_faces_split_the_vertices_between_them(tmp_path):
         np.testing.assert_array_equal(mesh.uv[face, 0], np.array([0, 1, 1, 0, 2.0])[list(stated)])
 
 
+def test_a_file_without_vertices_is_said(tmp_path):
+    with pytest.raises(OptsimError, match=r"m\.ply: got no triangles"):
+        read_model(written(tmp_path, ply([], []), "m.ply"))
+    with pytest.raises(OptsimError, match=r"m\.obj: got no triangles"):
+        read_model(written(tmp_path, "usemtl a\n"))
+    with pytest.raises(OptsimError, match=r"m\.stl: got no triangles"):
+        read_model(written(tmp_path, bytes(84), "m.stl"))
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r", " \n"])
 def test_a_ply_ends_its_lines_in_any_way(tmp_path, end):
     text = ply([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)]).replace("\n", end)
@@ -390,6 +399,7 @@ def test_texture_coordinates_of_a_ply_are_there_for_a_material_of_the_scene(tmp_
     [
         (("element face 1", "element tristrips 1"), "got triangle strips, which are not read"),
         (("element face 1", "element edge 1"), "got no triangles"),
+        (("element face 1", "element face 0"), "got no triangles"),
         (("property float x", "property float w"), "its vertices have no x, y and z"),
         (("uchar red", "float red"), r"got a vertex with colour 256, expected 0 to 1"),
         (("256 0 0", "256 0 0"), r"vertex red holds what is no uchar"),

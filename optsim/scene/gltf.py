@@ -142,8 +142,9 @@ def open_gltf(path: Path) -> Gltf:
             at += 8 + size
         content, binary = chunks[b"JSON"], chunks.get(b"BIN\0", b"")
     header = cast("Header", json.loads(content))
-    if not isinstance(header.get("asset"), dict) or not str(header["asset"].get("version")).startswith("2."):
-        raise ValueError("its asset.version is not 2.0")
+    version = header["asset"]["version"]
+    if not str(version).startswith("2."):
+        raise ValueError(f"its version is {version!r}, expected 2.0")
     for key in _LISTS.split():
         listed: Any = header.get(key, [])
         if not isinstance(listed, list) or any(

@@ -54,7 +54,7 @@ class Model:
         if self.animation is None:
             return self.parts[part][1].vertices_m
         node, points = self.played[part]
-        matrix = self.animation.matrices(time_s)[node]
+        matrix = _matrices(self.animation, time_s)[node]
         return points @ matrix[:3, :3].T + matrix[:3, 3]
 
     def moves(self) -> bool:
@@ -67,6 +67,12 @@ class Model:
             for part in range(len(self.parts))
             for time in times
         )
+
+
+@functools.lru_cache(maxsize=16)
+def _matrices(nodes: Nodes, time_s: float) -> dict[int, Doubles]:
+    """Matrices of all nodes, which every part asks for in turn."""
+    return nodes.matrices(time_s)
 
 
 def read_model(path: Path) -> Model:
@@ -116,7 +122,7 @@ def _read(path: Path, _changed: tuple[tuple[int, int], ...]) -> Model:
     parts: list[tuple[Surface, Mesh]] = []
     played: list[tuple[int, Doubles]] = []
     dropped = 0
-    for piece in pieces:
+    for piece in [each for each in pieces if len(each.faces)]:
         for surface, mesh in split_by_hand(_checked(piece.surface), _mesh(path, piece)):
             good = _spanned(mesh)
             dropped += int((~good).sum())
