@@ -133,7 +133,7 @@ def test_obj_text_of_every_kind_is_read(tmp_path, text, triangles, area):
         ("v 0,0 0,0 0\n", r"m\.obj: line 1: got 'v 0,0 0,0 0', expected numbers"),
         (V + "f 1 2 x\n", r"a face has the corner 'x', expected whole numbers"),
         (V + "f 1 2 3.5\n", r"a face has the corner '3\.5', expected whole numbers"),
-        (V + "f 1 2\n", r"line 5: got 'f 1 2', a face has 2 corners"),
+        (V + "f 1 2\nf\n", r"got no triangles \(2 faces of less than 3 corners\)"),
         ("v 0 0\n", r"line 1: got 'v 0 0', expected numbers"),
         (V + "curv2 1 2\nf 1 2 3\n", r"line 5: got 'curv2 1 2', which is not read; export polygons"),
         (V + "l 1 2\n", r"got no triangles \(l\), expected a mesh"),
@@ -244,6 +244,22 @@ def test_a_changed_picture_behind_options_is_another_scene(painted):
         material(painted, "newmtl my paint\nmap_Kd -s 2 2 my  wood.png\n")
         seen.add(load(painted).model_dump_json())
     assert len(seen) == 2
+
+
+def test_a_turned_or_moving_picture_lies_as_it_is_stored_which_is_said(painted):
+    exif = Image.Exif()
+    exif[274] = 6
+    Image.new("RGB", (4, 2), (188,) * 3).save(painted / "turned.jpg", exif=exif)
+    frames = [Image.new("L", (4, 2), grey) for grey in (188, 10)]
+    frames[0].save(painted / "moves.gif", save_all=True, append_images=frames[1:])
+    for name, said in (
+        ("turned.jpg", "EXIF orientation 6 of a picture"),
+        ("moves.gif", "pictures of an anim"),
+    ):
+        surface, _ = material(painted, f"newmtl my paint\nmap_Kd {name}\n")
+        assert surface.picture.shape == (2, 4, 3)
+        with pytest.warns(UserWarning, match=f"left out: {said}"):
+            load(painted)
 
 
 @pytest.mark.parametrize("where", ["mats/wood.png", "wood.png"])

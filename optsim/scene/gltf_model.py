@@ -152,7 +152,7 @@ def _surface(gltf: Gltf, material: Header, where: str, alpha: float) -> _Found:
         surface,
         cutout=cutout if cutout is not None and (cutout < 1).any() else None,
         opacity=1.0 if mode == "OPAQUE" else opacity,
-        lost=listed(*lost),
+        lost=listed(*lost, surface.lost),
         refused=refused,
     )
     return surface, tuple(_placement(gltf, texture) for texture in textures.values())

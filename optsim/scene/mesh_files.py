@@ -75,6 +75,9 @@ def _check(path: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]) 
 def _read_obj(path: Path) -> list[_Mesh]:
     """Read its one mesh; indices count from 0."""
     text = parse_obj(path)
+    for fewest in [min(group.counts) for group in text.faces.values()]:
+        if fewest < 3:
+            raise ValueError(f"a face has {fewest} corners")
     indices = [group.indices()[0][group.used] for group in text.faces.values()]
     return [(text.columns(0, 0.0), np.concatenate([np.zeros(0, np.int64), *indices]))]
 

@@ -20,7 +20,7 @@ from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.geometry import Mesh
 from optsim.scene.pictures import checked_map
 
-_PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
+_PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF")
 _GREY = (0.5, 0.5, 0.5)
 
 
@@ -128,19 +128,22 @@ def tinted(surface: Surface, colours: Doubles | None, *, plain: bool) -> tuple[S
 
 
 @functools.lru_cache(maxsize=1)
-def decoded(content: bytes) -> NDArray[Any]:
-    """Read a picture by its content's own mark: (y, x, 4) of 8 or 16 bits, row 0 at the lower edge."""
+def decoded(content: bytes) -> tuple[NDArray[Any], str]:
+    """Read a picture by its own mark, (y, x, 4) of 8 or 16 bits, row 0 below; and what is left out of it."""
     from PIL import Image
 
     try:
         with Image.open(io.BytesIO(content), formats=_PICTURES) as picture:
-            if (turn := picture.getexif().get(274, 1)) != 1 or getattr(picture, "is_animated", False):
-                raise ValueError(f"EXIF orientation {turn}, or an animation")
+            turn, lost = picture.getexif().get(274, 1), ""
+            if turn != 1:
+                lost = f"EXIF orientation {turn} of a picture, which lies as it is stored"
+            if getattr(picture, "is_animated", False):
+                lost = "pictures of an animation but its first"
             if picture.mode.startswith("I"):
                 # Pillow would clip grey of 16 bits at 255.
                 grey = np.asarray(picture).astype(np.uint16)[::-1, :, None]
-                return np.concatenate([grey, grey, grey, np.full_like(grey, 65535)], axis=2)
-            return np.ascontiguousarray(np.asarray(picture.convert("RGBA"))[::-1])
+                return np.concatenate([grey, grey, grey, np.full_like(grey, 65535)], axis=2), lost
+            return np.ascontiguousarray(np.asarray(picture.convert("RGBA"))[::-1]), lost
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {error}") from None
 
@@ -163,7 +166,8 @@ def with_picture(surface: Surface, key: str, content: bytes, scale: float = 1.0)
     ConfigError, ValueError
         For one that can't be read; ``scale`` is that of the slopes of a normal map.
     """
-    coded = decoded(content)
+    coded, lost = decoded(content)
+    surface = replace(surface, lost=listed(surface.lost, lost))
     most = int(np.iinfo(coded.dtype).max)
     shares = (np.arange(most + 1) / most).astype(np.float32)
     if key == "picture":

@@ -111,13 +111,10 @@ def parse_obj(path: Path) -> ObjText:
                 group = found.faces.setdefault(material, Corners())
                 # Faces of group "off" share no corner; normals decide where there are any.
                 own = -faces if smooth in ("off", "0") else int(smooth or 0)
-                if len(words) < 3:
-                    why = f"a face has {len(words)} corners"
-                    raise ValueError
                 if "-" in line:
                     counts = len(found.widths), len(found.coordinates) // 2, normals
                     words = [_counted(word, counts) for word in words]
-                if own and words[0].count("/") < 2:
+                if own and words and words[0].count("/") < 2:
                     words = [f"{word} {own}" for word in words]
                 known = group.known
                 group.used.extend([known.setdefault(word, len(known)) for word in words])
@@ -184,8 +181,10 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
         check_indices(path, vertices, len(points))
         check_indices(path, coordinates[coordinates != -1], len(flat) - 1, "texture coordinate")
         used = np.array(group.used)
-        faces, crossed = triangles(points[vertices], used, np.array(group.counts))
+        counts = np.array(group.counts)
+        faces, crossed = triangles(points[vertices], used, counts)
         lost.append(f"the outline of {crossed} faces that cross themselves" if crossed else "")
+        lost.append(f"{(counts < 3).sum()} faces of less than 3 corners" if (counts < 3).any() else "")
         surface, places = Surface(name), list[Placement]()
         if name in materials:
             surface, places = _material(path, name, *materials[name])
@@ -276,7 +275,7 @@ def _material(
         else:
             wrap = "clamp" if options.get("-clamp", [""])[0].lower() == "on" else "repeat"
             places.append(Placement(0, (wide, 0.0, right, 0.0, high, up), (wrap, wrap)))
-    return replace(surface, lost=listed(*lost), refused=refused), places
+    return replace(surface, lost=listed(*lost, surface.lost), refused=refused), places
 
 
 def _by_numbers(surface: Surface, stated: Mapping[str, str]) -> Surface:
