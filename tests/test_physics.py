@@ -147,3 +147,11 @@ def test_turns_go_the_short_way_at_a_steady_rate():
     for bad, message in (((2.0, 0, 0, 0), "not of length 1"), ((1.0, 0, 0, 0), "got 1 values for 2")):
         with pytest.raises(ValueError, match=message):
             Keyframed(objects=("a",), times_s=(0.0, 2.0), rotations_wxyz=(bad,) * (2 if bad[0] == 2 else 1))
+
+
+@pytest.mark.parametrize("variation", ["5:3", "a:4", "4:"])
+def test_a_bad_range_is_said(tmp_path, variation):
+    from optsim.app.scene import drop
+
+    with pytest.raises(ConfigError, match=r"--variation: got .*, expected FIRST:LAST"):
+        drop(tmp_path, variation)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from optsim.app.options import Backend, Json, print_json
+from optsim.core.errors import ConfigError
 
 scene_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Look at scenes and models.")
 
@@ -55,9 +56,9 @@ def drop(
     from optsim.scene.physics import drop as dropped
 
     first, colon, last = variation.partition(":")
-    for name in (
-        map(str, range(int(first), int(last))) if colon and (first + last).isdecimal() else [variation]
-    ):
+    if colon and not (first.isdecimal() and last.isdecimal() and int(first) < int(last)):
+        raise ConfigError(f"--variation: got {variation!r}, expected FIRST:LAST, for example 0:32")
+    for name in map(str, range(int(first), int(last))) if colon else [variation]:
         out = scene / "physics" / f"{name}.json"
         write_json(out, dropped(scene, name, duration_s, rate_hz))
         people.print(f"{out}: written")
