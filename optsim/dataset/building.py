@@ -40,11 +40,6 @@ def tasks_of(spec: DatasetSpec, folder: Path, layout: Layout, sources: Mapping[s
     """List the tasks of a set, one a sequence, each with a key of all that determines its files.
 
     Sources count by their hashes, so no scene is read for its own sequences.
-
-    Raises
-    ------
-    StorageError
-        When a source is lost or changed.
     """
     check_sources(folder, sources)
     table: Table = spec.model_dump(mode="json") | {"split": {}, "filter": {}}
@@ -195,14 +190,8 @@ def _make(
 def own(folder: Path, spec: DatasetSpec) -> tuple[DatasetSpec, dict[str, str]]:
     """Check a spec and write it and its sources into its folder, or refuse a folder of another one.
 
-    Filters may change: they decide about what is made, not how. The card is then written anew.
-
-    Returns
-    -------
-    spec : DatasetSpec
-        With paths that start at the folder.
-    sources : dict
-        SHA-256 of each carried file and of those of shipped scenes.
+    Returns the spec with paths that start at the folder, and the SHA-256 of each source. Filters may change:
+    they decide about what is made, not how. The card is then written anew.
     """
     check_spec(spec)
     spec, files = carried(spec, folder)

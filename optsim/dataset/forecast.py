@@ -21,20 +21,9 @@ _PILOTS = 2
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a build will take.
+    """Core-seconds left, and those of them that can't use a second core; disk of all, memory of a worker.
 
-    Parameters
-    ----------
-    sequences, to_do : int
-        All sequences, and those still missing.
-    core_s, serial_s : float
-        Core-seconds left, and those of them in which a worker can't use a second core.
-    disk_mb, peak_mb : float
-        Disk of the whole data set, memory of a worker.
-    measured : int
-        Sequences behind the forecast.
-    failed : dict
-        Pilots that failed -> why; of their scenes nothing is known.
+    They follow from ``measured`` of all ``sequences``. ``failed`` maps pilots to what went wrong.
     """
 
     sequences: int

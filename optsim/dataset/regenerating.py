@@ -22,24 +22,10 @@ from optsim.tasks import run_tasks
 def regenerate(
     dataset: Dataset, names: Sequence[str], progress: Progress = silent
 ) -> tuple[dict[str, str], int]:
-    """Make sequences again beside the set, with an empty cache, and compare every file with the manifest.
+    """Make sequences again beside the set; return what is not as the manifest says, and files put back.
 
-    Files that the set lost, that changed, or of which it keeps the recipe alone are put into it if those made
-    again are as the manifest says. Nothing else in it changes.
-
-    Returns
-    -------
-    problems : dict
-        Sequence -> what went wrong or differs; empty when every file is as the manifest says.
-    restored : int
-        Files put into the set.
-
-    Raises
-    ------
-    ConfigError
-        For an unknown sequence.
-    StorageError
-        When a source is lost or changed, or nothing can be written beside the set.
+    Where all files of a sequence are, those that the set lost or that changed are put into it. Nothing else
+    in the set changes.
     """
     known = [sequence["name"] for sequence in dataset.card["sequences"]]
     for name in names:
@@ -81,7 +67,7 @@ def _said(differ: Sequence[str], n: int, was: dict[str, str]) -> str:
     others = [f"{each} was {was.get(each)} and is {now[each]}" for each in now if was.get(each) != now[each]]
     why = f"; {', '.join(others)}" if others else "; versions are the same: another backend, or other code"
     files = ", ".join(differ[:3]) + (", ..." if len(differ) > 3 else "")
-    return f"{len(differ)} of {n} files differ from the manifest: {files}{why}"
+    return f"{len(differ)} files are not as in the manifest, which has {n}: {files}{why}"
 
 
 @contextmanager

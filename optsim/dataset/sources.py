@@ -44,14 +44,7 @@ def inside(folder: Path) -> Generator[None]:
 
 
 def carried(spec: DatasetSpec, folder: Path) -> tuple[DatasetSpec, dict[str, Content]]:
-    """Return a spec whose paths start at its set's folder, and the content of the files that they name.
-
-    Raises
-    ------
-    ConfigError
-        For scene folders of one name or beyond any sense in size, or a path in an experiment that can't be
-        replaced.
-    """
+    """Return a spec whose paths start at its set's folder, and the content of the files that they name."""
     found: dict[str, Content] = {}
     found[_EXPERIMENT] = _experiment(spec.experiment, folder, found)
     scenes: dict[str, tuple[str, ...]] = {}
@@ -94,13 +87,7 @@ def carry(files: Mapping[str, Content], folder: Path) -> None:
 
 
 def check_sources(folder: Path, known: Mapping[str, str]) -> None:
-    """Check that experiment and scenes are as they were when the set was built.
-
-    Raises
-    ------
-    StorageError
-        That names the first file that is lost or changed.
-    """
+    """Refuse a set of which the experiment or a scene is not as it was when it was built."""
     for place, sha256 in known.items():
         is_shipped, path = place.startswith(SHIPPED), folder / place
         if is_shipped:
