@@ -1,6 +1,7 @@
 """COCO instances: masks, boxes and cameras are those of the set, by other code."""
 
 import json
+import tarfile
 
 import numpy as np
 import pytest
@@ -93,6 +94,18 @@ def test_a_sequences_objects_are_listed(dataset, capsys):
         assert f"{number} {label['name']} ({label['category']}): " in said
     with pytest.raises(ConfigError, match=r"unknown sequence 'test/solid'; .*did you mean 'test/solids'"):
         show(dataset.folder, "test/solid")
+
+
+def test_shards_and_hdf5_carry_the_labels(dataset, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    EXPORTS["webdataset"](dataset, tmp_path / "tar", lambda *_: None)
+    with tarfile.open(tmp_path / "tar/test-000000.tar") as tar:
+        found = [json.load(tar.extractfile("000000.json"))["labels"]]
+    EXPORTS["hdf5"](dataset, tmp_path / "set.h5", lambda *_: None)
+    with h5py.File(tmp_path / "set.h5") as file:
+        found.append(json.loads(file["test/solids/labels"][()]))
+    expected = [dataset.test[0].labels(slot) for slot in (0, 1)]
+    assert found == [[{str(k): each for k, each in slot.items()} for slot in expected]] * 2
 
 
 def test_the_camera_of_a_picture_projects_as_the_sets_own(dataset, tmp_path):

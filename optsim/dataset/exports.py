@@ -44,7 +44,7 @@ def _add(tar: tarfile.TarFile, key: str, sample: Sample) -> None:
         np.save(stream, sample[name])
         # The format takes everything after the first point as the kind of a file.
         _member(tar, f"{key}.{name.replace('/', '_')}.npy", stream.getvalue())
-    _member(tar, f"{key}.json", json.dumps(_about(sample)).encode())
+    _member(tar, f"{key}.json", json.dumps(_about(sample) | {"labels": _labels(sample)}).encode())
 
 
 def _member(tar: tarfile.TarFile, name: str, content: bytes) -> None:
@@ -74,6 +74,8 @@ def export_hdf5(dataset: Dataset, path: Path, progress: Progress = silent) -> No
                 seed = "" if sample.seed is None else f"-seed{sample.seed}"
                 group = file.create_group(f"{sample.about['name']}{seed}")
                 group.attrs["about"] = json.dumps(_about(sample))
+                # An attribute holds 64 KiB at most.
+                group["labels"] = json.dumps(_labels(sample))
                 for name in sample:
                     array = group.create_dataset(name, data=sample[name], compression="gzip", shuffle=True)
                     array.attrs["unit"], array.attrs["axes"] = sample.unit(name), sample.axes(name)
@@ -123,6 +125,10 @@ def _transforms(sample: Sample, folder: Path) -> None:
             "frames": frames,
         },
     )
+
+
+def _labels(sample: Sample) -> list[dict[int, Any]]:
+    return [sample.labels(slot) for slot in range(sample.n_slots)]
 
 
 def _about(sample: Sample) -> dict[str, Any]:
