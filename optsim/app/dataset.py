@@ -58,15 +58,16 @@ def build(
         with progress_bars() as progress:
             said = forecast(loaded, folder, workers=workers, layout=layout, progress=progress)
         _fail(said.failed)
-        times = ", ".join(
-            f"{n} workers {said.wall_s(n) / 60:.1f} min" for n in sorted({1, 2, workers or CORES})
-        )
+        times = ", ".join(f"{said.wall_s(n) / 60:.1f} min by {n}" for n in sorted({1, 2, workers or CORES}))
         people.print(
             f"{said.sequences} sequences, {said.to_do} to do: {said.core_s:.0f} core-seconds, "
             f"{said.disk_mb:.0f} MB of disk in all, {said.peak_mb:.0f} MB of memory a worker "
             f"(measured on {said.measured} sequences, which are kept)"
         )
-        people.print(f"on {CORES} cores: {times}; n workers on n cores: {said.wall_s(1, 1) / 60:.1f} min / n")
+        people.print(
+            f"time on {CORES} cores by workers: {times}; by n with a core each: "
+            f"{said.wall_s(1, 1) / 60:.1f} min / n"
+        )
         return
     with progress_bars() as progress:
         outcome = build_dataset(
