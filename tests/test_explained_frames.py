@@ -19,7 +19,7 @@ from optsim.experiment.run_folder import write_calibrations, write_frames
 from optsim.footage.made import footage
 
 PAGE = Path(__file__).parents[1] / "docs/how-to/datasets.md"
-ROWS, COLS, FRAMES = 48, 64, 1
+ROWS, COLS, FRAMES = 48, 64, 2
 SMALL = [
     f"n_frames={FRAMES}",
     f"camera.panel_rows={ROWS}",
@@ -49,7 +49,7 @@ def film(experiment: Experiment) -> RadianceVideo:
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Sample:
     folder = tmp_path_factory.mktemp("sequence")
     whole = load_experiment("demo", SMALL)
-    methods = tuple(each for each in whole.methods if each.name != "adaptive")
+    methods = tuple(each for each in whole.methods if each.name in ("random", "hdr_mosaic"))
     experiment = whole.model_copy(update={"methods": methods})
     known = dict.fromkeys([experiment.calibration_choice], true_calibration(experiment.camera))
     radiance = film(experiment)
@@ -94,10 +94,20 @@ def residuals(sample: Sample, scheme: str, frame: int, said: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("frame", range(FRAMES))
-@pytest.mark.parametrize("scheme", ["random", "hdr_mosaic", "normal"])
+@pytest.mark.parametrize("scheme", ["random", "hdr_mosaic"])
 def test_the_lines_of_the_manual_explain_a_frame_within_its_noise(sample, scheme, frame):
     residual = residuals(sample, scheme, frame, lines()["explained"](sample, scheme, frame))
     assert np.sqrt(np.mean(residual**2)) < MOST
+
+
+def test_what_the_lines_leave_out_is_small_in_a_later_frame_too(sample):
+    """Without noise: the panel still answers to the code of the frame before."""
+    said = lines()["explained"](sample, "hdr_mosaic", 1)
+    row, col = sample["operator/row"], sample["operator/col"]
+    expected, sigma = (sample[f"{kind}/hdr_mosaic"][1][row, col] for kind in ("expected", "sigma"))
+    seen = sample["calibration/valid"] & (expected < sample["calibration/saturation_dn"])
+    off = ((expected - said) / sigma)[seen]
+    assert np.sqrt(np.mean(off**2)) < 0.33
 
 
 @pytest.mark.parametrize("left_out", ["light", "core", "tails", "mirrored", "transmission"])
@@ -142,7 +152,7 @@ def test_expected_and_sigma_are_mean_and_deviation_of_many_frames(sample):
     assert abs(z).max() < 5.5
     assert np.mean(z) == pytest.approx(0, abs=0.05)
     ratio = (deviation / sigma)[clear]
-    assert np.mean(ratio) == pytest.approx(1, abs=0.01)
+    assert np.mean(ratio) == pytest.approx(1, abs=0.004)
     assert np.std(ratio) == pytest.approx(1 / np.sqrt(2 * (n - 1)), rel=0.1)
 
 
