@@ -25,12 +25,11 @@ from optsim.core.quantities import (
     Video,
     View,
 )
-from optsim.optics.fringing import border_shares, fine_image, whole_cells
+from optsim.optics.fringing import border_shares, whole_cells
 from optsim.optics.integrate import Shutter, integrate_exposure, slot_means
 from optsim.optics.panel import PanelResponse, first_panel, settled_panel, slot_weights, turned_to
 from optsim.optics.radiometry import MONO_WAVELENGTH_M, photons_per_joule
 from optsim.optics.relay import RelayGeometry, RelayOperator
-from optsim.optics.rims import cell_weights
 
 SAMPLES_PER_PITCH = 3
 
@@ -253,14 +252,6 @@ class CodedCamera(Part):
         turned, begin = turned_to(levels, panel, response)
         rims = self.modulator.rims(turned[: self.coded_slots], begin, *answer, pitch)
         return Shutter(weights, border_shares(self.modulator.fringing_px, pitch), rims), after
-
-    def transmission(self, code: ExposureCode, panel: PanelState | None) -> Floats:
-        """Mean transmission of each fine sample of the panel in each slot, fully on as 1: (slot, y, x)."""
-        shutter, _ = self.shutter(code, panel, 1)
-        if shutter.rims is not None:
-            return cell_weights(shutter.rims, shutter.weights)
-        fine = fine_image(np.moveaxis(shutter.weights, 0, -1), shutter.borders)
-        return np.moveaxis(fine, -1, 0).astype(np.float32)
 
     def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:
         """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2."""

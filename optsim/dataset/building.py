@@ -20,12 +20,13 @@ from optsim.core.folder_claims import claimed_file
 from optsim.core.progress import Progress, silent
 from optsim.dataset.card import card, croissant, manifest_lines, readme
 from optsim.dataset.consistency import consistency
-from optsim.dataset.contact_sheet import write_contact_sheet
+from optsim.dataset.contact_sheet import write_contact_sheet, write_histograms
 from optsim.dataset.filters import DROPPED, content, drop, lines, take_back
-from optsim.dataset.reading import ARRAYS, CARD, MANIFEST, Sample
+from optsim.dataset.reading import ARRAYS, CARD, MANIFEST, Dataset, Sample
 from optsim.dataset.sequence import make_sequence
 from optsim.dataset.sources import carried, carry, check_sources, hashes, inside
 from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
+from optsim.dataset.verify import statistics
 from optsim.experiment.run_folder import libraries
 from optsim.experiment.truth import renderer
 from optsim.tasks import Outcome, Task, run_tasks, task_record
@@ -33,7 +34,7 @@ from optsim.tasks import Outcome, Task, run_tasks, task_record
 Layout = Literal["exr", "npy"]
 CHECKS = "checks.json"
 _SPEC = "spec.json"
-SHEET = "contact_sheet.png"
+SHEET, HISTOGRAMS = "contact_sheet.png", "histograms.png"
 
 
 def tasks_of(spec: DatasetSpec, folder: Path, layout: Layout, sources: Mapping[str, str]) -> list[Task]:
@@ -142,6 +143,8 @@ def finish(
     digest = hashlib.sha256(listed.encode()).hexdigest()
     with inside(folder):
         about = card(spec, sequences, checks, layout, digest, recipe=recipe, filters=filters)
+    about["statistics"] = statistics(Dataset(folder, about))
+    write_histograms(folder / HISTOGRAMS, about["statistics"])
     write_json(folder / "croissant.json", croissant(about))
     write_text(folder / "README.md", readme(about))
     about["sources"] = dict(sources or {})
@@ -149,7 +152,9 @@ def finish(
         f"{name}/{file}" for name, keys in failed.items() if keys and not recipe for file in (CHECKS, DROPPED)
     ]
     documents = [
-        each for each in (_SPEC, SHEET, "croissant.json", "README.md", *left) if (folder / each).is_file()
+        each
+        for each in (_SPEC, SHEET, HISTOGRAMS, "croissant.json", "README.md", *left)
+        if (folder / each).is_file()
     ]
     about["documents"] = {each: content_hash(folder / each) for each in documents}
     if recipe:

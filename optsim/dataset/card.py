@@ -24,6 +24,7 @@ _CHECKS = {
     "id_agreement": ("ids after following the flow, least share that agrees", min),
     "negative_share": ("negative radiance (unbiased noise), largest share of samples", max),
     "noise_share": ("noise of the truth, largest median of sigma over radiance", max),
+    "noise_rms": ("noise of the truth, rms of sigma over (radiance + 1 % of white), middle slot", max),
 }
 
 
@@ -72,6 +73,7 @@ def card(
         "built": len(spec.sequences()),
         "filters": list(filters),
         "remarks": remarks(spec),
+        "noise": _noise(spec, sequences, checks),
         "checks": {
             name: _worst(name, checks) for name in _CHECKS if any(name in each for each in checks.values())
         },
@@ -100,6 +102,20 @@ def _camera(spec: DatasetSpec, name: str) -> Record:
         "bits": camera.sensor.bits,
         "exposure": "SEQUENCE/seed*/light.json: neutral density by the light rule",
     }
+
+
+def _noise(
+    spec: DatasetSpec, sequences: Sequence[SequencePlan], checks: Mapping[str, Record]
+) -> dict[str, Record]:
+    """Noise of the truth asked of each split, and the largest and mean of its sequences."""
+    found: dict[str, Record] = {}
+    for split in SPLITS:
+        names = [each.name for each in sequences if each.split == split]
+        measured = [checks[name]["noise_rms"] for name in names if "noise_rms" in checks[name]]
+        if measured:
+            reached = {"worst": max(measured), "mean": float(np.mean(measured))}
+            found[split] = {**spec.noise.of(split).model_dump(mode="json"), **reached}
+    return found
 
 
 def _worst(name: str, checks: Mapping[str, Record]) -> Record:
@@ -228,6 +244,10 @@ def _filtered(about: Record) -> list[str]:
     ]
 
 
+def _percent(share: float | None) -> str:
+    return "as the experiment's" if share is None else f"{100 * share:.2g} %"
+
+
 def readme(about: Record) -> str:
     """Write README.md of a data set: content, use, and results of the checks."""
     counts = Counter(each["split"] for each in about["sequences"])
@@ -262,6 +282,18 @@ def readme(about: Record) -> str:
             f"| {each['what']} | {each['worst']:.3g} ({each['in']}) | {each['mean']:.3g} |"
             for each in about["checks"].values()
         ),
+        "",
+        "| noise of the truth | asked | worst | mean | |",
+        "| --- | ---: | ---: | ---: | --- |",
+        *(
+            f"| {split} | {_percent(each['share'])} | {_percent(each['worst'])} | {_percent(each['mean'])} | "
+            f"{'each slot by itself' if each['independent'] else 'slots share it where nothing moves'} |"
+            for split, each in about["noise"].items()
+        ),
+        "",
+        "Rms over the picture of sigma over (radiance + 1 % of white), per fine sample, middle slot.",
+        "",
+        "![stops below the brightest, and speeds](histograms.png)",
         "",
         *_filtered(about),
         *(f"\n{each[0].upper()}{each[1:]}." for each in about["remarks"]),

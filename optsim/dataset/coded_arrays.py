@@ -16,8 +16,10 @@ from optsim.calibration import Calibration
 from optsim.camera.camera import CodedCamera
 from optsim.camera.true_operator import true_operator
 from optsim.core.files import atomic, write_exr
-from optsim.core.quantities import CodedFrame, IrradianceVideo, PanelState
+from optsim.core.quantities import CodedFrame, ExposureCode, Floats, IrradianceVideo, PanelState
 from optsim.dataset.channels import slot_mean
+from optsim.optics.fringing import fine_image
+from optsim.optics.rims import cell_weights
 
 LIGHT, TARGET, OPERATOR = "light_on_panel", "target", "operator.npz"
 _RADIANCE = "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance"
@@ -105,7 +107,7 @@ def write_explained(
         weights, known = calibration.weights(frame.code, known)
         for kind, axes, each in (
             ("weights", "slot, v, u", weights),
-            ("transmission", "slot, y, x", camera.transmission(frame.code, panel)),
+            ("transmission", "slot, y, x", _transmission(camera, frame.code, panel)),
         ):
             write_exr(
                 folder / kind / method / f"{frame.index:06d}.exr",
@@ -113,3 +115,11 @@ def write_explained(
                 attributes={"unit": "1", "axes": axes, "frame": frame.index},
                 half=True,
             )
+
+
+def _transmission(camera: CodedCamera, code: ExposureCode, panel: PanelState | None) -> Floats:
+    """Mean transmission of each fine sample of the panel in each slot, fully on as 1: (slot, y, x)."""
+    shutter, _ = camera.shutter(code, panel, 1)
+    if shutter.rims is not None:
+        return cell_weights(shutter.rims, shutter.weights)
+    return np.stack([fine_image(each, shutter.borders).astype(np.float32) for each in shutter.weights])

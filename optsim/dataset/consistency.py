@@ -29,7 +29,8 @@ def consistency(truth: Path) -> dict[str, float]:
         object poses, fine samples, over all rigid surfaces; ``id_agreement``: share of samples, visible in
         both slots, that flow takes to a sample of their object or next to one;
         ``negative_share``: share of samples with negative radiance (unbiased noise);
-        ``noise_share``: median of the standard deviation of the radiance's noise over the radiance.
+        ``noise_share``: median of the standard deviation of the radiance's noise over the radiance;
+        ``noise_rms``: the root mean square of sigma over (radiance + 1 % of white).
     """
     files = sorted(truth.glob("slot*.exr"))
     middle = len(files) // 2
@@ -42,6 +43,8 @@ def consistency(truth: Path) -> dict[str, float]:
     if "Y.sigma" in channels:
         lit = radiance > 0
         found["noise_share"] = float(np.median(channels["Y.sigma"][lit] / radiance[lit]))
+    if said.get("noise_share"):
+        found["noise_rms"] = said["noise_share"]
     return found
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from optsim.core.files import write_png8
+from optsim.core.files import atomic, write_png8
 from optsim.core.quantities import Bytes, Doubles
 from optsim.core.units import REC709_Y
 from optsim.dataset.reading import Array, Sample
@@ -110,3 +110,28 @@ def _hsv(hue: Array, saturation: Array, value: Array) -> Bytes:
     stacked = np.stack([hue, saturation, value], axis=-1)
     colours = cast("Doubles", cast("Any", color).hsv2rgb(stacked))
     return np.rint(255 * colours).astype(np.uint8)
+
+
+def write_histograms(path: Path, statistics: Mapping[str, Any]) -> None:
+    """Draw the share of pixels by stops below the brightest, and by speed of what moves, of each split."""
+    # Imported here: it is slow to import.
+    from matplotlib.figure import Figure
+
+    figure = cast("Any", Figure(figsize=(9, 3), layout="constrained"))
+    filled = {split: each for split, each in statistics.items() if each["samples"]}
+    for axes, key, label in zip(
+        figure.subplots(1, 2),
+        ("stops", "speeds_px"),
+        ("stops below the brightest", "fine samples a slot"),
+        strict=True,
+    ):
+        for number, (split, each) in enumerate(filled.items()):
+            # What stands still would hide all else.
+            shares = dict(list(each[key].items())[1 if key == "speeds_px" else 0 :])
+            places = np.arange(len(shares)) + (number + 0.5) / len(filled) - 0.5
+            axes.bar(places, [100 * share for share in shares.values()], 0.9 / len(filled), label=split)
+            axes.set_xticks(range(len(shares)), shares, fontsize=8)
+        axes.set(xlabel=label, ylabel="% of pixels")
+        axes.legend()
+    with atomic(path) as part:
+        figure.savefig(part, dpi=100)

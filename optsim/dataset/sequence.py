@@ -46,25 +46,27 @@ def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
     """
     chosen = build(DatasetSpec, spec, where="data set")
     plan = SequencePlan(**sequence)
-    export_passes(
-        chosen.experiment_of(plan, chosen.seeds[0]), folder / "truth", half=chosen.half, progress=tell
-    )
+    first, noise = chosen.experiment_of(plan, chosen.seeds[0]), chosen.noise.of(plan.split)
+    alone = (noise.share or first.render.static_error) if noise.independent else None
+    export_passes(first, folder / "truth", half=chosen.half, noise_share=alone, progress=tell)
     for seed in chosen.seeds if chosen.schemes else ():
         place = folder / f"seed{seed}"
         if not (place / "light.json").is_file():
             shutil.rmtree(place, ignore_errors=True)
             experiment, draws = chosen.experiment_of(plan, seed), chosen.draws_of(plan, seed)
-            _take(experiment, place, draws=draws, reconstruct=chosen.reconstruct, half=chosen.half)
+            _take(experiment, place, chosen, draws=draws, slot_error=alone)
 
 
-def _take(experiment: Experiment, folder: Path, *, draws: int, reconstruct: bool, half: bool) -> None:
+def _take(
+    experiment: Experiment, folder: Path, spec: DatasetSpec, *, draws: int, slot_error: float | None
+) -> None:
     """Calibrate, take the coded frames of all schemes with what explains them, and decode if requested."""
     modelled, _ = planned(experiment)
     tell("calibration", 0, 1)
     known = calibrate_all(modelled)
     tell("calibration", 1, 1)
     experiment.check_methods(known)
-    radiance = render_truth(experiment, progress=tell)
+    radiance = render_truth(experiment, slot_error=slot_error, progress=tell)
     camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
     truth = camera.form_image(radiance)
     # The laboratory keeps the set's seed, so that one calibration serves all sequences of a camera.
@@ -72,11 +74,11 @@ def _take(experiment: Experiment, folder: Path, *, draws: int, reconstruct: bool
     frames = capture(drawn, camera, truth, known, tell)
     write_calibrations(experiment, folder, known)
     write_frames(folder, frames)
-    write_light(folder.parent, camera, truth, modelled.n_frames, half=half)
+    write_light(folder.parent, camera, truth, modelled.n_frames, half=spec.half)
     for method in modelled.methods:
         calibration = known[modelled.choice_of(method)]
         write_explained(folder, method.name, camera, truth, calibration, frames[method.name])
-    if reconstruct:
+    if spec.reconstruct:
         for decoded in decode(modelled, frames, known):
             for name, video in decoded.videos.items():
                 write_reconstruction(folder, name, video, camera.irradiance_per_radiance)

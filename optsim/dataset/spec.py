@@ -19,6 +19,7 @@ from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.random_streams import stream
 from optsim.dataset.filters import Filter
 from optsim.experiment.experiment import Experiment, load_experiment
+from optsim.render.settings import RenderSettings
 from optsim.scene.variation import is_number
 
 Split = Literal["train", "val", "test"]
@@ -70,6 +71,48 @@ class Share(Part):
         return "test" if place < test else "val" if place < test + val else "train"
 
 
+class TruthNoise(Part):
+    """Monte Carlo noise of a split's radiance.
+
+    Parameters
+    ----------
+    share : float or None
+        Root mean square over the picture of sigma over (radiance + 1 % of white), per fine sample; a panel
+        pixel's is a third of it. None leaves the experiment's ``[render]`` as it is.
+    independent : bool
+        Render every slot separately, so that no two share noise, not even where nothing moves.
+    """
+
+    share: float | None = Field(default=None, ge=0.001, le=1)
+    independent: bool = False
+
+    def settings(self, settings: RenderSettings) -> RenderSettings:
+        """Render settings that reach the share: movers' own pixels at it, all else at it by two parts."""
+        if self.share is None:
+            return settings
+        parts = {"static_error": self.share / 2, "change_error": self.share / 2, "moving_error": self.share}
+        return settings.model_copy(update=parts)
+
+
+class Noise(Part):
+    """Noise of the truth by split; evaluation has little by default.
+
+    Parameters
+    ----------
+    train, val, test : TruthNoise
+        Of each split.
+    """
+
+    train: TruthNoise = TruthNoise()
+    val: TruthNoise = TruthNoise(share=0.02)
+    test: TruthNoise = TruthNoise(share=0.02)
+
+    def of(self, split: Split) -> TruthNoise:
+        """Return that of a split."""
+        chosen: TruthNoise = getattr(self, split)
+        return chosen
+
+
 class DatasetSpec(Part):
     """A data set, before it is built.
 
@@ -100,6 +143,8 @@ class DatasetSpec(Part):
         Radiance, normals and albedo in 16 bit; depth, flow, ids and noise never.
     split : Share
         The part held out.
+    noise : Noise
+        Monte Carlo noise of the truth, by split.
     filter : Filter
         Ranges of what is measured in a sequence; one outside of any is dropped once it is made.
     """
@@ -119,6 +164,7 @@ class DatasetSpec(Part):
     reconstruct: bool = False
     half: bool = False
     split: Share = Share()
+    noise: Noise = Noise()
     filter: Filter = Filter()
 
     @field_validator("scenes", mode="before")
@@ -167,7 +213,8 @@ class DatasetSpec(Part):
             if name not in methods:
                 raise unknown_name("scheme of the experiment", name, list(methods))
         chosen = tuple(methods[name] for name in self.schemes) or loaded.methods
-        return loaded.model_copy(update={"methods": chosen, "save_reconstructions": ()})
+        render = self.noise.of(sequence.split).settings(loaded.render)
+        return loaded.model_copy(update={"methods": chosen, "save_reconstructions": (), "render": render})
 
     def draws_of(self, sequence: SequencePlan, seed: int) -> int:
         """Seed of the codes and photons of a sequence, whatever its split."""

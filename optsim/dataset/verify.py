@@ -15,7 +15,7 @@ from optsim.dataset.spec import SPLITS
 from optsim.tasks import RECORDS
 
 # Speeds in fine samples a slot; luminance in stops below the brightest.
-_SPEEDS = (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
+_SPEEDS = (0.0, 0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, np.inf)
 _STOPS = np.arange(-24, 1, 2.0)
 
 
