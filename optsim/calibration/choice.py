@@ -58,18 +58,10 @@ ReadingPx = Annotated[int, Field(ge=1, le=9), AfterValidator(_with_a_middle)]
 
 
 class CalibrationChoice(NamedTuple):
-    """Source of the calibration for schemes and decoders, and their readout window.
+    """Source of the calibration for schemes and decoders, and their readout window."""
 
-    Parameters
-    ----------
-    operator : str
-        bench, true, ideal, or a file (:func:`kept_file`).
-    reading_px : int
-        Side of the readout window, CCD pixels.
-    """
-
-    operator: str
-    reading_px: int
+    operator: str  # bench, true, ideal, or a file (:func:`kept_file`)
+    reading_px: int  # side of the readout window, CCD pixels
 
     @property
     def file(self) -> Path | None:
@@ -83,13 +75,7 @@ class CalibrationChoice(NamedTuple):
 
 
 def kept_file(path: Path) -> Path:
-    """Find the file of a stored calibration or bench record, from its own path or that of its folder.
-
-    Raises
-    ------
-    StorageError
-        When there is none.
-    """
+    """Find the file of a stored calibration or bench record, from its own path or its folder's."""
     found = in_folder(path.expanduser())
     if not found.exists():
         raise StorageError(f"calibration: no such file or folder: {path}; expected {_PATHS}")

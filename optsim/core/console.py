@@ -22,10 +22,7 @@ _EVERY_S = 10.0  # seconds between lines of a log
 
 @contextlib.contextmanager
 def progress_bars(quiet: bool = False) -> Generator[Progress, None, None]:
-    """Yield a progress callable that draws one bar a stage with elapsed and remaining time.
-
-    Without a terminal, in a log for example, it writes a line every ten seconds.
-    """
+    """Yield progress as one bar a stage; without a terminal a line every ten seconds."""
     if not (quiet or people.is_terminal):
         yield _lines()
         return

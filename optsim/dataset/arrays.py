@@ -19,21 +19,11 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Pass:
-    """A named array of the truth.
+    """A named array of the truth: several channels become an axis of their own."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        Channels in a slot's file; several become an axis of their own.
-    unit : str
-        SI unit, or the meaning of the numbers.
-    axes : str
-        Axes of the array of a sequence.
-    """
-
-    channels: tuple[str, ...]
-    unit: str
-    axes: str = "slot, y, x"
+    channels: tuple[str, ...]  # in a slot's file
+    unit: str  # SI, or the meaning of the numbers
+    axes: str = "slot, y, x"  # of a sequence
 
     def read(self, path: Path) -> Array:
         """Read the array of one slot."""
@@ -64,19 +54,9 @@ PASSES = {
 
 @dataclass(frozen=True)
 class Coded:
-    """A kind of array with one file a coded frame or slot.
+    """A kind of array with one file a coded frame or slot."""
 
-    Parameters
-    ----------
-    files : str
-        Pattern of the files, below the folder of the sequence or, of schemes, of the seed and kind.
-    unit, axes : str
-        As of :class:`Pass`.
-    read : callable
-        Reads a file.
-    """
-
-    files: str
+    files: str  # pattern below the folder of the sequence or, of schemes, of the seed and kind
     unit: str
     axes: str
     read: Callable[[Path], Array]
@@ -152,13 +132,7 @@ _LIGHT_UNITS = {
 
 @dataclass(frozen=True)
 class Table:
-    """A file of several named arrays.
-
-    Parameters
-    ----------
-    path : Path
-        An .npz or a .json of numbers.
-    """
+    """A file of several named arrays, .npz, or of numbers, .json."""
 
     path: Path
 

@@ -38,10 +38,7 @@ SHEET, HISTOGRAMS = "contact_sheet.png", "histograms.png"
 
 
 def tasks_of(spec: DatasetSpec, folder: Path, layout: Layout, sources: Mapping[str, str]) -> list[Task]:
-    """List the tasks of a set, one a sequence, each with a key of all that determines its files.
-
-    Sources count by their hashes, so no scene is read for its own sequences.
-    """
+    """List the tasks of a set, one a sequence, each with a key of all that determines its files."""
     check_sources(folder, sources)
     table: Table = spec.model_dump(mode="json") | {"split": {}, "filter": {}}
     tasks, root = list[Task](), str(folder.absolute())
@@ -115,15 +112,7 @@ def build_dataset(
 def finish(
     spec: DatasetSpec, folder: Path, layout: Layout, *, recipe: bool, sources: Mapping[str, str] | None = None
 ) -> None:
-    """Drop what filters drop, and write manifest, contact sheet, card, Croissant metadata and README.
-
-    All sequences must be there.
-
-    Raises
-    ------
-    ConfigError
-        When filters drop all of them.
-    """
+    """Drop what filters drop, and write all documents of a set whose sequences are all there."""
     found = {each.name: read_record(folder / each.name / CHECKS) for each in spec.sequences()}
     failed = {name: spec.filter.failed(numbers) for name, numbers in found.items()}
     filters = spec.filter.counts(found)
@@ -193,11 +182,7 @@ def _make(
 
 
 def own(folder: Path, spec: DatasetSpec) -> tuple[DatasetSpec, dict[str, str]]:
-    """Check a spec and write it and its sources into its folder, or refuse a folder of another one.
-
-    Returns the spec with paths that start at the folder, and the SHA-256 of each source. Filters may change:
-    they decide about what is made, not how. The card is then written anew.
-    """
+    """Write a spec into its folder with its sources, whose hashes follow; refuse another's folder."""
     check_spec(spec)
     spec, files = carried(spec, folder)
     sources, path = hashes(files), folder / _SPEC
@@ -211,6 +196,7 @@ def own(folder: Path, spec: DatasetSpec) -> tuple[DatasetSpec, dict[str, str]]:
             write_json(path, table)
         elif (known := read_record(path)) != table:
             was: dict[str, str] = known.get("sources", {})
+            # Filters may change: they decide about what is made, not how.
             free = {"filter": None, "sources": None}
             if {**known, **free} != {**table, **free}:
                 raise StorageError(

@@ -71,20 +71,8 @@ def slot_mean(radiance: Video, slot: int) -> Floats:
 
 
 def noise_sigma(half_difference: Floats, ids: Ids) -> Floats:
-    """Estimate the standard deviation of the noise, shared by the samples of a part in a small square.
-
-    Parameters
-    ----------
-    half_difference : ndarray of shape (y, x), float32
-        (half A - half B) / 2 of two independent renders: its square is an unbiased estimate of the variance
-        of their mean, of one degree of freedom a sample.
-    ids : ndarray of shape (y, x), uint32
-        Parts, or ids, so that the noise of one surface is not spread over its neighbour.
-
-    Returns
-    -------
-    ndarray of shape (y, x), float32
-    """
+    """Estimate the sigma of noise from (half A - half B) / 2 over a small square of a part (or id)."""
+    # A square is an unbiased estimate of the variance of the mean of both halves, of one degree of freedom.
     reach = _NOISE_SIDE // 2
     square = np.pad(half_difference.astype(np.float64) ** 2, reach)
     # No object has this id: beyond the border there is no neighbour.

@@ -17,11 +17,7 @@ from optsim.optics.srgb import linear_to_srgb
 
 
 def export_coco(dataset: Dataset, folder: Path, progress: Progress = silent) -> None:
-    """Write 8-bit pictures and ``instances_SPLIT.json``; the ids of categories are those of all splits.
-
-    A picture's ``cam_K``, ``cam_R_w2c`` and ``cam_t_w2c`` (mm) count pixels as BOP does: centres at whole
-    numbers. Boxes count from the picture's corner, as COCO's.
-    """
+    """Write 8-bit pictures and ``instances_SPLIT.json``; all splits share the ids of categories."""
     categories: dict[str, int] = {}
     with claimed_empty(folder):
         found: dict[str, dict[str, Any]] = {}
@@ -63,6 +59,7 @@ def eight_bits(sample: Sample) -> tuple[Array, float]:
 
 
 def _camera(sample: Sample, slot: int) -> dict[str, Any]:
+    """Camera as BOP states it: mm, and pixels whose centres are at whole numbers; boxes count as COCO's."""
     matrix: Doubles = sample.camera["intrinsics_px"] - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     pose: Doubles = sample.camera["camera_to_world"][slot]
     turn: Doubles = pose[:3, :3].T

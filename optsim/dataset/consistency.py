@@ -15,23 +15,7 @@ Channels = dict[str, NDArray[Any]]
 
 
 def consistency(truth: Path) -> dict[str, float]:
-    """Check one slot in the middle of an export against the next one.
-
-    Parameters
-    ----------
-    truth : Path
-        Folder of :func:`optsim.dataset.export_passes`, at least two slots next to each other.
-
-    Returns
-    -------
-    dict
-        ``flow_error_px``: largest distance between the forward flow and the place from depth, camera and
-        object poses, fine samples, over all rigid surfaces; ``id_agreement``: share of samples, visible in
-        both slots, that flow takes to a sample of their object or next to one;
-        ``negative_share``: share of samples with negative radiance (unbiased noise);
-        ``noise_share``: median of the standard deviation of the radiance's noise over the radiance;
-        ``noise_rms``: the root mean square of sigma over (radiance + 1 % of white).
-    """
+    """Check one slot in the middle of an export against the next one; the card says how."""
     files = sorted(truth.glob("slot*.exr"))
     middle = len(files) // 2
     channels, said = read_exr(files[middle])

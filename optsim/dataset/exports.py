@@ -54,13 +54,7 @@ def _member(tar: tarfile.TarFile, name: str, content: bytes) -> None:
 
 
 def export_hdf5(dataset: Dataset, path: Path, progress: Progress = silent) -> None:
-    """Write one HDF5 file: a group a sample, below its split, with units and axes as attributes.
-
-    Raises
-    ------
-    StorageError
-        When h5py is not installed, or the file exists.
-    """
+    """Write one HDF5 file: a group a sample, below its split, with units and axes as attributes."""
     try:
         import h5py  # pyright: ignore
     except ImportError:

@@ -331,13 +331,7 @@ def open_dataset(path: str | Path) -> Dataset:
 
 
 def manifest(folder: Path) -> list[dict[str, Any]]:
-    """Read the manifest: ``path``, ``bytes``, ``sha256`` of each file.
-
-    Raises
-    ------
-    StorageError
-        When it is missing or damaged, or names a file outside of the data set.
-    """
+    """Read and check the manifest: ``path``, ``bytes``, ``sha256`` of each file inside the set."""
     path = folder / MANIFEST
     cure = "expected an object with path, bytes and sha256 of a file in it a line; cure: copy it again"
     try:

@@ -22,11 +22,7 @@ from optsim.tasks import run_tasks
 def regenerate(
     dataset: Dataset, names: Sequence[str], progress: Progress = silent
 ) -> tuple[dict[str, str], int]:
-    """Make sequences again beside the set; return what is not as the manifest says, and files put back.
-
-    Where all files of a sequence are, those that the set lost or that changed are put into it. Nothing else
-    in the set changes.
-    """
+    """Make sequences again beside the set; return what differs, and files put back into whole ones."""
     known = [sequence["name"] for sequence in dataset.card["sequences"]]
     for name in names:
         if name not in known:

@@ -20,20 +20,7 @@ _STOPS = np.arange(-24, 1, 2.0)
 
 
 def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
-    """Check every file of a data set by its SHA-256.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        From :func:`optsim.dataset.open_dataset`.
-    progress : Progress
-        Called after each file, as "verify".
-
-    Returns
-    -------
-    list of str
-        One line a problem: a file that is missing, changed or not listed; empty without problems.
-    """
+    """Check every file of a data set by its SHA-256: a line for each missing, changed or unknown one."""
     found: list[str] = []
     listed = manifest(dataset.folder)
     if content_hash(dataset.folder / MANIFEST) != dataset.card["manifest"]["sha256"]:
@@ -62,14 +49,7 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
 
 
 def statistics(dataset: Dataset, progress: Progress = silent) -> dict[str, Any]:
-    """Count luminance in stops, speeds and the moving share, in one slot of each sequence.
-
-    Returns
-    -------
-    dict
-        Split -> ``samples``; ``stops``: share of pixels by stops below the sequence's brightest;
-        ``speeds_px``: share of pixels by speed, fine samples a slot; ``moving``: least, mean, largest share.
-    """
+    """Split -> its samples, shares by stops and by speed, and moving share, in their middle slots."""
     result: dict[str, Any] = {}
     total = sum(len(dataset.samples(split)) for split in SPLITS)
     done = 0

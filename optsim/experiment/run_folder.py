@@ -51,13 +51,7 @@ _SHOWN = ("optsim/experiment/evidence.json", "optsim/report/template/*")
 
 
 def run_folder(experiment: Experiment, out: Path) -> Path:
-    """Return the folder of a run, if it is free for this experiment.
-
-    Raises
-    ------
-    StorageError
-        When the folder holds a run of another experiment, or other files.
-    """
+    """Return the folder of a run; refuse one of another experiment, or with other files."""
     if out.is_file():
         raise StorageError(f"--out {out} is a file; expected a folder")
     if out.is_dir() and not holds_nothing(out):
@@ -167,21 +161,7 @@ def write_checksums(folder: Path) -> None:
 
 
 def changed_file(folder: Path, names: Sequence[str] | None = None) -> str:
-    """Name the first file that differs from :data:`CHECKSUMS`; empty when none does, or without a list.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run.
-    names : sequence of str, optional
-        Files to check; by default all that are listed. An unlisted file counts as unchanged, as those
-        of older versions.
-
-    Raises
-    ------
-    StorageError
-        When the list is damaged.
-    """
+    """Name the first listed file that differs from :data:`CHECKSUMS`; empty when none does."""
     if not (folder / CHECKSUMS).is_file():
         return ""
     sums = read_record(folder / CHECKSUMS)
@@ -229,26 +209,7 @@ def results_key(experiment: Experiment, backend: str) -> str:
 def finished_run(
     experiment: Experiment, folder: Path, *, backend: str | None = None, export_truth: bool = False
 ) -> tuple[Results | None, str]:
-    """Find the results of an earlier run in its folder, and whether they are still valid.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The folder's experiment.
-    folder : Path
-        Folder of the run, which may not exist yet.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    export_truth : bool
-        Whether the folder must hold the truth too.
-
-    Returns
-    -------
-    results : Results or None
-        Content of results.json; None when the run must be made, for the first time or anew.
-    why : str
-        Reason to repeat a finished run; empty when there is none.
-    """
+    """Results of an earlier run that still hold, or None and the reason to repeat a finished run."""
     if not (folder / RESULTS).exists():
         return None, ""
     if (folder / UNFINISHED).exists():

@@ -46,17 +46,10 @@ def unit_m(scene: Scene) -> float:
 
 
 def parse_static(mi: Any, scene: Scene) -> Any:
-    """Parse the scene's file of shapes and read its images; None if the scene has no such file.
-
-    Mitsuba's OpenEXR reader hangs with a single thread, so this comes before the thread count is lowered.
-
-    Raises
-    ------
-    ConfigError
-        When Mitsuba refuses the file or an image.
-    """
+    """Parse the scene's file of shapes, if it has one, and read its images."""
     if scene.static is None:
         return None
+    # Before the thread count is lowered: Mitsuba's OpenEXR reader hangs with a single thread.
     with _named(scene.static):
         config = mi.parser.ParserConfig(mi.variant())
         config.merge_equivalent = config.merge_meshes = False
@@ -82,26 +75,7 @@ def _image(mi: Any, path: Path) -> Any:
 
 
 def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = None) -> dict[str, Any]:
-    """Describe a scene to ``mi.load_dict``.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba with its variant set.
-    scene : Scene
-        Scene to load.
-    view : View
-        Fine grid and field of view.
-    movers : bool
-        Whether to include the movers; lamps, sky and sensor are the same either way.
-    static : optional
-        From :func:`parse_static`.
-
-    Raises
-    ------
-    ConfigError
-        For a scene of several bands; a variant of three channels takes three.
-    """
+    """Describe a scene of the variant's bands to ``mi.load_dict``; ``static`` is :func:`parse_static`'s."""
     unit, bands = unit_m(scene), _bands(mi, scene)
     meshes = {
         f"still_{material}": (mesh, material) for material, mesh in sorted(scene.still_meshes().items())

@@ -24,15 +24,7 @@ Box = tuple[float, float, float, float]
 
 
 class Extents:
-    """Bodies of a scene, ready to be measured at many instants.
-
-    Parameters
-    ----------
-    bodies : Mapping
-        By name.
-    view : View
-        Fine grid and field of view.
-    """
+    """Bodies of a scene, ready to be measured at many instants."""
 
     def __init__(self, bodies: Mapping[str, Body], view: View) -> None:
         self._bodies, self._view = bodies, view

@@ -50,19 +50,7 @@ def _faces_of(mover: Any) -> Faces:
 
 
 def project(points_m: Doubles, camera: CameraPose, view: View) -> Doubles:
-    """Project points through the centre of the lens, without distortion.
-
-    Parameters
-    ----------
-    points_m : ndarray of shape (n, 3)
-        Points in the scene.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), float64
-        Row and column in the ideal image, in fine samples of the view (pixel centres at +0.5), and depth in
-        m; NaN behind the camera.
-    """
+    """Row, column in the ideal image, fine samples, and depth, m; NaN behind the camera: (n, 3)."""
     origin = np.asarray(camera.position_m)
     forward = np.asarray(camera.target_m) - origin
     forward /= np.linalg.norm(forward)
@@ -82,17 +70,7 @@ def path_px(
     view: View,
     margin_px: float = 0.0,
 ) -> float:
-    """Longest path of a mover's visible point in the picture, fine samples, in straight pieces.
-
-    Parameters
-    ----------
-    vertices : callable
-        Time -> vertices.
-    times_s : sequence of float
-        Ends of the pieces, in order.
-    margin_px : float
-        Distance outside the picture at which a point still counts, beyond the reach of defocus.
-    """
+    """Longest path of a mover's point within a margin of the picture, fine samples, by straight pieces."""
     total = 0.0
     margin_px += margin_of(view)
     before = project(vertices(times_s[0]), camera.at(times_s[0]), view)
@@ -116,20 +94,8 @@ def _in_view(places: Doubles, view: View, margin_px: Doubles) -> Bools:
 
 
 def cover(mask: Bools, vertices_m: Doubles, faces: Faces, camera: CameraPose, view: View) -> None:
-    """Mark, in place, every fine sample that any triangle, spread by defocus, may touch.
-
-    The mask is slightly too large. Each point of the lens sees a triangle displaced. The displacement is
-    linear in 1/depth, hence linear over the picture, and largest at a vertex.
-
-    Parameters
-    ----------
-    mask : ndarray of shape (y, x), bool
-        Marks are added. It is on the ideal grid, which without distortion is the view's (``render.lens``).
-    vertices_m : ndarray of shape (n, 3)
-        Positions.
-    faces : ndarray of shape (m, 3)
-        Triangles.
-    """
+    """Mark every sample of the ideal grid (y, x) that a triangle, spread by defocus, may touch."""
+    # Each point of the lens sees it displaced, linearly in 1/depth, so farthest at a vertex.
     places = project(vertices_m, camera, view)
     places[:, :2] += margin_of(view)
     _cover(mask, places, faces, _MARGIN_PX + blur_px(places[:, 2], camera, view) / 2)

@@ -28,36 +28,18 @@ _SHORTEST_NORMAL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """First surface along each of n rays.
+    """First surface along each of n rays."""
 
-    Parameters
-    ----------
-    distance_m : ndarray of shape (n,), float64
-        Distance along the ray from the pinhole; 0 without a surface.
-    shape, face : ndarray of shape (n,), int64
-        Index of Mitsuba's shape, -1 without a surface, and of its triangle.
-    weights : ndarray of shape (n, 2), float64
-        Barycentric weights of the triangle's second and third vertex.
-    normal : ndarray of shape (n, 3), float64
-        Unit shading normal in the world, on the ray's side.
-    albedo : ndarray of shape (n,), float64
-        Diffuse reflectance in the band, 0..1: of the base under a coat; of ``principled`` the base colour; 0
-        where there is no diffuse part.
-    """
-
-    distance_m: Doubles
-    shape: Ints
-    face: Ints
-    weights: Doubles
-    normal: Doubles
-    albedo: Doubles
+    distance_m: Doubles  # along the ray from the pinhole; 0 without a surface
+    shape: Ints  # Mitsuba's, -1 without a surface
+    face: Ints  # triangle of it
+    weights: Doubles  # (n, 2), barycentric, of the second and third vertex
+    normal: Doubles  # (n, 3), unit shading normal in the world, on the ray's side
+    albedo: Doubles  # diffuse reflectance in the band: of the base under a coat; of principled all
 
 
 def intrinsics(view: View) -> Doubles:
-    """Matrix from the camera frame (x right, y down, z forward) to (column, row, 1) times depth.
-
-    It is for the ideal image: distortion displaces points by ``lens.radial_k1`` before it.
-    """
+    """Matrix from the camera frame to (column, row, 1) times depth, of the image without distortion."""
     focal_px = view.cols / 2 / view.tan_half_width
     return np.array([[focal_px, 0, view.cols / 2], [0, focal_px, view.rows / 2], [0, 0, 1]], np.float64)
 
@@ -85,17 +67,7 @@ def sample_rays(view: View) -> Doubles:
 
 
 def cast(stage: Stage, pose: CameraPose, directions: Doubles) -> Hits:
-    """Find the first surface along rays from the pinhole, within the camera's depth range.
-
-    Parameters
-    ----------
-    stage : Stage
-        Scene at an instant.
-    pose : CameraPose
-        Motionless pose: pinhole, direction and depth range.
-    directions : ndarray of shape (n, 3)
-        Unit directions in the world.
-    """
+    """Find the first surface along unit directions (n, 3) from the pinhole, within the depth range."""
     found, before, unit = _along(stage, pose, directions, _surface_columns)
     hit = np.isfinite(found[:, 0])
     found[~hit] = 0.0
@@ -115,10 +87,7 @@ def cast(stage: Stage, pose: CameraPose, directions: Doubles) -> Hits:
 
 
 def first_objects(stage: Stage, pose: CameraPose, directions: Doubles) -> tuple[Doubles, Ints, Ints]:
-    """Find distance, m, shape and face of the first surface along rays, as in :class:`Hits`.
-
-    It takes a third of the time of :func:`cast`, which evaluates normals and materials too.
-    """
+    """Distance, m, shape and face as of :func:`cast`, in a third of its time."""
     found, before, unit = _along(stage, pose, directions, _place_columns)
     hit = np.isfinite(found[:, 0])
     found[~hit] = 0.0
@@ -177,19 +146,7 @@ def _place_columns(mi: Any, loaded: Any, rays: Any) -> list[Any]:
 
 
 class ObjectIds:
-    """Objects and parts that own the triangles in Mitsuba's scene.
-
-    Ids are 1, 2, ... by the sorted names of all lamps, objects and movers; 0 is nothing. Parts are numbered
-    in the same way: an object has one for each of its materials. The renderer's shapes are merged by
-    material, so a part is a range of triangles.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    loaded : Any
-        Mitsuba's scene made from it.
-    """
+    """Objects and parts that own the triangles in Mitsuba's scene, each kind 1, 2, ... by sorted names."""
 
     def __init__(self, scene: Scene, loaded: Any) -> None:
         parts = [_parts_of(scene, str(shape.id())) for shape in loaded.shapes()]

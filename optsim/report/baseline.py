@@ -92,13 +92,7 @@ def new_baseline_path(name: str) -> Path:
 
 
 def run_folders(place: Path) -> list[Path]:
-    """Find the finished runs in a folder: the folder itself, or all below it.
-
-    Raises
-    ------
-    StorageError
-        When there is none.
-    """
+    """Find the finished runs in a folder, at least one: the folder itself, or all below it."""
     if (place / RESULTS).is_file():
         return [place]
     found = sorted(path.parent for path in place.rglob(RESULTS)) if place.is_dir() else []
@@ -111,15 +105,7 @@ def run_folders(place: Path) -> list[Path]:
 
 
 def scored_runs(place: Path) -> Scored:
-    """Read the scores of a run's folder, or of all runs below a folder.
-
-    Raises
-    ------
-    StorageError, ValueCheckError
-        When nothing is there, or a file is not of the schema.
-    ConfigError
-        When two runs share case and seed.
-    """
+    """Read the scores of a run's folder, or of all runs below a folder, which must differ."""
     read = [check_results(read_record(folder / RESULTS)) for folder in run_folders(place)]
     runs = [_run(results) for results in read]
     names = [(run.case, run.seed) for run in runs]
@@ -158,15 +144,7 @@ def _run(results: Results) -> Run:
 def last_phase(
     series: Sequence[Series] | Sequence[ClassSeries], latency_frames: int
 ) -> tuple[list[int], Scores]:
-    """Coded frames of the last phase of some series, and their scores there.
-
-    Parameters
-    ----------
-    series : sequence of Series or ClassSeries
-        Those of older versions hold all phases. A series may lack frames that others have.
-    latency_frames : int
-        Latency of the loop, for the phases.
-    """
+    """Coded frames of the last phase of some series, which may lack some, and their scores there."""
     x = {frame for each in series for frame in each.x}
     last = phase_of(max(x, default=0), latency_frames)
     frames = sorted(frame for frame in x if phase_of(frame, latency_frames) == last)
@@ -213,13 +191,7 @@ def reading_facts(reading: Reading) -> Facts:
 
 
 def read_baseline(path: Path) -> Scored:
-    """Read a baseline.
-
-    Raises
-    ------
-    StorageError
-        When it is missing or no baseline.
-    """
+    """Read a baseline; refuse a file that is none."""
     try:
         return Scored.model_validate(read_record(path))
     except ValidationError as error:

@@ -104,20 +104,7 @@ class Comparison(Record):
 
 
 def compare(before: Scored, after: Scored, made_utc: str) -> Comparison:
-    """Compare the scores of two sides; they cannot be where the second lacks any score of the first.
-
-    Parameters
-    ----------
-    before, after : Scored
-        Baseline and candidate.
-    made_utc : str
-        Time, for the page.
-
-    Raises
-    ------
-    ConfigError
-        When the two have no scene in common, or not the same truth.
-    """
+    """Compare the scores of two sides; they cannot be where the second lacks any score of the first."""
     after = _matched(before, after)
     notes: list[str] = []
     found, missing = _estimates(before, after), missing_scores(before, after)
@@ -152,13 +139,7 @@ def compare(before: Scored, after: Scored, made_utc: str) -> Comparison:
 
 
 def between_methods(scored: Scored, before: str, after: str) -> tuple[Scored, Scored]:
-    """Take two methods of the same runs as the two sides of a comparison.
-
-    Raises
-    ------
-    ConfigError
-        For a method that the runs don't have.
-    """
+    """Take two methods of the same runs as the two sides of a comparison."""
     names = {name for run in scored.runs for methods in run.scores.values() for name in methods}
     label = f"{after} over {before}"
     sides: list[Scored] = []

@@ -27,22 +27,7 @@ _MOST_PICTURES = 60
 
 
 def write_comparison(folder: Path, found: Comparison, places: Mapping[str, Path]) -> Path:
-    """Write a comparison into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Gets ``comparison.html``, ``.json`` and ``.md``, ``junit.xml`` and ``pictures/``.
-    found : Comparison
-        The comparison.
-    places : mapping
-        ``before`` and ``after`` -> folder of runs; a side without one keeps no pictures.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write page, JSON, Markdown, JUnit XML and pictures of the sides with runs; return the page."""
     found = found.model_copy(update={"pictures": _keep_pictures(folder, found, places)})
     write_json(folder / "comparison.json", found.as_json())
     write_text(folder / "comparison.md", as_markdown(found))

@@ -48,10 +48,7 @@ def units_of(scored: Scored) -> Units:
 
 
 def missing_scores(before: Scored, after: Scored) -> list[str]:
-    """Name what the first side has and the second lacks, in as few lines as say it.
-
-    Sides without a common seed must have the same frames. A cost is missing where no run has it.
-    """
+    """Name what the first side has and the second lacks, in as few lines as say it."""
     ours, theirs = units_of(before), units_of(after)
     found: list[str] = []
     for case in dict.fromkeys(run.case for run in before.runs):

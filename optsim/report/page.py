@@ -22,19 +22,7 @@ class Section:
 
 
 def write_page(path: Path, *, kind: str, title: str, lead: str, sections: Sequence[Section]) -> None:
-    """Write a page.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; pictures are named relative to it.
-    kind : str
-        A few words above the title.
-    title, lead : str
-        Title, and the sentence that says what was found.
-    sections : sequence of Section
-        In their order.
-    """
+    """Write a page; ``kind`` stands above the title, and ``lead`` says what was found."""
     template = page_environment().get_template("page.html.j2")
     write_text(path, template.render(kind=kind, title=title, lead=lead, sections=sections))
 

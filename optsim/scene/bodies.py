@@ -14,21 +14,11 @@ from optsim.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One object: a still one, or all that a mover carries.
+    """One object: a still one, or all that a mover carries."""
 
-    Parameters
-    ----------
-    parts : Mapping
-        Still objects ``object/NAME``, or single movers ``mover/NAME``, by name.
-    category : str
-        As the scene states it, else the name of a model's file, a solid's shape, or the kind.
-    turn_rad : vector
-        Turn of its own axes at time 0: about x, then y, then z.
-    """
-
-    parts: Mapping[str, Any]
+    parts: Mapping[str, Any]  # object/NAME -> still object, mover/NAME -> single mover
     category: str
-    turn_rad: Vector
+    turn_rad: Vector  # of its own axes at time 0: about x, then y, then z
 
 
 def bodies(scene: Scene) -> dict[str, Body]:

@@ -21,24 +21,12 @@ Faces = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles with texture coordinates.
+    """Triangles with texture coordinates; anticlockwise seen from outside."""
 
-    Parameters
-    ----------
-    vertices_m : ndarray of shape (n, 3), float64
-        Positions, m.
-    faces : ndarray of shape (m, 3), int32
-        Vertex indices of each triangle, anticlockwise seen from outside.
-    uv : ndarray of shape (n, 2), float64
-        Texture coordinates.
-    colours : ndarray of shape (n, 3), float32, or None
-        Linear reflectances at the vertices, for a material that takes them.
-    """
-
-    vertices_m: Doubles
-    faces: Faces
-    uv: Doubles
-    colours: Floats | None = None
+    vertices_m: Doubles  # (n, 3)
+    faces: Faces  # (m, 3), indices of vertices
+    uv: Doubles  # (n, 2)
+    colours: Floats | None = None  # (n, 3), linear reflectances, for a material that takes them
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
@@ -100,17 +88,7 @@ def wall(
     holes_m: Sequence[tuple[float, float, float, float]],
     depth_m: float,
 ) -> Mesh:
-    """Wall with rectangular holes and their reveals.
-
-    Parameters
-    ----------
-    corner_m, edge_u_m, edge_v_m : array_like of shape (3,)
-        As in :func:`quad`; the two edges are orthogonal.
-    holes_m : sequence of (u0, v0, u1, v1)
-        Holes, in metres along the two edges.
-    depth_m : float
-        Depth of the reveals, behind the wall.
-    """
+    """Wall on orthogonal edges with holes (u0, v0, u1, v1), m along them, and reveals behind them."""
     corner, u, v = (np.asarray(x, np.float64) for x in (corner_m, edge_u_m, edge_v_m))
     width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
     u, v = u / width, v / height
@@ -147,26 +125,7 @@ def limb(
     band: tuple[float, float] = (0.0, 1.0),
     around: int = 14,
 ) -> Mesh:
-    """Tapered capsule between two points: the building block of bodies, blades and rods.
-
-    The cross-section's first axis is ``side`` made orthogonal to the limb. This is parallel transport for a
-    limb that never points along ``side``. The frame rotates smoothly, so no facet jumps between poses.
-
-    Parameters
-    ----------
-    start_m, stop_m : array_like of shape (3,)
-        Centres of the two end balls.
-    radius_start_m, radius_stop_m : float
-        Radii of the two ends.
-    side : array_like of shape (3,)
-        Direction of the wide axis of the cross-section.
-    flatness : float
-        Thickness over width of the cross-section.
-    band : (float, float)
-        Range of texture v along the limb; texture u goes round.
-    around : int
-        Vertices round.
-    """
+    """Tapered capsule, ``side`` its wide axis: texture v goes through ``band`` along it, u round it."""
     start, stop = np.asarray(start_m, np.float64), np.asarray(stop_m, np.float64)
     length = float(np.linalg.norm(stop - start))
     axis = (stop - start) / length
@@ -220,17 +179,7 @@ def ball(center_m: ArrayLike, radius_m: float, *, around: int = 32, along: int =
 def ring(
     radius_m: float, thick_m: float, *, band: tuple[float, float] = (0.0, 1.0), around: int = 48
 ) -> Mesh:
-    """Torus about the z axis, centred at the origin.
-
-    Parameters
-    ----------
-    radius_m, thick_m : float
-        Radius of its centre line, and of its round cross-section.
-    band : (float, float)
-        Range of texture v round the cross-section, from the inner side on; u goes round the axis.
-    around : int
-        Vertices round the axis.
-    """
+    """Torus about z: texture v goes through ``band`` round the cross-section, u round the axis."""
     angle = np.linspace(0, 2 * np.pi, around + 1)
     turn_of_section = np.linspace(0, 2 * np.pi, 11)
     reach = radius_m - thick_m * np.cos(turn_of_section)[:, None]

@@ -187,8 +187,5 @@ Material = Annotated[
 
 
 def polarises(material: Material) -> bool:
-    """Whether a surface's reflection is polarised in the renderer: gloss, metal and solid glass.
-
-    A matt surface depolarises all light; the renderer's thin panes do too, though real ones polarise.
-    """
+    """Whether the renderer polarises a surface's reflection: gloss, metal and solid glass."""
     return isinstance(material, Plastic | Metal) or (isinstance(material, Glass) and not material.thin)

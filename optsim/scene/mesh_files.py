@@ -26,21 +26,7 @@ _NAME_BYTES = 4096  # most that the name of a serialized mesh may take
 
 
 def check_mesh(path: Path, kind: str = "") -> None:
-    """Refuse a PLY, OBJ or serialized file with invalid faces or vertices, and any STL file.
-
-    Parameters
-    ----------
-    path : Path
-        Mesh file; other kinds are not checked.
-    kind : str
-        Type of the shape that names the file; if it is no mesh type, content and name decide.
-
-    Raises
-    ------
-    StorageError
-        For a face with a missing vertex, a vertex that is not finite, a file without faces, or a damaged one.
-        It names the file and the place.
-    """
+    """Refuse STL and invalid meshes; where the shape states no kind, content and name decide."""
     readers: dict[str, Callable[[Path], list[_Mesh]]] = {
         "ply": _read_ply,
         "obj": _read_obj,

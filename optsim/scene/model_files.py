@@ -17,25 +17,13 @@ from optsim.scene.obj_files import libraries_of, named_pictures
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """List a model's file and all that it names and that is there.
-
-    Raises
-    ------
-    StorageError
-        For a damaged file.
-    """
+    """List a model's file and all that it names and that is there."""
     stat = path.stat()
     return (path, *(file for _, file in _named(path, stat.st_mtime_ns, stat.st_size) if file.is_file()))
 
 
 def check_files(path: Path, folder: Path, where: str, *, shown: bool) -> None:
-    """Check that all files that a model names are inside a folder, and there if its materials are shown.
-
-    Raises
-    ------
-    ConfigError
-        For the first that isn't.
-    """
+    """Refuse a model that names a file outside of a folder or, if its materials are shown, a missing one."""
     stat = path.stat()
     for name, file in _named(path, stat.st_mtime_ns, stat.st_size):
         if not file.is_relative_to(folder.resolve()):

@@ -21,47 +21,23 @@ from optsim.scene.geometry import Mesh
 from optsim.scene.pictures import checked_map
 
 _PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF")
-_GREY = (0.5, 0.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a file says of a material; by default matt grey.
-
-    Parameters
-    ----------
-    name : str
-        Name in the file; may be empty.
-    colour : ndarray of shape (3,)
-        Base colour, linear sRGB, 0..1.
-    picture : ndarray of shape (y, x, 3), float32, or None
-        Reflectance map, linear sRGB, that the base colour multiplies, row 0 at the lower edge.
-    cutout : ndarray of shape (y, x), float32, or None
-        Opacity map, where the file has one.
-    opacity, roughness, metallic : float
-        0..1.
-    maps : dict
-        Maps of raw numbers by the keys of :data:`optsim.scene.pictures.MAPS`: normals (y, x, 3), whose
-        vectors are 2 values - 1; roughness and metallic (y, x), which the numbers above multiply.
-    wrap : {"repeat", "clamp", "mirror"}
-        How all pictures go on beyond texture coordinates of 0..1.
-    lost : str
-        What the file states beyond that; it is left out, and the user is told.
-    refused : str
-        What it states that can't be left out, or a picture that can't be read: an error if it is shown.
-    """
+    """What a file says of a material; by default matt grey."""
 
     name: str = ""
-    colour: Doubles = field(default_factory=lambda: np.array(_GREY))
-    picture: Floats | None = None
-    cutout: Floats | None = None
+    colour: Doubles = field(default_factory=lambda: np.full(3, 0.5))  # linear sRGB, 0..1
+    picture: Floats | None = None  # (y, x, 3), linear, times the colour; row 0 of all is the lower edge
+    cutout: Floats | None = None  # opacity (y, x)
     opacity: float = 1.0
     roughness: float = 1.0
     metallic: float = 0.0
-    maps: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
-    wrap: str = "repeat"
-    lost: str = ""
-    refused: str = ""
+    maps: Mapping[str, Floats] = field(default_factory=dict[str, Floats])  # raw, by keys of pictures.MAPS
+    wrap: str = "repeat"  # or clamp, mirror: how all pictures go on beyond coordinates of 0..1
+    lost: str = ""  # left out, and the user is told
+    refused: str = ""  # an error if it is shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +88,7 @@ def laid(surface: Surface, uv: Doubles | None, places: Sequence[Placement]) -> t
 
 
 def tinted(surface: Surface, colours: Doubles | None, *, plain: bool) -> tuple[Surface, Floats | None]:
-    """Combine a surface with colours at the vertices, (n, 3), linear; ``plain`` is one without a material.
-
-    Equal ones become the base colour. Beside a picture their mean counts, which is said.
-    """
+    """Combine with linear colours (n, 3) at vertices, whose mean counts beside a picture."""
     if colours is None or not len(colours):
         return surface, None
     colours, own = np.clip(colours, 0, 1), np.ones(3) if plain else surface.colour
@@ -159,13 +132,7 @@ def linear_colours(path: Path, values: NDArray[Any]) -> Doubles:
 
 
 def with_picture(surface: Surface, key: str, content: bytes, scale: float = 1.0) -> Surface:
-    """Surface with a picture as ``picture``, ``alpha``, ``cutout`` (its alpha, or else grey) or a map's key.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        For one that can't be read; ``scale`` is that of the slopes of a normal map.
-    """
+    """Add a picture as ``picture``, ``alpha``, ``cutout`` (alpha, else grey) or a map's key."""
     coded, lost = decoded(content)
     surface = replace(surface, lost=listed(surface.lost, lost))
     most = int(np.iinfo(coded.dtype).max)
@@ -205,16 +172,13 @@ def content_beside(path: Path, name: str) -> bytes:
 
 
 def split_by_hand(surface: Surface, mesh: Mesh) -> list[tuple[Surface, Mesh]]:
-    """Split a part where its picture is mirrored, for the renderer takes a normal map's y from its x.
-
-    What is mirrored has its pictures turned over, so that they look the same, and the map's x with them.
-    """
+    """Split where the picture is mirrored: the renderer takes a normal map's y from its x."""
     if "normal_map" not in surface.maps:
         return [(surface, mesh)]
     corners = mesh.uv[mesh.faces]
     (across, up), (further, higher) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     mirrored = across * higher < up * further
-    # Copies: they are changed here.
+    # What is mirrored has its pictures turned over, so that they look the same. Copies: they change here.
     maps = {key: image[:, ::-1].copy() for key, image in surface.maps.items()}
     maps["normal_map"][..., 0] = 1 - maps["normal_map"][..., 0]
     over = replace(

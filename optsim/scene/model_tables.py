@@ -30,23 +30,7 @@ _LARGEST, _SMALLEST = 200.0, 1e-4
 
 
 def with_models(table: Table, folder: Path, where: str) -> Table:
-    """Expand the models of a scene's table: each part an object, each material of a file a material.
-
-    Parameters
-    ----------
-    table : dict
-        A scene's table in one variation.
-    folder : Path
-        Folder of ``scene.toml``; no file outside of it is read.
-    where : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    ConfigError
-        For a file that is missing, outside of the folder or no model, a unit or axis that must be stated, or
-        a size that does not fit the scene.
-    """
+    """Expand the models of a scene's table: each part an object, each material of a file a material."""
     objects, movers = dict(table.get("objects", {})), dict(table.get("movers", {}))
     materials = dict(table.get("materials", {}))
     if stated := sorted({"owners", "categories"} & {*table}):

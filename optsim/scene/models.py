@@ -27,26 +27,12 @@ FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model as its file has it: no unit, axis or place is changed.
+    """A model as its file has it: no unit, axis or place is changed."""
 
-    Parameters
-    ----------
-    parts : tuple of (Surface, Mesh)
-        Triangles of one material each; texture v points up.
-    dropped : int
-        Degenerate triangles that were left out.
-    lost : str
-        What the file states beyond its parts; it is left out, and the user is told.
-    played : tuple of (int, ndarray)
-        Of each part its node, and its vertices in the node's frame, (n, 3); empty without an animation.
-    animation : Nodes or None
-        How nodes move.
-    """
-
-    parts: tuple[tuple[Surface, Mesh], ...]
-    dropped: int
-    lost: str = ""
-    played: tuple[tuple[int, Doubles], ...] = ()
+    parts: tuple[tuple[Surface, Mesh], ...]  # of one material each; texture v points up
+    dropped: int  # degenerate triangles that were left out
+    lost: str = ""  # left out beyond its parts, and the user is told
+    played: tuple[tuple[int, Doubles], ...] = ()  # node of each part, and vertices in its frame
     animation: Nodes | None = None
 
     def vertices(self, part: int, time_s: float) -> Doubles:
@@ -76,14 +62,7 @@ def _matrices(nodes: Nodes, time_s: float) -> dict[int, Doubles]:
 
 
 def read_model(path: Path) -> Model:
-    """Read a model; the file is read again only when it has changed.
-
-    Raises
-    ------
-    ConfigError
-        For a missing or damaged file, another format, no faces, indices out of range, numbers that are
-        not finite, or what :func:`optsim.scene.gltf.check_readable` refuses.
-    """
+    """Read a model; the file is read again only when it has changed."""
     if path.suffix.lower() not in FORMATS:
         raise ConfigError(f"{path}: got {path.suffix!r}, expected one of: {', '.join(FORMATS)}")
     if not path.is_file():
@@ -93,13 +72,7 @@ def read_model(path: Path) -> Model:
 
 
 def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> Path:
-    """Find a file of the scene's folder; a scene must be complete in itself.
-
-    Raises
-    ------
-    ConfigError
-        For a path that leads out of the folder, or to nothing.
-    """
+    """Find a file of the scene's folder; a scene must be complete in itself."""
     root = folder.resolve()
     path = (root / name).resolve()
     if not name or not path.is_relative_to(root):

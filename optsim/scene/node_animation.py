@@ -20,26 +20,12 @@ _PATHS = ("translation", "rotation", "scale")
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One property of one node in time.
-
-    Parameters
-    ----------
-    node : int
-        Index of the node.
-    path : str
-        ``translation``, ``rotation`` (a quaternion x, y, z, w) or ``scale``.
-    times_s : ndarray of shape (k,), float64
-        Keyframes.
-    values : ndarray of shape (k, 3 or 4), or (k, 3, 3 or 4) of cubic splines, float64
-        Values there; of splines in-tangent, value and out-tangent.
-    interpolation : {"LINEAR", "STEP", "CUBICSPLINE"}
-        Between them.
-    """
+    """One property of one node in time: translation, rotation (quaternion x, y, z, w) or scale."""
 
     node: int
     path: str
     times_s: Doubles
-    values: Doubles
+    values: Doubles  # (k, 3 or 4); of cubic splines (k, 3, 3 or 4): in-tangent, value, out-tangent
     interpolation: Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
     def at(self, time_s: float) -> Doubles:

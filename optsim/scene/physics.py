@@ -32,22 +32,7 @@ _PLATE_M = 0.05
 
 
 def drop(folder: Path, variation: str, duration_s: float, rate_hz: float) -> Table:
-    """Let the populations with ``physics`` fall; return the record of their poses.
-
-    Parameters
-    ----------
-    folder : Path
-        Of ``scene.toml``.
-    variation : str
-        Its number draws places, turns and first velocities; nothing else is random.
-    duration_s, rate_hz : float
-        Length, and poses a second.
-
-    Raises
-    ------
-    ConfigError
-        Without MuJoCo, without such a population, or for a body that MuJoCo refuses.
-    """
+    """Let the populations with ``physics`` fall as a variation draws them; return their poses."""
     try:
         import mujoco  # pyright: ignore[reportMissingImports, reportMissingTypeStubs]
     except ImportError:

@@ -35,53 +35,19 @@ _LENGTHS = (0.8, 1.2)
 
 
 def read_picture(path: Path, channel: Channel | None = None) -> Floats:
-    """Read a reflectance map of linear light, row 0 at the lower edge.
-
-    PNG and JPEG count by the curve that they state, else as sRGB. The content decides, not the name.
-
-    Without a channel it is that of the luminance.
-
-    Raises
-    ------
-    StorageError
-        For a file that is no such picture.
-    ConfigError
-        For a meaning that is not honoured (transparency, layers, other primaries, a turn), or light below 0.
-    """
+    """Read a reflectance map of linear light in a channel (else luminance), row 0 at the lower edge."""
     stat = path.stat()
     return _picture(path, channel, stat.st_mtime_ns, stat.st_size)
 
 
 def read_map(path: Path, key: str) -> Floats:
-    """Read a map of raw numbers, 0..1: no transfer function; row 0 at the lower edge.
-
-    Parameters
-    ----------
-    path : Path
-        PNG, JPEG or OpenEXR.
-    key : str
-        One of :data:`MAPS`: of a normal map all three channels (y, x, 3), of roughness the green, of metal
-        the blue one (y, x), as in glTF.
-
-    Raises
-    ------
-    ConfigError
-        For values outside of 0..1, or a normal map that has no unit vectors.
-    StorageError
-        For a file that is no such picture.
-    """
+    """Read a map of raw numbers, 0..1, by its key: (y, x, 3) of normals, else (y, x); row 0 below."""
     stat = path.stat()
     return _map(path, key, stat.st_mtime_ns, stat.st_size)
 
 
 def checked_map(values: Floats, key: str, where: str) -> Floats:
-    """Check a map: (y, x, 3) of unit vectors, 2 values - 1, for normals; (y, x) of 0..1.
-
-    Raises
-    ------
-    ConfigError
-        With the first pixel that is wrong, counted from the picture's upper left.
-    """
+    """Check a map: (y, x, 3) of unit vectors, 2 values - 1, for normals; (y, x) of 0..1."""
     flat = values if values.ndim == 2 else values.max(axis=2)
     # So written, NaN is wrong too.
     inside = np.logical_and(flat <= 1, (values if values.ndim == 2 else values.min(axis=2)) >= 0)

@@ -24,11 +24,7 @@ def check_indices(path: Path, indices: Ints, count: int, what: str = "vertex") -
 
 
 def triangles(points: Doubles, corners: Ints, counts: Ints) -> tuple[Ints, int]:
-    """Triangulate faces; winding stays.
-
-    Returned are places in ``corners`` (m, 3), and how many outlines cross themselves, so that no cut is
-    right. A fan is kept where all its triangles face as the outline does; others are cut in their own plane.
-    """
+    """Triangulate faces: places in ``corners`` (m, 3), and how many outlines cross themselves."""
     starts = np.cumsum(counts) - counts
     found, crossed = [np.zeros((0, 3), np.int64)], 0
     for n in np.unique(counts[counts > 2]).tolist():
@@ -39,6 +35,7 @@ def triangles(points: Doubles, corners: Ints, counts: Ints) -> tuple[Ints, int]:
         # Their sum is twice the area, along Newell's normal.
         normal = crosses.sum(axis=1)
         ahead = np.einsum("fkc,fc->fk", crosses, normal)
+        # A fan is kept where all its triangles face as the outline does.
         # So written, a vertex that is not finite stays with the fan, and is found later.
         turned: Bools = (ahead < -_FLAT * (normal**2).sum(axis=1, keepdims=True)).any(axis=1)
         length = np.linalg.norm(crosses, axis=2).sum(axis=1)

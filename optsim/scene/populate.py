@@ -118,26 +118,7 @@ class Population(Part):
 
 
 def with_population(table: Table, variation: str, folder: Path, where: str, *, physics: bool = True) -> Table:
-    """Draw the objects of all populations.
-
-    Parameters
-    ----------
-    table : dict
-        A scene's table in one variation.
-    variation : str
-        Its name; the numbers decide, and every name counts as 0.
-    folder : Path
-        Of ``scene.toml``.
-    where : str
-        Name of the file, for messages.
-    physics : bool
-        Whether populations with physics take their poses; otherwise they start as drawn, and go on so.
-
-    Raises
-    ------
-    ConfigError
-        For a bad table, a region that has no room, or poses that are missing or of other objects.
-    """
+    """Draw the objects of all populations; with ``physics`` those that fall take their stored poses."""
     listed = table.get("populate")
     if listed is None:
         return table

@@ -390,11 +390,5 @@ def _expanded(table: Table, variation: str, folder: Path, where: str, *, physics
 
 
 def model_scene(path: Path) -> Scene:
-    """Make a scene that shows a model from a file, its size in the file's own unit.
-
-    Raises
-    ------
-    ConfigError
-        For a file that is no model.
-    """
+    """Make a scene that shows a model from a file, its size in the file's own unit."""
     return build(Scene, with_models(model_table(path), path.resolve().parent, str(path)), where=str(path))

@@ -135,14 +135,7 @@ def irradiance(image: Floats) -> float:
 
 
 def with_sky(table: Table, folder: Path, where: str) -> Table:
-    """Table of a scene with the path and the hash of its sky's picture, which is checked.
-
-    Raises
-    ------
-    ConfigError
-        For a missing file, one outside of the folder, another format or shape, or a value that is negative or
-        not finite.
-    """
+    """Table of a scene with the path and the hash of its sky's picture, which is checked."""
     sky = table.get("sky")
     if not isinstance(sky, Mapping) or cast("Table", sky).get("kind") != "picture":
         return table

@@ -15,10 +15,7 @@ from optsim.footage.recording.film import Pixels, Says, with_channels
 
 
 def exr(path: Path, key: str | None) -> Pixels:
-    """Read the channel ``key``, else R, G and B, else Y or the only one, array (y, x, channel).
-
-    In a file of several parts ``key`` names the part, ``PART`` or ``PART.CHANNEL``, or a channel of one only.
-    """
+    """Read channel ``key``, PART or PART.CHANNEL, else R, G, B, else Y or the only one: (y, x, channel)."""
     part, channel = _chosen(path, exr_parts(path), key)
     names = [channel] if channel is not None else _light(path, part, part.stored)
     channels = part.pixels(path)

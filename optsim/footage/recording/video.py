@@ -210,24 +210,8 @@ def _full_scale(codes: NDArray[Any], bits: int, *, limited: bool) -> NDArray[np.
 
 
 def rgb_of(codes: Doubles, bits: int, luma: tuple[float, float], *, full: bool) -> NDArray[np.uint16]:
-    """Turn Y'CbCr codes into R'G'B' (ITU-R BT.709-6, items 3.2 to 3.5, with any luma weights).
-
-    Parameters
-    ----------
-    codes : ndarray of shape (y, x, 3), float64
-        Y', Cb and Cr.
-    bits : int
-        Bits of the codes.
-    luma : tuple of float
-        Weights of red and blue in Y'.
-    full : bool
-        Codes fill 0 .. 2**bits - 1, rather than 16 .. 235 and 240 of 255.
-
-    Returns
-    -------
-    ndarray of shape (y, x, 3), uint16
-        Scaled to 65535; colours outside the cube are clipped.
-    """
+    """Turn Y'CbCr codes (y, x, 3) into R'G'B' of 16 bits; ``luma`` weighs red and blue."""
+    # ITU-R BT.709-6, items 3.2 to 3.5, with any luma weights.
     unit = 2.0 ** (bits - 8)
     black, white, chroma = (
         (0.0, 2.0**bits - 1, 2.0**bits - 1) if full else (16 * unit, 235 * unit, 224 * unit)
