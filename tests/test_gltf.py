@@ -338,6 +338,8 @@ def test_wrap_modes_are_followed(tmp_path, wrap, named):
     if wrap != 33071:
         with pytest.raises(OptsimError, match=rf"wrap modes {named} and clamp along u and v"):
             load(tmp_path, with_sampler(tall, wrapS=wrap, wrapT=33071))
+    with pytest.raises(OptsimError, match=r"baseColorTexture: its sampler has the wrap mode 10496"):
+        load(tmp_path, with_sampler(content, wrapS=10496))
 
 
 def with_sampler(content, **keys):
@@ -385,7 +387,9 @@ def test_hidden_nodes_do_not_show_and_files_without_a_scene_show_all_roots(tmp_p
     assert len(read_model(tmp_path / "it.gltf").parts) == 2
 
 
-@pytest.mark.parametrize("name", ["my%20tri.bin", "sub\\tri.bin", "sub%2Ftri.bin", "a%b.bin"])
+@pytest.mark.parametrize(
+    "name", ["my%20tri.bin", "sub\\tri.bin", "sub%5Ctri.bin", "a%b.bin", "C:\\Users\\me\\my%20tri.bin"]
+)
 def test_names_are_decoded(tmp_path, name):
     content = bare()
     data = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
@@ -422,6 +426,7 @@ def test_a_node_of_scale_0_at_rest_grows_in_the_scene(tmp_path):
         (("materials", 0, "extensions"), {"KHR_materials_clearcoat": {}}, "KHR_materials_clearcoat"),
         (("extensionsUsed",), ["KHR_lights_punctual"], "KHR_lights_punctual"),
         (("cameras",), [{}], "cameras"),
+        (("materials", 0, "alphaMode"), "HASHED", "alphaMode HASHED"),
         (("scenes",), [{"nodes": [0]}, {"nodes": []}], "scenes but the first shown"),
         (("meshes", 0, "primitives"), "lines", "lines"),
         ((*BASE, "texCoord"), 0, None),

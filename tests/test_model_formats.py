@@ -138,7 +138,6 @@ def test_obj_text_of_every_kind_is_read(tmp_path, text, triangles, area):
         (V + "curv2 1 2\nf 1 2 3\n", r"line 5: got 'curv2 1 2', which is not read; export polygons"),
         (V + "l 1 2\n", r"got no triangles \(l\), expected a mesh"),
         (V.replace("v 0 0 0", "v nan 0 0") + "f 1 2 3\n", "got a vertex that is not finite"),
-        ("v 0 0 0 1 0 900\n" + V + "f 1 2 3\n", r"got a vertex with colour 900, expected 0 to 1"),
     ],
 )
 def test_a_bad_obj_is_said_in_a_line(tmp_path, text, message):
@@ -313,6 +312,8 @@ def test_what_a_surface_cannot_show_is_refused_unless_it_has_another(painted, st
         ("Kd 1 1 1\nKe 0 2 0", "ke"),
         ("Kd 1 1 1\nbump t.png", "bump"),
         ("Kd 1 1 1\nTf 0.5 1 1", "tf"),
+        ("d -halo 0.5", "d -halo"),
+        ("Kd 0 0 0\nmap_Kd t.png", "map_kd, which Kd 0 makes black"),
         ("map_Kd -blendu off t.png", "map_kd -blendu"),
         ("Kd 2 1 1", r"a colour or number beyond 0 to 1 \(clipped\)"),
     ],
@@ -373,6 +374,36 @@ def test_colours_at_vertices_are_srgb_and_equal_ones_are_the_surfaces(tmp_path):
     np.testing.assert_allclose(surface.colour, 0.5028865, atol=1e-6)
 
 
+@pytest.mark.parametrize("bad", ["0 0 -1", "0 1.2 0", "0 nan 0", "0.5 0 255"])
+def test_colours_beyond_their_range_are_refused_unless_the_scene_has_a_material(tmp_path, bad):
+    written(tmp_path, V.replace("\n", f" {bad}\n", 1) + "f 1 2 3\n")
+    with pytest.raises(OptsimError, match=r"m\.obj: colours at vertices that are not 0 to 1, .*; cure: "):
+        load(tmp_path)
+    assert load(tmp_path, more='material = "grey"\n').objects["it"].material == "grey"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("v 0 0 0 1 0 0 1\n", "numbers of a vertex beyond three of place and three of colour"),
+        ("#MRGB ffff0000\n", "#MRGB"),
+        ("\0\0\n", "what is no text"),
+    ],
+)
+def test_what_an_obj_has_beyond_is_said(tmp_path, text, said):
+    written(tmp_path, V + text + "f 1 2 3\n")
+    with pytest.warns(UserWarning, match=rf"m\.obj: left out: {said}$"):
+        load(tmp_path)
+
+
+def test_names_with_a_number_sign_and_japanese_ones_are_whole(tmp_path):
+    written(tmp_path, "newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nKd 0 1 0\n", "m.mtl")
+    text = f"mtllib m.mtl\ng ソ\n{V}usemtl Material #26\nf 1 2 3 #26\n"
+    ((surface, mesh),) = read_model(written(tmp_path, text.encode("shift-jis"))).parts
+    np.testing.assert_array_equal(surface.colour, [0, 1, 0])
+    assert len(mesh.faces) == 1
+
+
 def test_colours_of_faces_split_the_vertices_between_them(tmp_path):
     points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)]
     faces, shades = [(0, 1, 2), (0, 2, 3), (1, 4, 2)], [(255, 0, 0), (255, 0, 0), (0, 0, 255)]
@@ -417,7 +448,7 @@ def test_texture_coordinates_of_a_ply_are_there_for_a_material_of_the_scene(tmp_
         (("element face 1", "element edge 1"), "got no triangles"),
         (("element face 1", "element face 0"), "got no triangles"),
         (("property float x", "property float w"), "its vertices have no x, y and z"),
-        (("uchar red", "float red"), r"got a vertex with colour 256, expected 0 to 1"),
+        (("3 0 1 2", "3 0 1 1.5"), "face vertex_indices holds what is no int"),
         (("256 0 0", "256 0 0"), r"vertex red holds what is no uchar"),
         (("3 0 1 2", "4 0 1 2"), "it ends after 0 of 1 rows of 'face'"),
     ],
@@ -436,6 +467,10 @@ def test_what_a_ply_has_beyond_is_said(tmp_path):
     text = ply([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)], nx=[0.0] * 3, alpha=[255, 255, 0])
     written(tmp_path, text.replace("\nelement", "\ncomment TextureFile a.png\nelement", 1), "m.ply")
     said = r"a picture \(TextureFile\), vertex nx, vertex alpha"
+    half = ply([(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 1, 2)], alpha=[128] * 3)
+    written(tmp_path, half, "half.ply")
+    with pytest.warns(UserWarning, match=r"half\.ply: left out: vertex alpha"):
+        load(tmp_path, "half.ply")
     with pytest.warns(UserWarning, match=rf"m\.ply: left out: {said}"):
         load(tmp_path, "m.ply")
 

@@ -64,7 +64,11 @@ def gltf(path, channels):
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "arm", "children": [1], "translation": [0, 0, 5]}, {"name": "tip", "mesh": 0}],
+        "nodes": [
+            {"name": "arm", "children": [1], "translation": [0, 0, 5]},
+            {"name": "tip", "mesh": 0},
+            {"matrix": [1.0, 0, 0, 0] * 4},
+        ],
         "meshes": [{"primitives": [{"attributes": {"POSITION": points}, "indices": faces}]}],
         "accessors": accessors,
         "bufferViews": views,
@@ -155,6 +159,9 @@ def test_a_mover_plays_it_in_the_scenes_frame(tmp_path, keys, time, place):
         ([TURN], "spin_hz = 2.0", r"movers\.arm\.spin_hz: got it beside an animation"),
         ([(0, "rotation", "LINEAR", [[0, 0, 0, np.nan]] * 3)], "", "arm.gltf cannot be read"),
         ([(0, "rotation", "LINEAR", [[0, 0, 0, 1]] * 2)], "", "arm.gltf cannot be read"),
+        ([(0, "rotation", "LINEAR", [[0, 0, 0, 1], [0] * 4, [0, 0, 0, 1]])], "", "a rotation is 0"),
+        ([(1, "scale", "BEZIER", [[1, 1, 1]] * 3)], "", "its interpolation is 'BEZIER'"),
+        ([(2, "rotation", "LINEAR", [[0, 0, 0, 1]] * 3)], "", r"nodes\[2\] has a matrix, which anim"),
     ],
 )
 def test_what_does_not_play_is_said(tmp_path, channels, keys, message):

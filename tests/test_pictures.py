@@ -56,6 +56,10 @@ def test_an_exr_is_taken_by_meaning(tmp_path, channels, value):
         ({"R": 0.5, "G": 0.5}, {}, "got the channels G, R, expected"),
         ({"view_R": 0.5, "view_G": 0.5, "view_B": 0.5}, {}, r"got the channels view\.B, view\.G, view\.R"),
         ({"Y": 0.25, "A": 0.5}, {}, "got alpha down to 0.5, expected an opaque picture"),
+        ({"X": 0.1, "Y": 0.2, "Z": 0.3}, {}, "got the channels X, Y, Z, expected"),
+        ({"Y": 0.25, "RY": 0.1, "BY": 0.1}, {}, "got the channels BY, RY, Y, expected"),
+        ({"Depth_V": 3.0}, {}, r"got the channels Depth\.V, expected"),
+        ({"alpha": 1.0}, {}, "got the channels alpha, expected"),
         ({"Y": -0.5, "x": 1.0}, {}, "got -0.5 in row 0, column 0, expected finite values"),
         (
             {"R": 0.2, "G": 0.2, "B": 0.2},
@@ -146,6 +150,37 @@ def test_a_colour_profile_is_honoured(tmp_path):
             assert seen.mean() == pytest.approx(((200 / 255 + 0.055) / 1.055) ** 2.4, rel=0.03)
 
 
+def linear_profile(kind="RGB "):
+    """Profile of linear light that calls itself sRGB, as GIMP's does."""
+    number = struct.Struct(">i").pack
+
+    def place(*xyz):
+        return b"XYZ \0\0\0\0" + b"".join(number(round(65536 * value)) for value in xyz)
+
+    name, curve = b"GIMP built-in Linear sRGB\0", b"curv" + bytes(8)
+    named = b"desc\0\0\0\0" + struct.pack(">I", len(name)) + name + bytes(78)
+    tags = {b"desc": named + bytes(-len(named) % 4), b"wtpt": place(0.9642, 1, 0.8249)}
+    if kind == "GRAY":
+        tags[b"kTRC"] = curve
+    else:
+        tags |= {b"rXYZ": place(0.436, 0.2225, 0.0139), b"gXYZ": place(0.3851, 0.7169, 0.0971)}
+        tags |= {b"bXYZ": place(0.1431, 0.0606, 0.7141), b"rTRC": curve, b"gTRC": curve, b"bTRC": curve}
+    table, body = struct.pack(">I", len(tags)), b""
+    for key, content in tags.items():
+        table += key + struct.pack(">II", 132 + 12 * len(tags) + len(body), len(content))
+        body += content
+    head = b"lcms" + struct.pack(">I", 0x02100000) + b"mntr" + kind.encode() + b"XYZ " + bytes(12) + b"acsp"
+    head += bytes(28) + number(63190) + number(65536) + number(54061) + bytes(48)
+    return struct.pack(">I", 132 + 12 * len(tags) + len(body)) + head + table + body
+
+
+@pytest.mark.parametrize(("mode", "kind"), [("RGB", "RGB "), ("L", "RGB "), ("L", "GRAY"), ("LA", "GRAY")])
+def test_a_profile_counts_by_what_it_does_not_by_its_name(tmp_path, mode, kind):
+    fill = {"L": 51, "LA": (51, 255), "RGB": (51, 51, 51)}[mode]
+    Image.new(mode, (2, 2), fill).save(tmp_path / "a.png", icc_profile=linear_profile(kind))
+    np.testing.assert_allclose(read_picture(tmp_path / "a.png"), 0.2, atol=2e-3)
+
+
 def jpeg(path, mode="RGB", **options):
     Image.new(mode, (8, 8)).save(path, format="JPEG", **options)
 
@@ -169,6 +204,11 @@ def moving(path):
         (lambda path: Image.new("RGB", (4, 4)).save(path, "PNG", transparency=(0, 0, 0)), "alpha down to 0"),
         (lambda path: jpeg(path, "CMYK"), "colours of kind CMYK"),
         (turned, "EXIF orientation 6"),
+        (
+            lambda path: Image.new("RGB", (4, 4)).save(path, "PNG", icc_profile=linear_profile("GRAY")),
+            "colours with a profile of greys",
+        ),
+        (lambda path: png(path, np.full((2, 2, 2), 65535), 4, 16), "16 bits with transparency"),
         (moving, "an animation"),
         (lambda path: Image.new("RGB", (4, 4)).save(path, "GIF"), "cannot be read as a PNG, JPEG"),
         (

@@ -66,6 +66,9 @@ def test_what_a_header_declares_counts(tmp_path):
     np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [64.25, 32.25, 0.25])
     (tmp_path / "a.hdr").write_bytes(flat(head=b"COLORCORR=2 1 0.5\nEXPOSURE=2\nCOLORCORR= 1 4 1\n"))
     np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [128.5 / 4, 64.5 / 8, 0.5])
+    # Indented lines are of the pictures that this one was made from.
+    (tmp_path / "a.hdr").write_bytes(flat(head=b"pcomb a.hdr\n\tEXPOSURE=9\n\tFORMAT=32-bit_rle_xyze\n"))
+    np.testing.assert_allclose(rgbe_pixels(tmp_path / "a.hdr")[0, 1] * 128, [128.5, 64.5, 0.5])
     # Linear light, row 0 below.
     image = flat(b"-Y 2 +X 1", pixels=bytes([128, 128, 128, 129, 0, 0, 0, 0]))
     (tmp_path / "a.hdr").write_bytes(image)

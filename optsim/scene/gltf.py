@@ -105,7 +105,7 @@ class Gltf:
         if not uri.startswith("data:"):
             return content_beside(self.path, uri)
         kind, _, text = uri.partition(",")
-        return base64.b64decode(text) if kind.endswith(";base64") else unquote_to_bytes(text)
+        return base64.b64decode(text) if kind.lower().endswith(";base64") else unquote_to_bytes(text)
 
     def picture(self, texture: object) -> bytes:
         """Content of a texture's picture."""

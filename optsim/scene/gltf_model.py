@@ -53,6 +53,7 @@ def read_gltf(path: Path) -> tuple[list[Piece], str, Nodes]:
                 pieces.append(replace(_piece(gltf, primitive, where, surfaces), node=number))
             else:
                 lost.append(f"{where} without POSITION")
+    lost += [] if pieces or lost else ["its scene shows no mesh"]
     return pieces, listed(*lost), nodes
 
 
@@ -129,16 +130,18 @@ def _surface(gltf: Gltf, material: Header, where: str, alpha: float) -> _Found:
     factor = np.asarray(base.get("baseColorFactor", (1, 1, 1, 1)), np.float64)
     # glTF 2.0: both factors are 1 by default.
     roughness, metallic = (float(base.get(key, 1.0)) for key in ("roughnessFactor", "metallicFactor"))
-    lost, refused = [*extensions], ""
+    lost, refused, places = [*extensions], "", list[Placement]()
     lost += ["emission"] if any(material.get("emissiveFactor", [])) else []
     surface = Surface(str(material.get("name", "")), factor[:3], None, None, 1.0, roughness, metallic)
     mode, opacity = material.get("alphaMode", "OPAQUE"), float(factor[3]) * alpha
+    lost += [f"alphaMode {mode}"] if mode not in ("OPAQUE", "MASK", "BLEND") else []
     for key, texture in textures.items():
         sampler = gltf.entry("textures", texture["index"]).get("sampler")
         if sampler is not None and gltf.entry("samplers", sampler).get("magFilter") == _NEAREST:
             lost.append("unfiltered pictures (magFilter NEAREST)")
         try:
             content = gltf.picture(texture["index"])
+            places.append(_placement(gltf, texture))
             for each in _MAPS[key]:
                 surface = shared.with_picture(surface, each, content, float(texture.get("scale", 1.0)))
         except (ValueError, OptsimError) as error:
@@ -155,7 +158,7 @@ def _surface(gltf: Gltf, material: Header, where: str, alpha: float) -> _Found:
         lost=listed(*lost, surface.lost),
         refused=refused,
     )
-    return surface, tuple(_placement(gltf, texture) for texture in textures.values())
+    return surface, tuple(places)
 
 
 def _placement(gltf: Gltf, texture: Header) -> Placement:
@@ -163,6 +166,9 @@ def _placement(gltf: Gltf, texture: Header) -> Placement:
     moved = texture.get("extensions", {}).get("KHR_texture_transform", {})
     sampler = gltf.entry("textures", texture["index"]).get("sampler")
     about = {} if sampler is None else gltf.entry("samplers", sampler)
+    wraps = [about.get(key, 10497) for key in ("wrapS", "wrapT")]
+    if unknown := {*wraps} - {*_WRAPS}:
+        raise ValueError(f"its sampler has the wrap mode {unknown.pop()}")
     cos, sin = np.cos(moved.get("rotation", 0.0)), np.sin(moved.get("rotation", 0.0))
     (wide, high), (right, down) = moved.get("scale", (1, 1)), moved.get("offset", (0, 0))
     # Of coordinates with v down.
@@ -171,5 +177,5 @@ def _placement(gltf: Gltf, texture: Header) -> Placement:
     return Placement(
         moved.get("texCoord", texture.get("texCoord", 0)),
         tuple((over @ matrix @ over)[:2].ravel().tolist()),
-        (_WRAPS[about.get("wrapS", 10497)], _WRAPS[about.get("wrapT", 10497)]),
+        (_WRAPS[wraps[0]], _WRAPS[wraps[1]]),
     )

@@ -33,7 +33,7 @@ def check_files(path: Path, folder: Path, where: str, *, shown: bool) -> None:
         if shown and not file.is_file():
             raise ConfigError(
                 f"{where}: {path.name} names {name!r}, but there is no such file; cure: copy it there too, "
-                "or give the object a material of the scene"
+                "or, unless it is a buffer, give the object a material of the scene"
             )
 
 

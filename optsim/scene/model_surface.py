@@ -91,10 +91,15 @@ def tinted(surface: Surface, colours: Doubles | None, *, plain: bool) -> tuple[S
     """Combine with linear colours (n, 3) at vertices, whose mean counts beside a picture."""
     if colours is None or not len(colours):
         return surface, None
+    if not np.isfinite(colours).all():
+        said = "colours at vertices that are not 0 to 1, or whole to 255"
+        return replace(surface, refused=listed(surface.refused, said)), None
+    beyond = np.abs(colours - np.clip(colours, 0, 1)).max() > 1e-6
     colours, own = np.clip(colours, 0, 1), np.ones(3) if plain else surface.colour
     varied, lost = bool(np.ptp(colours, axis=0).max() > 1e-6), surface.lost
+    lost = listed(lost, "colours at vertices beyond 0 to 1 (clipped)") if beyond else lost
     if varied and surface.picture is None:
-        return replace(surface, colour=np.ones(3)), (colours * own).astype(np.float32)
+        return replace(surface, colour=np.ones(3), lost=lost), (colours * own).astype(np.float32)
     if varied:
         lost = listed(lost, "colours at vertices beside a picture (their mean counts)")
     return replace(surface, colour=own * colours.mean(axis=0), lost=lost), None
@@ -118,16 +123,17 @@ def decoded(content: bytes) -> tuple[NDArray[Any], str]:
                 return np.concatenate([grey, grey, grey, np.full_like(grey, 65535)], axis=2), lost
             return np.ascontiguousarray(np.asarray(picture.convert("RGBA"))[::-1]), lost
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {error}") from None
+        why = str(error).partition(" <_io")[0]
+        raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {why}") from None
 
 
-def linear_colours(path: Path, values: NDArray[Any]) -> Doubles:
-    """Linear colours of sRGB ones, (n, 3): whole numbers to 255 or of 16 bits, or others of 0 to 1."""
+def linear_colours(values: NDArray[Any]) -> Doubles:
+    """Linear colours of sRGB ones, (n, 3): whole numbers to 255 or of 16 bits, or 0 to 1; NaN of others."""
     largest = float(values.max(initial=0))
     whole = values.dtype.kind in "iu" or (largest > 1 and bool((values == np.rint(values)).all()))
     most = float(np.iinfo(values.dtype).max) if values.dtype == np.uint16 else 255.0 if whole else 1.0
     if not (values.min(initial=0) >= 0 and largest <= most):
-        raise ConfigError(f"{path}: got a vertex with colour {largest:g}, expected 0 to 1, or whole to 255")
+        return np.full(values.shape, np.nan)
     return srgb_to_linear(values.astype(np.float64) / most)
 
 
@@ -156,10 +162,11 @@ def with_picture(surface: Surface, key: str, content: bytes, scale: float = 1.0)
 
 
 def beside(path: Path, name: str) -> Path:
-    """Where a name in a file leads: as it stands, else with slashes for backslashes, else percent-decoded."""
-    slashed = name.replace("\\", "/")
-    places = [path.parent / each for each in (name, slashed, unquote(slashed))]
-    return next((place for place in places if place.is_file()), places[-1]).resolve()
+    """Where a name in a file leads: as it stands, slashed, percent-decoded, or by its last part alone."""
+    slashed, decoded = name.replace("\\", "/"), unquote(name).replace("\\", "/")
+    last = decoded.rpartition("/")[2]
+    places = [path.parent / each for each in (name, slashed, decoded, last)]
+    return next((place for place in places if place.is_file()), places[2]).resolve()
 
 
 def content_beside(path: Path, name: str) -> bytes:

@@ -106,6 +106,10 @@ def read_nodes(gltf: Gltf) -> Nodes:
             for each in animation["channels"]
             if each["target"].get("path") in _PATHS and "node" in each["target"]
         ]
+        # What an animation leaves of a matrix is unknown, unless it states all three.
+        moved = [each.node for each in channels]
+        if bad := [node for node in moved if "matrix" in nodes[node] and moved.count(node) < len(_PATHS)]:
+            raise ValueError(f"nodes[{bad[0]}] has a matrix, which animations[{number}] changes in part")
         if channels:
             return Nodes(nodes, tuple(roots), tuple(channels))
     return Nodes(nodes, tuple(roots), ())
@@ -123,6 +127,10 @@ def _channel(gltf: Gltf, animation: dict[str, Any], channel: dict[str, Any], whe
         raise ValueError(f"{where}: its keyframes don't fit its values")
     if not (np.diff(times) > 0).all():
         raise ValueError(f"{where}: its times don't increase")
+    if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
+        raise ValueError(f"{where}: its interpolation is {kind!r}")
+    if target["path"] == "rotation" and not (values[:, 1] if kind == "CUBICSPLINE" else values).any(1).all():
+        raise ValueError(f"{where}: a rotation is 0")
     return Channel(target["node"], target["path"], times, values, kind)
 
 

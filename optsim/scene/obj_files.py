@@ -29,6 +29,8 @@ _HONOURED = {"-s": 3, "-o": 3, "-clamp": 1}
 _HARMLESS = dict.fromkeys(("-blendu", "-blendv", "-boost", "-texres", "-bm", "-cc", "-colorspace"), 1)
 _IDLE = {"-mm": ["0", "1"], "-t": ["0", "0", "0"], "-type": ["none"], "-imfchan": ["m"]}
 _OPTIONS = _HONOURED | _HARMLESS | {"-t": 3, "-mm": 2, "-imfchan": 1, "-type": 1}
+# Kept are 3ds Max's names, as in "usemtl Material #25", and ZBrush's colours, which are said.
+_COMMENT = re.compile(r"^(\s*(?:use|new)mtl\s.*\s#\d+\s*)$|(?:^|[ \t])#(?!MRGB).*", re.IGNORECASE)
 _WHOLE = re.compile(r"-?\d+").fullmatch
 Library = dict[str, dict[str, str]]
 
@@ -77,17 +79,18 @@ def lines_of(path: Path) -> list[str]:
     """Lines of a text of any common encoding, without comments, those that go on joined."""
     content = path.read_bytes()
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text = content.decode("utf-16")
+        text = content.decode("utf-16", "replace")
     elif b"\0" in content[:2]:
-        text = content.decode("utf-16-be" if content[:1] == b"\0" else "utf-16-le")
+        text = content.decode("utf-16-be" if content[:1] == b"\0" else "utf-16-le", "replace")
     else:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("latin-1")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    lines = [re.sub(r"(^|[ \t])#.*", "", line) if "#" in line else line for line in text.split("\n")]
-    return re.sub(r"\\[ \t]*\n", " ", "\n".join(lines)).split("\n") if "\\" in text else lines
+    lines = [_COMMENT.sub(r"\1", line) if "#" in line else line for line in text.split("\n")]
+    # A backslash after a letter beyond ASCII may be the second half of a Japanese one.
+    return re.sub(r"(?<![^\0-\x7f])\\[ \t]*\n", " ", "\n".join(lines)).split("\n") if "\\" in text else lines
 
 
 def parse_obj(path: Path) -> ObjText:
@@ -131,7 +134,7 @@ def parse_obj(path: Path) -> ObjText:
                 why = "which is not read; export polygons"
                 raise ValueError
             elif key not in _NAMES:
-                lost[key] = None
+                lost[key if key.isprintable() else "what is no text"] = None
         except ValueError:
             raise StorageError(
                 f"{path}: line {number}: got {line.strip()[:60]!r}, {why}; cure: export it again"
@@ -172,9 +175,11 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
         materials = {name: (library, each) for name, each in stated.items()} | materials
     points, lost, pieces = text.columns(0, 0.0), [text.lost], list[Piece]()
     coded = None
+    if {*text.widths} - {3, 4, 6}:
+        lost.append("numbers of a vertex beyond three of place and three of colour")
     if max(text.widths, default=0) >= 6:
         # White for a vertex without.
-        coded = shared.linear_colours(path, text.columns(3, 1.0))
+        coded = shared.linear_colours(text.columns(3, 1.0))
     flat = np.array([*text.coordinates, 0.0, 0.0]).reshape(-1, 2)
     for name, group in text.faces.items():
         vertices, coordinates = group.indices()
@@ -256,6 +261,8 @@ def _material(
         surface = _by_numbers(surface, stated)
     except ValueError as error:
         refused = f"material {name!r}: {error}"
+    lost += ["d -halo"] if "-halo" in stated.get("d", "") else []
+    lost += ["map_kd, which Kd 0 makes black"] if "map_kd" in stated and not surface.colour.any() else []
     for key in [each for each in _MAPS if each in stated]:
         file, options = _map(stated[key])
         lost += [f"{key} {option}" for option in options if option in _HARMLESS]

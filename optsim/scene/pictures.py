@@ -6,7 +6,7 @@ import functools
 import io
 import warnings
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ MAPS = ("normal_map", "roughness_map", "metallic_map")
 """Keys of a material's maps of raw numbers."""
 # Channel of a map of one number; glTF 2.0 packs both into one picture. Of grey it is all the same.
 _CHANNEL = {"roughness_map": 1, "metallic_map": 2}
+# Grey, red, green and blue in all codes.
+_RAMPS = (np.arange(256)[:, None] * [[[1, 1, 1]], [[1, 0, 0]], [[0, 1, 0]], [[0, 0, 1]]]).astype(np.uint8)
 # Shortest and longest median vector of a normal map; a unit vector in 8 bits is off by at most 1 %.
 _LENGTHS = (0.8, 1.2)
 
@@ -150,7 +152,8 @@ def _coded(path: Path, raw: bool) -> Doubles:
 
     with reading(path, _WHAT), Image.open(path, formats=("PNG", "JPEG")) as picture:
         # First of all: other questions load the pixels.
-        mode, deep = picture.mode, "16" in str(picture.tile[0].args) or picture.mode.startswith("I")
+        mode, stored = picture.mode, str(picture.tile[0].args)
+        deep = "16" in stored or mode.startswith("I")
         curve, primaries = png_meaning(path) if picture.format == "PNG" else (None, None)
         turned = picture.getexif().get(274, 1)
         moving = picture.format == "PNG" and getattr(picture, "is_animated", False)
@@ -158,15 +161,16 @@ def _coded(path: Path, raw: bool) -> Doubles:
         profile = None if raw or curve is not None else picture.info.get("icc_profile")
         if profile is not None:
             profile = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-            # Profiles of sRGB differ in their last digits only.
-            if "srgb" in ImageCms.getProfileDescription(profile).lower():
+            # What it does to greys and primaries counts: linear ones, too, are called sRGB.
+            if np.abs(_by_profile(Image.fromarray(_RAMPS), profile) - _RAMPS / 255).max() < 0.01:
                 profile = None
         wrong = {
             f"EXIF orientation {turned}": turned != 1,
             "an animation": moving,
             f"colours of kind {mode}": mode not in ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16"),
-            "16 bits with transparency": deep and clear and mode != "RGBA",
+            "16 bits with transparency": deep and clear and not stored.startswith("RGBA"),
             "16 bits with a colour profile": deep and profile is not None,
+            "colours with a profile of greys": _of_greys(profile) and mode not in ("1", "L", "LA"),
             f"the curve {curve}": not raw and curve not in _CURVES and not str(curve).startswith("gamma "),
             f"{primaries}": not raw and primaries not in (None, "BT.709"),
         }
@@ -184,12 +188,24 @@ def _coded(path: Path, raw: bool) -> Doubles:
             )
             values = values.astype(np.float64) / 65535
         elif profile is not None:
-            cms, plain = cast("Any", ImageCms), picture if mode in ("L", "RGB") else picture.convert("RGB")
-            seen = cms.profileToProfile(plain, profile, cms.createProfile("sRGB"), outputMode="RGB")
-            values = np.asarray(seen, np.float64) / 255
+            values = _by_profile(picture, profile)
         else:
             values = np.asarray(picture.convert("RGB"), np.float64) / 255
     if raw or curve == "linear":
         return values
     exponent = str(curve).partition("gamma ")[2]
     return values ** float(exponent) if exponent else srgb_to_linear(values)
+
+
+def _of_greys(profile: Any) -> bool:
+    return profile is not None and profile.profile.xcolor_space.strip() == "GRAY"
+
+
+def _by_profile(picture: Any, profile: Any) -> Doubles:
+    """Colours of a picture of 8 bits in sRGB, 0..1, (y, x, 3)."""
+    from PIL import ImageCms
+
+    cms: Any = ImageCms
+    plain = picture.convert("L" if _of_greys(profile) else "RGB")
+    seen = cms.profileToProfile(plain, profile, cms.createProfile("sRGB"), outputMode="RGB")
+    return np.asarray(seen, np.float64) / 255

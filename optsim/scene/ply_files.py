@@ -83,13 +83,14 @@ def read_ply(path: Path) -> tuple[list[Piece], str]:
     lost = [f"the outline of {crossed} faces that cross themselves"] if crossed else []
     lost += [element for element in ply.columns if element not in ("vertex", "face")] + ply.pictures
     read = {*"xyz", *_INDICES}
-    tints, by_face = (_chosen(path, each, _COLOURS, read) for each in (vertex, face))
-    uv = _chosen(path, vertex, _COORDINATES, read)
-    if "alpha" in vertex and len(np.unique(vertex["alpha"])) == 1:
+    tints, by_face = (_chosen(each, _COLOURS, read) for each in (vertex, face))
+    uv = _chosen(vertex, _COORDINATES, read)
+    if "alpha" in vertex and (vertex["alpha"] == (255 if vertex["alpha"].dtype == np.uint8 else 1)).all():
         read.add("alpha")
     for kind in ("vertex", "face"):
         lost += [f"{kind} {name}" for name in ply.columns.get(kind, ()) if name not in read]
     used = corners[faces]
+    lost += ["colours of faces"] if tints is not None and by_face is not None else []
     if tints is None and by_face is not None:
         # Vertices are split where faces of several colours share them.
         rows = np.concatenate([corners[:, None], np.repeat(by_face, counts.astype(np.int64), axis=0)], axis=1)
@@ -101,21 +102,21 @@ def read_ply(path: Path) -> tuple[list[Piece], str]:
 
 
 def _chosen(
-    path: Path, columns: dict[str, _Numbers], names: tuple[tuple[str, ...], ...], read: set[str]
+    columns: dict[str, _Numbers], names: tuple[tuple[str, ...], ...], read: set[str]
 ) -> Doubles | None:
     """Columns by the first names that are there, side by side; colours linear."""
     for each in names:
         if {*each} <= {*columns}:
             read.update(each)
             rows = np.stack([columns[name] for name in each], axis=-1)
-            return linear_colours(path, rows) if len(each) == 3 else rows.astype(np.float64)
+            return linear_colours(rows) if len(each) == 3 else rows.astype(np.float64)
     return None
 
 
 def parse_ply(path: Path) -> PlyContent:
     """Read all elements of a file."""
-    content = path.read_bytes()
-    if (end := re.search(rb"end_header[ \t]*(\r\n|\n|\r)", content)) is None:
+    content = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    if (end := re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", content)) is None:
         raise ValueError("its header has no end")
     head = content[: end.start()]
     order, elements = _header(head.decode("ascii", errors="replace"))
@@ -127,7 +128,7 @@ def parse_ply(path: Path) -> PlyContent:
     for element in elements:
         columns, at = _columns(element, body, at, order)
         for name, _, number in element.properties:
-            if number.startswith("u") and not order:
+            if not _TYPES.get(number, "f").startswith("f") and not order:
                 typed = columns[name].astype(_TYPES[number])
                 if (typed != columns[name]).any():
                     raise ValueError(f"{element.name} {name} holds what is no {number}")

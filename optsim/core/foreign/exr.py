@@ -18,8 +18,8 @@ from optsim.core.errors import StorageError, ValueCheckError
 from optsim.core.foreign import check_memory, one_line, reading
 
 _WHAT = "OpenEXR"
-# Names that the format reserves for depth and opacity.
-_NO_LIGHT = {"Z", "ZBack", "A", "AR", "AG", "AB"}
+# Names of depth and opacity, reserved by the format or usual, and of what is no light; in capitals.
+_NO_LIGHT = {"Z", "ZBACK", "A", "AR", "AG", "AB", "ALPHA", "DEPTH", "MASK", "ID", "X", "U"}
 # The library prints damage to stderr: one reader at a time may capture it.
 _PRINTED = Lock()
 
@@ -113,9 +113,11 @@ def light_channels(channels: Collection[str]) -> list[str]:
     """Names of the channels of light: R, G and B, else Y, else the only one; none where it is unclear."""
     if {"R", "G", "B"} <= set(channels):
         return ["R", "G", "B"]
+    # Beside X it is a place or CIE's Y; beside RY and BY it has lost its colour.
     if "Y" in channels:
-        return ["Y"]
-    return list(channels) if len(channels) == 1 and not _NO_LIGHT & set(channels) else []
+        return [] if {"X", "RY", "BY"} & set(channels) else ["Y"]
+    words = {word for name in channels for word in name.upper().split(".")}
+    return list(channels) if len(channels) == 1 and not _NO_LIGHT & words else []
 
 
 def only_part(path: Path, cure: str) -> ExrPart:

@@ -57,7 +57,8 @@ def _head(content: bytes) -> tuple[int, int, NDArray[np.float64], int]:
     exposure = np.ones(3)
     for line in head.decode("latin-1").splitlines()[1:]:
         key, _, value = line.partition("=")
-        match key.strip():
+        # What is indented is of the pictures that this one was made from.
+        match key.rstrip():
             case "FORMAT" if value.strip() != "32-bit_rle_rgbe":
                 raise ValueError(f"its format is {value.strip()}")
             case "EXPOSURE":
