@@ -2,8 +2,10 @@
 
 ``validation/<effect>/check.py`` states CLAIM, ORACLE, SOURCE, TOLERANCE with its REASON, and FILES, measures
 a deviation, and measures it again on a stage broken on purpose. ``optsim validate --write`` stores the
-records in ``evidence.json`` beside this file, each with a hash of the files that it covers. An effect is
-*unvalidated* without a passing record or after a change of its files, and every report says so.
+records in ``evidence.json`` beside this file, each with a hash of the code that it covers. A file that FILES
+names is covered. One that a wildcard of FILES matches is covered where imports reach it: those of the check,
+or of a named file. An effect is *unvalidated* without a passing record or after a change of covered code, and
+every report says so.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import cast
 
-from optsim.core.code_hash import hash_code
+from optsim.core.code_hash import hash_code, imports_of
 from optsim.core.errors import StorageError, unknown_name
 from optsim.core.files import read_json, write_json
 from optsim.core.folder_claims import claimed_file
@@ -121,6 +123,8 @@ class Evidence:
         Hash of the covered code (:func:`hash_code`).
     files : list of str
         Globs of the covered files.
+    imports : list of str
+        Dotted names that the check imports from the package.
     """
 
     effect: str
@@ -134,6 +138,7 @@ class Evidence:
     passed: bool
     files_hash: str
     files: list[str]
+    imports: list[str]
 
 
 def records() -> dict[str, Evidence]:
@@ -154,7 +159,7 @@ def status() -> list[EvidenceRow]:
             why = "no validation yet"
         elif not record.passed:
             why = "the last validation failed"
-        elif hash_code(record.files) != record.files_hash:
+        elif hash_code(record.files, record.imports) != record.files_hash:
             why = "changed since it was validated"
         else:
             why = ""
@@ -193,9 +198,8 @@ def measure(effect: str) -> Evidence:
     check = load_check(_validation() / effect / "check.py")
     measured, perturbed = float(check.measure()), float(check.perturbed())
     tolerance = float(check.TOLERANCE)
-    globs = [*check.FILES, f"validation/{effect}/*.py"]
-    # The wheel has no validation/: the covered files must be checkable where it is installed.
-    vouched = [g for g in globs if g.startswith("optsim/")]
+    # The wheel has no validation/: the covered code must be checkable where it is installed.
+    files, imports = list(check.FILES), imports_of(_validation().glob(f"{effect}/*.py"))
     return Evidence(
         effect=effect,
         claim=check.CLAIM,
@@ -206,8 +210,9 @@ def measure(effect: str) -> Evidence:
         tolerance=tolerance,
         reason=check.REASON,
         passed=abs(measured) <= tolerance < abs(perturbed),
-        files_hash=hash_code(vouched),
-        files=vouched,
+        files_hash=hash_code(files, imports),
+        files=files,
+        imports=imports,
     )
 
 

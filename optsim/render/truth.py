@@ -22,13 +22,13 @@ import functools
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, replace
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from optsim.core.cache import Cache, hash_of
+from optsim.core.code_hash import hash_files
 from optsim.core.errors import ConfigError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, RadianceVideo, Segment, Timing, View
@@ -50,6 +50,8 @@ from optsim.scene.scene import Scene
 _PREVIEW_SAMPLES = 2
 # Number of earlier key instants whose statistics count.
 _REMEMBERED = 8
+# Code that decides a render: a change of it makes cached light invalid.
+_CODE = ("optsim/scene/*.py", "optsim/render/*.py", "optsim/optics/lens.py")
 
 _Load = Callable[[int, Half], Segment]
 
@@ -119,7 +121,7 @@ def render_truth(
     report = activate(backend)
     # The truth does not depend on the samples a panel pixel.
     look = {**asdict(view), "samples_per_pitch": None, "slot_s": timing.slot_s}
-    identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), _code_hash())
+    identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), hash_files(_CODE))
     if azimuth_rad is not None:
         identity = hash_of(identity, "twice the analysed component", azimuth_rad)
     plan = Plan(scene, view, timing, settings, noise, cache, progress, identity, azimuth_rad=azimuth_rad)
@@ -333,11 +335,3 @@ def _load_preview(plan: Plan) -> _Load:
         return Segment(image, image, (), 1)
 
     return load
-
-
-def _code_hash() -> str:
-    """Hash of the code that decides a render, so that an old cache is never used for new code."""
-    rooms = [files("optsim") / room for room in ("scene", "render")]
-    whole = [item for room in rooms for item in room.iterdir() if item.name.endswith(".py")]
-    sources = sorted([*whole, files("optsim") / "optics" / "lens.py"], key=lambda item: item.name)
-    return hash_of(*(source.read_text(encoding="utf-8") for source in sources))
