@@ -61,11 +61,6 @@ class Placement:
     matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     wraps: tuple[str, str] = ("repeat", "repeat")
 
-    def placed(self, uv: Doubles) -> Doubles:
-        """Coordinates in the picture."""
-        rows = np.reshape(self.matrix, (2, 3))
-        return uv @ rows[:, :2].T + rows[:, 2]
-
 
 def laid(surface: Surface, uv: Doubles | None, places: Sequence[Placement]) -> tuple[Surface, Doubles | None]:
     """Lay the pictures of a surface on texture coordinates; all must lie alike."""
@@ -76,7 +71,8 @@ def laid(surface: Surface, uv: Doubles | None, places: Sequence[Placement]) -> t
         return replace(surface, refused=listed(surface.refused, f"{said}; expected one way for all")), uv
     if uv is None:
         return replace(surface, lost=listed(surface.lost, "a picture without texture coordinates")), None
-    uv = places[0].placed(uv)
+    rows = np.reshape(places[0].matrix, (2, 3))
+    uv = uv @ rows[:, :2].T + rows[:, 2]
     # Along an axis that stays within the picture its wrap mode doesn't count.
     wraps = places[0].wraps
     beyond = [wrap for wrap, axis in zip(wraps, uv.T, strict=True) if (abs(axis - 0.5) > 0.501).any()]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -106,12 +106,9 @@ def _pictures(material: Table, folder: Path, where: str) -> Table:
     hashes = [f"{key} {content_hash(file)}" for key, file in files.items()]
     if not files:
         return {}
-    whole = content_hash(files["picture"]) if listed == ["picture"] else _digest(hashes)
+    whole = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    whole = content_hash(files["picture"]) if listed == ["picture"] else whole
     return {**{key: str(file) for key, file in files.items()}, "sha256": whole}
-
-
-def _digest(hashes: Iterable[str]) -> str:
-    return hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
 def _animated(

@@ -15,20 +15,9 @@ from optsim.scene.model_surface import Piece, Surface, linear_colours, listed, t
 from optsim.scene.polygons import check_indices, triangles
 
 # Names of PLY's number types, old and new -> numpy's.
-_TYPES = {
-    name: number
-    for number, names in {
-        "i1": ("char", "int8"),
-        "u1": ("uchar", "uint8"),
-        "i2": ("short", "int16"),
-        "u2": ("ushort", "uint16"),
-        "i4": ("int", "int32"),
-        "u4": ("uint", "uint32"),
-        "f4": ("float", "float32"),
-        "f8": ("double", "float64"),
-    }.items()
-    for name in names
-}
+_TYPES = {"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"}
+_TYPES |= {"uchar": "u1", "ushort": "u2", "uint": "u4", "int8": "i1", "int16": "i2", "int32": "i4"}
+_TYPES |= {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float32": "f4", "float64": "f8"}
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _Numbers = NDArray[np.generic]
 _LENGTH = "length of "
