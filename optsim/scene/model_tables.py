@@ -60,13 +60,10 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
     for name, item in list(objects.items()):
         if _kind(item) == "mesh":
             del objects[name]
-            shown = _expanded(item, name, folder, f"{where}: objects.{name}", _distance(table))
-            parts[name] = [key for key, _ in shown]
-            owners |= {f"object/{key}": f"object/{name}" for key in parts[name]}
-            for key, (part, material) in shown:
-                objects[key] = part
-                if material is not None:
-                    materials[key] = material
+            shown = _expanded(item, name, folder, f"{where}: objects.{name}", materials, _distance(table))
+            parts[name] = [*shown]
+            owners |= {f"object/{key}": f"object/{name}" for key in shown}
+            objects |= shown
     for name, material in list(materials.items()):
         if isinstance(material, Mapping) and "sha256" not in material:
             stated = cast("Table", material)
@@ -122,9 +119,8 @@ def _animated(
         )
     if extra := sorted({*mover} - {*own, "kind", "animation", "speed", "repeat"}):
         raise ConfigError(f"{place}.{extra[0]}: got it beside an animation, expected one of the two; drop it")
-    found: Table = {}
-    parts = _expanded(own, name, folder, place, distance_m)
-    file = Path(parts[0][1][0]["file"])
+    parts = _expanded(own, name, folder, place, materials, distance_m)
+    file = Path(next(iter(parts.values()))["file"])
     header = open_gltf(file).header if file.suffix.lower() in (".glb", ".gltf") else {}
     moving = moving_animations(header)
     if len(moving) > 1:
@@ -142,18 +138,16 @@ def _animated(
             f'{place}.animation: got "play", but the nodes of {own["file"]} rest; cure: leave it out, or '
             "export the vertices and take a mover of kind vertices"
         )
-    for key, (part, material) in parts:
-        further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
-        found[key] = {"kind": "animated", "item": {**part, "kind": "mesh"}, **further}
-        if material is not None:
-            materials[key] = material
-    return found
+    further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
+    return {
+        key: {"kind": "animated", "item": {**part, "kind": "mesh"}, **further} for key, part in parts.items()
+    }
 
 
 def _expanded(
-    item: Mapping[str, Any], name: str, folder: Path, where: str, distance_m: float
-) -> list[tuple[str, tuple[Table, Table | None]]]:
-    """Objects and materials that a model becomes."""
+    item: Mapping[str, Any], name: str, folder: Path, where: str, materials: Table, distance_m: float
+) -> dict[str, Table]:
+    """Objects that a model becomes; its materials are added."""
     stated = dict(item)
     file = inside(folder, str(stated.get("file", "")), f"{where}.file")
     check_files(file, folder, f"{where}.file", shown=stated.get("material") is None)
@@ -181,11 +175,9 @@ def _expanded(
                 f"{where}: got a model of {size_m:.3g} m, expected one that fits a scene seen from "
                 f'{distance_m:.3g} m; is it in another unit? cure: unit = "mm", or height_m = 0.3'
             )
-    found: list[tuple[str, tuple[Table, Table | None]]] = []
-    lost = [model.lost]
+    found, lost = dict[str, Table](), [model.lost]
     for number, (surface, mesh) in enumerate(model.parts):
         key = name if len(model.parts) == 1 else f"{name}-{number}"
-        material: Table | None = None
         if stated.get("material") is None:
             if surface.refused:
                 raise ConfigError(
@@ -193,7 +185,7 @@ def _expanded(
                     "object a material of the scene"
                 )
             lost.append(surface.lost)
-            material = {
+            material: Table = {
                 "kind": "principled",
                 "colour": np.clip(surface.colour, 0, 1).tolist(),
                 "roughness": float(np.clip(surface.roughness, 0.01, 1)),
@@ -208,7 +200,8 @@ def _expanded(
             if shown:
                 material |= dict.fromkeys(shown, str(file))
                 material |= {"sha256": stated["sha256"], "part": number}
-        found.append((key, ({**stated, "material": stated.get("material") or key, "part": number}, material)))
+            materials[key] = material
+        found[key] = {**stated, "material": stated.get("material") or key, "part": number}
     if said := listed(*lost):
         warnings.warn(f"{file.name}: left out: {said}", stacklevel=2)
     return found
