@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,13 +82,6 @@ def _numbers(path: Path) -> Array:
         return np.asarray(image).astype(np.uint16)
 
 
-def _mask(path: Path) -> Array:
-    from PIL import Image
-
-    with reading(path, "PNG"), Image.open(path) as image:
-        return np.asarray(image) > 0
-
-
 _LIGHT = "W m^-2 sr^-1, irradiance on the panel over light/irradiance_per_radiance"
 SHARED = {
     "target": Coded("target/*.exr", f"{_LIGHT}, shading divided out", "frame, slot, v, u", _slots),
@@ -99,7 +92,7 @@ BY_SCHEME = {
     "frames": Coded("frames/{}/*.png", "DN", "frame, y, x", _numbers),
     "expected": Coded("expected/{}/*.exr", "DN, without noise", "frame, y, x", _channel("expected")),
     "sigma": Coded("expected/{}/*.exr", "DN, temporal noise rms", "frame, y, x", _channel("sigma")),
-    "masks": Coded("masks/{}/*.png", "mask", "frame, v, u", _mask),
+    "masks": Coded("masks/{}/*.png", "mask", "frame, v, u", lambda path: _numbers(path) > 0),
     "codes": Coded("codes/{}/*.exr", "drive level, 0..255", "frame, slot, v, u", _levels),
     "weights": Coded("weights/{}/*.exr", "1, effective weight as calibrated", "frame, slot, v, u", _slots),
     "transmission": Coded(
@@ -164,9 +157,6 @@ class Table:
 
 def tables(folder: Path, seed_folder: Path) -> dict[str, Table]:
     """Files of named arrays of a sample, by the first part of their names; those that are there."""
-    listed: Sequence[Path] = [
-        folder / "operator.npz",
-        seed_folder / "light.json",
-        *sorted(seed_folder.glob("calibration*.npz")),
-    ]
+    listed = [folder / "operator.npz", seed_folder / "light.json"]
+    listed += sorted(seed_folder.glob("calibration*.npz"))
     return {path.stem: Table(path) for path in listed if path.is_file()}

@@ -25,7 +25,7 @@ from optsim.dataset.filters import DROPPED, content, drop, lines, take_back
 from optsim.dataset.reading import ARRAYS, CARD, MANIFEST, Dataset, Sample
 from optsim.dataset.sequence import make_sequence
 from optsim.dataset.sources import carried, carry, check_sources, hashes, inside
-from optsim.dataset.spec import DatasetSpec, SequencePlan, check_spec
+from optsim.dataset.spec import DatasetSpec, check_spec
 from optsim.dataset.verify import statistics
 from optsim.experiment.run_folder import libraries
 from optsim.experiment.truth import renderer
@@ -126,7 +126,9 @@ def finish(
         if keys:
             drop(folder / name, {key: found[name].get(key) for key in keys}, keep=CHECKS)
     checks = {each.name: found[each.name] for each in sequences}
-    write_contact_sheet(folder / SHEET, [_sample(folder, spec, each) for each in sequences[:24]])
+    seed = spec.seeds[0] if spec.schemes else None
+    shown = [Sample(folder / each.name, seed, {"name": each.name}) for each in sequences[:24]]
+    write_contact_sheet(folder / SHEET, shown)
     listed = "".join(manifest_lines(folder, sequences))
     write_text(folder / MANIFEST, listed)
     digest = hashlib.sha256(listed.encode()).hexdigest()
@@ -137,25 +139,16 @@ def finish(
     write_json(folder / "croissant.json", croissant(about))
     write_text(folder / "README.md", readme(about))
     about["sources"] = dict(sources or {})
-    left = [
-        f"{name}/{file}" for name, keys in failed.items() if keys and not recipe for file in (CHECKS, DROPPED)
-    ]
-    documents = [
-        each
-        for each in (_SPEC, SHEET, HISTOGRAMS, "croissant.json", "README.md", *left)
-        if (folder / each).is_file()
-    ]
-    about["documents"] = {each: content_hash(folder / each) for each in documents}
+    documents = [folder / each for each in (_SPEC, SHEET, HISTOGRAMS, "croissant.json", "README.md")]
+    if not recipe:
+        documents += [folder / name / each for name in failed if failed[name] for each in (CHECKS, DROPPED)]
+    there = [path for path in documents if path.is_file()]
+    about["documents"] = {path.relative_to(folder).as_posix(): content_hash(path) for path in there}
     if recipe:
         for name in found:
             shutil.rmtree(folder / name)
     # Last: its presence marks a complete data set.
     write_json(folder / CARD, about)
-
-
-def _sample(folder: Path, spec: DatasetSpec, sequence: SequencePlan) -> Sample:
-    seed = spec.seeds[0] if spec.schemes else None
-    return Sample(folder / sequence.name, seed, {"name": sequence.name})
 
 
 def _make(
