@@ -158,34 +158,20 @@ class Passes:
     extents: Mapping[int, ObjectExtent]
 
     def __post_init__(self) -> None:
-        shape = self.ids.shape
-        plane: tuple[str, ...] = ("y", "x")
-        for name, unit, axes in (
-            ("depth_m", "m", plane),
-            ("distance_m", "m", plane),
-            ("normal", "unit vector", (*plane, "xyz")),
-            ("albedo", "1", plane),
-            ("flow_forward_px", "fine samples", (*plane, "row col")),
-            ("flow_backward_px", "fine samples", (*plane, "row col")),
+        sizes = {"xyz": 3, "row col": 2}
+        for names, unit, dtype, component in (
+            ("ids", "object id", np.uint32, ()),
+            ("parts", "part", np.uint32, ()),
+            ("depth_m distance_m", "m", np.float32, ()),
+            ("normal", "unit vector", np.float32, ("xyz",)),
+            ("albedo", "1", np.float32, ()),
+            ("flow_forward_px flow_backward_px", "fine samples", np.float32, ("row col",)),
+            ("moving occluded_forward occluded_backward", "mask", np.bool_, ()),
         ):
-            signed = name.startswith(("normal", "flow"))
-            checked(name, getattr(self, name), axes=axes, dtype=np.float32, unit=unit, nonnegative=not signed)
-        for name in ("moving", "occluded_forward", "occluded_backward"):
-            checked(name, getattr(self, name), axes=plane, dtype=np.bool_, unit="mask")
-        checked("ids", self.ids, axes=plane, dtype=np.uint32, unit="object id")
-        checked("parts", self.parts, axes=plane, dtype=np.uint32, unit="part")
-        for name, size in (("normal", 3), ("flow_forward_px", 2), ("flow_backward_px", 2)):
-            _shaped(name, getattr(self, name), (*shape, size))
-        for name in (
-            "parts",
-            "depth_m",
-            "distance_m",
-            "albedo",
-            "moving",
-            "occluded_forward",
-            "occluded_backward",
-        ):
-            _shaped(name, getattr(self, name), shape)
+            for name in names.split():
+                array, axes = getattr(self, name), ("y", "x", *component)
+                checked(name, array, axes=axes, dtype=dtype, unit=unit, nonnegative=not component)
+                _shaped(name, array, (*self.ids.shape, *(sizes[each] for each in component)))
         if float(self.albedo.max()) > 1:
             raise ValueCheckError(f"albedo: got {self.albedo.max()}, expected 0..1")
         strange = sorted(set(np.unique(self.ids).tolist()) - {0} - set(self.id_table))
