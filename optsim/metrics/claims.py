@@ -84,35 +84,24 @@ def judge_claims(draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[st
     list of Verdict
         One for each claim and area in which any draw has a score; one without a score where none has.
     """
-    areas: tuple[Area, ...] = tuple(area for area in AREAS if _seen(area, draws)) or AREAS[:1]
+    records = [r for draw in draws for r in draw]
+    areas: tuple[Area, ...] = tuple(a for a in AREAS if any(r.area == a for r in records)) or AREAS[:1]
+    rivals = [r for r in records if r.rival not in no_rivals]
     found: list[Verdict] = []
     for claim in CLAIMS:
-        judged = [_judge(claim, area, draws, no_rivals) for area in areas]
+        judged = [_judge(claim, area, rivals) for area in areas]
         found += [v for v in judged if v.rival is not None] or judged[:1]
     return found
 
 
-def _seen(area: Area, draws: Sequence[Sequence[PairRecord]]) -> bool:
-    return any(r.area == area for draw in draws for r in draw)
-
-
-def _judge(
-    claim: Claim, area: Area, draws: Sequence[Sequence[PairRecord]], no_rivals: Collection[str]
-) -> Verdict:
-    of_claim = [
-        [
-            r
-            for r in draw
-            if (r.metric, r.region, r.area) == (claim.metric, claim.region, area) and r.rival not in no_rivals
-        ]
-        for draw in draws
-    ]
-    names = list(dict.fromkeys(r.rival for draw in of_claim for r in draw))
-    rivals = [
-        rival
-        for name in names
-        if (rival := _rival(name, [r for draw in of_claim for r in draw if r.rival == name], len(names)))
-    ]
+def _judge(claim: Claim, area: Area, records: Sequence[PairRecord]) -> Verdict:
+    wanted = claim.metric, claim.region, area
+    of_claim: dict[str, list[PairRecord]] = {}
+    for r in records:
+        if (r.metric, r.region, r.area) == wanted:
+            of_claim.setdefault(r.rival, []).append(r)
+    judged = [_rival(name, found, len(of_claim)) for name, found in of_claim.items()]
+    rivals = [rival for rival in judged if rival is not None]
     nearest = min(rivals, key=lambda rival: rival.mean, default=None)
     return Verdict(
         claim=claim.words,
@@ -123,7 +112,7 @@ def _judge(
         rival=nearest.name if nearest else None,
         verdict=_finding(rivals, -claim.margin),
         superior=_finding(rivals, 0.0),
-        rivals=max(1, len(names)),
+        rivals=max(1, len(of_claim)),
         registered=LEAST_DRAWS,
         advantage=nearest.mean if nearest else None,
         low=nearest.low if nearest else None,
