@@ -36,11 +36,8 @@ _IMAGES = ("bitmap", "envmap")  # plugins that read an image file
 
 
 def unit_m(scene: Scene) -> float:
-    """Length of the renderer's unit, m: 1, or less in tiny scenes, where Mitsuba's ray offsets would show.
-
-    Light doesn't depend on scale. All lengths exchanged with Mitsuba are in this unit. It is a power of two,
-    so vertices are scaled exactly.
-    """
+    """Length of the renderer's unit, m: 1, or less in tiny scenes, where Mitsuba's ray offsets would show."""
+    # Light doesn't depend on scale; by a power of two vertices are scaled exactly.
     distance = scene.camera.distance_m
     return 1.0 if distance >= _SMALL_M else float(2.0 ** np.floor(np.log2(distance)))
 

@@ -71,18 +71,7 @@ def task_record(root: Path, task: Task) -> dict[str, Any] | None:
 
 
 def make_folder(root: Path, task: Task) -> str:
-    """Do a task unless it is done.
-
-    Returns
-    -------
-    str
-        ``made`` or ``found``.
-
-    Raises
-    ------
-    StorageError
-        When another process is at it, or the folder is of another key.
-    """
+    """Do a task unless it is done, ``made`` or ``found``; refuse a folder of another key, or at work."""
     place = root / task.name
     part = place.with_name(f".{place.name}.part")
     with claimed_file(place):

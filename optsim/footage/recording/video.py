@@ -33,19 +33,7 @@ _DAMAGE = re.compile(r"crc|checksum|mismatch|while decoding|conceal|corrupt|dama
 
 
 def video(path: Path) -> Recording:
-    """Open a video; its frames are decoded to 16 bits over the full range, grey or R'G'B'.
-
-    The file's own colour matrix, range and rotation apply; BT.601 and the limited range where it states none.
-
-    Raises
-    ------
-    ConfigError
-        When PyAV is missing.
-    StorageError
-        When the file cannot be read, is damaged, or holds fewer frames than it declares.
-    ValueCheckError
-        When frames don't come at a steady rate, are interlaced, or have non-square pixels.
-    """
+    """Open a video, decoded to 16 bits of full range, grey or R'G'B', by what it states, else BT.601."""
     av = _av(path)
     with reading(path, _WHAT), av.open(str(path)) as container:
         stream = _stream(path, container)
