@@ -18,7 +18,6 @@ from optsim.scene.model_surface import Piece, Surface, listed, split_by_hand
 from optsim.scene.node_animation import Nodes
 from optsim.scene.obj_files import read_obj
 from optsim.scene.ply_files import read_ply
-from optsim.scene.polygons import check_indices
 from optsim.scene.stl_files import read_stl
 
 FORMATS = {".glb": "y", ".gltf": "y", ".obj": None, ".ply": None, ".stl": None}
@@ -125,7 +124,6 @@ def _checked(surface: Surface) -> Surface:
 
 def _mesh(path: Path, piece: Piece) -> Mesh:
     """Triangles of a piece in its own frame."""
-    check_indices(path, piece.faces.ravel(), len(piece.points))
     if not np.isfinite(piece.points)[piece.faces].all():
         raise ConfigError(f"{path}: {piece.name}: got a vertex that is not finite; cure: export it again")
     uv = np.zeros((len(piece.points), 2)) if piece.uv is None else piece.uv
