@@ -38,19 +38,16 @@ def regenerate(
         with _cache(Path(scratch) / "cache"):
             outcome = run_tasks([task for task in tasks if task.name in names], root, progress=progress)
         for name in (*outcome.made, *outcome.failed):
-            wanted = {place for place in listed if place.startswith(f"{name}/")}
-            made = {path.relative_to(root).as_posix() for path in (root / name).rglob("*") if path.is_file()}
-            differ = sorted(
-                place
-                for place in wanted | made
-                if not (place in wanted & made and content_hash(root / place) == listed[place])
-            )
+            wanted = {place: sha256 for place, sha256 in listed.items() if place.startswith(f"{name}/")}
+            files = [path for path in (root / name).rglob("*") if path.is_file()]
+            made = {path.relative_to(root).as_posix(): content_hash(path) for path in files}
+            differ = sorted(place for place in wanted | made if wanted.get(place) != made.get(place))
             if name in outcome.failed or differ:
                 problems[name] = outcome.failed.get(name) or _said(differ, len(wanted), card["versions"])
                 continue
             for place in wanted:
                 own = folder / place
-                if not own.is_file() or content_hash(own) != listed[place]:
+                if not own.is_file() or content_hash(own) != made[place]:
                     with atomic(own) as part:
                         part.write_bytes((root / place).read_bytes())
                     restored += 1
