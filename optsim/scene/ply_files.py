@@ -15,9 +15,11 @@ from optsim.scene.model_surface import Piece, Surface, linear_colours, listed, t
 from optsim.scene.polygons import check_indices, triangles
 
 # Names of PLY's number types, old and new -> numpy's.
-_TYPES = {"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"}
-_TYPES |= {"uchar": "u1", "ushort": "u2", "uint": "u4", "int8": "i1", "int16": "i2", "int32": "i4"}
-_TYPES |= {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float32": "f4", "float64": "f8"}
+_TYPES = (
+    {"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"}
+    | {"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
+    | {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+)
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _Numbers = NDArray[np.generic]
 _LENGTH = "length of "
