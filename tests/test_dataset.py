@@ -21,7 +21,9 @@ from optsim.dataset.filters import content
 from optsim.dataset.sources import carried, hashes
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
+from optsim.experiment.experiment import load_experiment
 from optsim.render import choose_backend
+from optsim.scene import load_scene
 
 ROWS, COLS, SLOTS = 6, 8, 3
 SPEC = {
@@ -364,10 +366,8 @@ def test_shipped_specs_can_be_built():
         load_spec("demoo")
 
 
-@pytest.mark.slow
-def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
-    if choose_backend().preview:
-        pytest.skip("only the scalar fallback works here")
+def tiny_experiment(folder: Path) -> None:
+    """Write tiny.toml: the demo on a small panel, as noisy as its plumbing bears."""
     demo = Path(__file__).parents[1] / "optsim/presets/demo.toml"
     small = (
         "[camera]\npanel_rows = 12\npanel_cols = 16\nsensor = { rows = 44, cols = 56 }\n"
@@ -378,7 +378,14 @@ def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
     )
     text = demo.read_text().replace("[camera]\n", coarse + small)
     # The panel is too small for a bench.
-    (tmp_path / "tiny.toml").write_text(text.replace('calibration = "bench"', 'calibration = "ideal"'))
+    (folder / "tiny.toml").write_text(text.replace('calibration = "bench"', 'calibration = "ideal"'))
+
+
+@pytest.mark.slow
+def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
+    if choose_backend().preview:
+        pytest.skip("only the scalar fallback works here")
+    tiny_experiment(tmp_path)
     text = (
         'name = "tiny"\nexperiment = "./tiny.toml"\nschemes = ["adaptive"]\n[scenes]\nwheel = ["main", "1"]\n'
         '[split]\ntest = ["wheel/1"]\n'
@@ -399,3 +406,46 @@ def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
     assert sample["frames/adaptive"].shape == (1, 44, 56)
     assert dataset.card["checks"]["flow_error_px"]["worst"] < 0.01
     assert dataset.card["checks"]["id_agreement"]["worst"] > 0.99
+
+
+def test_splits_have_noise_of_their_own():
+    """By default 2 % where something is evaluated; what is asked by two parts adds up to less."""
+    spec = spec_of(noise={"train": {"share": 0.1}})
+    train, test = (spec.experiment_of(each, 1).render for each in spec.sequences())
+    for render, share in ((train, 0.1), (test, 0.02)):
+        assert render.moving_error < share
+        assert np.hypot(render.static_error, render.change_error) < share
+    left = spec_of().experiment_of(spec_of().sequences()[0], 1).render
+    assert left == load_experiment("demo").render
+    with pytest.raises(ConfigError, match=r"noise\.test\.share.*0\.001"):
+        spec_of(noise={"test": {"share": 0.0}})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("independent", [False, True])
+def test_the_noise_asked_for_is_reached(tmp_path, independent):
+    """Measured by this test from the halves of the render, and as the card says."""
+    if choose_backend().preview:
+        pytest.skip("only the scalar fallback works here")
+    tiny_experiment(tmp_path)
+    noise = f"{{ share = 0.15, independent = {str(independent).lower()} }}"
+    text = (
+        'name = "tiny"\nexperiment = "./tiny.toml"\nschemes = ["adaptive"]\n[scenes]\nwheel = ["0", "1"]\n'
+        f'[split]\ntest = ["wheel/1"]\n[noise]\ntest = {noise}\n'
+    )
+    (tmp_path / "spec.toml").write_text(text)
+    spec, root = load_spec(str(tmp_path / "spec.toml")), tmp_path / "set"
+    assert build_dataset(spec, root, workers=1).failed == {}
+    dataset = open_dataset(root)
+    said = dataset.card["noise"]["test"]
+    assert (said["share"], said["independent"]) == (0.15, independent)
+    white = load_scene("wheel", "1").white_w_m2_sr
+    sample = dataset.test[0]
+    share = sample["radiance_sigma"] / (np.maximum(sample["radiance"], 0) + 0.01 * white)
+    # Sigma of a sample is known to 14 %, the mean over some hundred of them to a few percent.
+    assert 0.05 < np.sqrt(np.mean(share**2)) < 0.15 * 1.15
+    assert said["worst"] < 0.15 * 1.15
+    slots = sample["radiance"]
+    still = (sample["moving"].max(axis=0) == 0) & (sample["id"].min(axis=0) == sample["id"].max(axis=0))
+    alike = (slots[1:, still] == slots[:-1, still]).mean()
+    assert (alike < 0.01) == independent

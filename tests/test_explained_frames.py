@@ -10,6 +10,7 @@ import pytest
 from optsim.camera.true_calibration import true_calibration
 from optsim.core.files import write_exr, write_json
 from optsim.core.quantities import RadianceVideo
+from optsim.dataset import build_dataset, load_spec, open_dataset
 from optsim.dataset.arrays import BY_SCHEME
 from optsim.dataset.coded_arrays import write_explained, write_light
 from optsim.dataset.reading import Sample
@@ -17,6 +18,7 @@ from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.loop import capture, set_light
 from optsim.experiment.run_folder import write_calibrations, write_frames
 from optsim.footage.made import footage
+from optsim.render import choose_backend
 
 PAGE = Path(__file__).parents[1] / "docs/how-to/datasets.md"
 ROWS, COLS, FRAMES = 48, 64, 2
@@ -174,3 +176,34 @@ def test_every_array_says_its_unit_and_axes(sample):
         if not axes.startswith("("):
             assert array.size == 1 or array.ndim == len(listed), name
     assert {f"{kind}/random" for kind in BY_SCHEME} <= {*sample, "reconstructions/random"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["flying_solids", "window_room"])
+def test_the_lines_explain_four_rendered_frames_of_each_scene(tmp_path, scene):
+    """By what the bench knows, from a set that a build made."""
+    if choose_backend().preview:
+        pytest.skip("only the scalar fallback works here")
+    text = f"""
+name = "explained"
+n_frames = 4
+schemes = ["random", "hdr_mosaic", "normal"]
+half = true
+[scenes]
+{scene} = ["3"]
+[cameras.main]
+panel_rows = {ROWS}
+panel_cols = {COLS}
+sensor = {{ rows = 160, cols = 208 }}
+objective = {{ focal_length_m = "1.3333 mm" }}
+[noise]
+train = {{ share = 0.3 }}
+"""
+    (tmp_path / "spec.toml").write_text(text)
+    outcome = build_dataset(load_spec(str(tmp_path / "spec.toml")), tmp_path / "set", workers=1)
+    assert outcome.failed == {}
+    sample = open_dataset(tmp_path / "set").train[0]
+    for scheme in ("random", "hdr_mosaic", "normal"):
+        for frame in range(4):
+            residual = residuals(sample, scheme, frame, lines()["explained"](sample, scheme, frame))
+            assert np.sqrt(np.mean(residual**2)) < MOST, (scheme, frame)

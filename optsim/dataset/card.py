@@ -24,7 +24,10 @@ _CHECKS = {
     "id_agreement": ("ids after following the flow, least share that agrees", min),
     "negative_share": ("negative radiance (unbiased noise), largest share of samples", max),
     "noise_share": ("noise of the truth, largest median of sigma over radiance", max),
-    "noise_rms": ("noise of the truth, rms of sigma over (radiance + 1 % of white), middle slot", max),
+    "noise_rms": (
+        "noise of the truth, rms of sigma over (radiance + 1 % of white), median of the slots",
+        max,
+    ),
 }
 
 
@@ -291,7 +294,7 @@ def readme(about: Record) -> str:
             for split, each in about["noise"].items()
         ),
         "",
-        "Rms over the picture of sigma over (radiance + 1 % of white), per fine sample, middle slot.",
+        "Rms over the picture of sigma over (radiance + 1 % of white), per fine sample, median of the slots.",
         "",
         "![stops below the brightest, and speeds](histograms.png)",
         "",

@@ -27,8 +27,6 @@ def consistency(truth: Path) -> dict[str, float]:
     if "Y.sigma" in channels:
         lit = radiance > 0
         found["noise_share"] = float(np.median(channels["Y.sigma"][lit] / radiance[lit]))
-    if said.get("noise_share"):
-        found["noise_rms"] = said["noise_share"]
     return found
 
 

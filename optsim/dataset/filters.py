@@ -92,16 +92,18 @@ class Filter(Part):
 
 
 def content(truth: Path) -> dict[str, float]:
-    """Measure what the slots of an export show: ``moving_share``, ``speed_px`` and ``range_stops``.
+    """Measure what the slots of an export show: motion, speed, range and noise.
 
     Parameters
     ----------
     truth : Path
         Folder of :func:`optsim.dataset.export_passes`.
     """
-    shares, speeds, stops = list[float](), list[float](), list[float]()
+    shares, speeds, stops, noise = list[float](), list[float](), list[float](), list[float]()
     for path in sorted(truth.glob("slot*.exr")):
-        channels, _ = read_exr(path)
+        channels, said = read_exr(path)
+        if said.get("noise_share"):
+            noise.append(said["noise_share"])
         shares.append(float((channels["moving"] > 0).mean()))
         speed = np.hypot(channels["flow.forward.row"], channels["flow.forward.col"])
         moving = speed[speed > _STILL_PX]
@@ -113,6 +115,7 @@ def content(truth: Path) -> dict[str, float]:
         "moving_share": float(np.mean(shares)),
         "speed_px": max(speeds),
         "range_stops": float(np.median(stops)),
+        **({"noise_rms": float(np.median(noise))} if noise else {}),
     }
 
 

@@ -87,10 +87,12 @@ class TruthNoise(Part):
     independent: bool = False
 
     def settings(self, settings: RenderSettings) -> RenderSettings:
-        """Render settings that reach the share: movers' own pixels at it, all else at it by two parts."""
+        """Render settings that reach the share."""
         if self.share is None:
             return settings
-        parts = {"static_error": self.share / 2, "change_error": self.share / 2, "moving_error": self.share}
+        # Allocation goes by predictions: what is reached is up to twice its target.
+        part = 0.5 * self.share
+        parts = {"static_error": part, "change_error": part, "moving_error": part}
         return settings.model_copy(update=parts)
 
 
