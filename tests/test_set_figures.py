@@ -38,7 +38,8 @@ def test_the_gain_of_the_card_is_that_of_photon_transfer() -> None:
 def test_reconstructions_of_a_set_are_radiance(tmp_path: Path) -> None:
     """Against the film itself, whose radiance is half of its values (``scale_w_m2_sr``)."""
     base = load(write_experiment(tmp_path), "normal").model_copy(update={"n_frames": 1})
-    _take(base, tmp_path / "seed1", draws=1, reconstruct=True, half=False)
+    spec = load_spec("demo").model_copy(update={"reconstruct": True})
+    _take(base, tmp_path / "seed1", spec, draws=1, slot_error=None)
     film = np.load(tmp_path / "film.npy").astype(np.float64) / 65535
     made, _ = read_exr(tmp_path / "seed1/reconstructions/normal/000000.exr")
     video = np.stack([made[name] for name in sorted(made)]).astype(np.float64)

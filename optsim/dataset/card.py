@@ -114,7 +114,7 @@ def _noise(
     found: dict[str, Record] = {}
     for split in SPLITS:
         names = [each.name for each in sequences if each.split == split]
-        measured = [checks[name]["noise_rms"] for name in names if "noise_rms" in checks[name]]
+        measured = [checks[name]["noise_rms"] for name in names if "noise_rms" in checks.get(name, {})]
         if measured:
             reached = {"worst": max(measured), "mean": float(np.mean(measured))}
             found[split] = {**spec.noise.of(split).model_dump(mode="json"), **reached}
