@@ -147,12 +147,45 @@ def test_a_manifest_of_anything_else_is_refused_by_its_line(line, folder):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("entries", [None, 3, [7], [{"name": "a"}]])
-def test_a_card_without_sequences_is_refused(entries, folder):
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"sequences": each} for each in (None, 3, [7], [{"name": "a"}])),
+        {"sequences": [{"name": 5, "split": "train", "seeds": [1]}]},
+        {"sequences": [{"name": "a", "split": "train", "seeds": None}]},
+        {"manifest": None},
+        {"documents": []},
+        {"sources": "x"},
+    ],
+)
+def test_a_card_of_other_shape_is_refused(change, folder):
     card = json.loads((folder / "dataset.json").read_text())
-    write_json(folder / "dataset.json", {**card, "sequences": entries})
+    write_json(folder / "dataset.json", {**card, **change})
     with pytest.raises(StorageError, match="got no list of sequences"):
         open_dataset(folder)
+
+
+def test_a_manifest_that_lost_lines_is_refused_by_readers(folder):
+    path = folder / "manifest.jsonl"
+    lines = path.read_bytes().splitlines()
+    path.write_bytes(b"\r\n".join(lines) + b"\r\n")
+    n_slots = {sample.n_slots for sample in open_dataset(folder).test}
+    assert min(n_slots) > 1
+    for kept in (lines[:-1], []):
+        path.write_bytes(b"".join(line + b"\n" for line in kept))
+        with pytest.raises(
+            StorageError, match=r"manifest\.jsonl: changed since dataset\.json was written; cure"
+        ):
+            open_dataset(folder).samples("test")
+
+
+def test_files_that_systems_leave_are_no_arrays(folder):
+    sample = open_dataset(folder).test[0]
+    names = list(sample)
+    for place in (sample.folder / "seed1").iterdir():
+        if place.is_dir():
+            (place / ".DS_Store").write_bytes(b"x")
+    assert list(open_dataset(folder).test[0]) == names
 
 
 def test_verify_tells_what_lies_outside_of_sequences(folder):

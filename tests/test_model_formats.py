@@ -374,6 +374,19 @@ def test_colours_at_vertices_are_srgb_and_equal_ones_are_the_surfaces(tmp_path):
     np.testing.assert_allclose(surface.colour, 0.5028865, atol=1e-6)
 
 
+def test_a_flat_model_has_no_height_to_be_scaled_to(tmp_path):
+    written(tmp_path, "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
+    load(tmp_path)
+    population = (
+        'count = [1, 1]\nregion_m = [[0, 0, 0], [1, 1, 1]]\nsize_m = [0.1, 0.2]\nmodels = ["m.obj"]\n'
+    )
+    (tmp_path / "scene.toml").write_text(f'{HEAD}[populate.p]\n{population}up = "z"\n')
+    with pytest.raises(OptsimError, match="a model without a height; cure: another model, or another up"):
+        load_scene(tmp_path)
+    (tmp_path / "scene.toml").write_text(f'{HEAD}[populate.p]\n{population}up = "x"\n')
+    load_scene(tmp_path)
+
+
 @pytest.mark.parametrize("bad", ["0 0 -1", "0 1.2 0", "0 nan 0", "0.5 0 255"])
 def test_colours_beyond_their_range_are_refused_unless_the_scene_has_a_material(tmp_path, bad):
     written(tmp_path, V.replace("\n", f" {bad}\n", 1) + "f 1 2 3\n")

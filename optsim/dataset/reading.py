@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ from optsim.dataset.spec import SPLITS, Split
 KIND = "optsim data set 1"
 _CURE = "cure: copy the data set again, or optsim dataset regenerate"
 _KINDS: dict[str, type] = {"path": str, "bytes": int, "sha256": str}
+_CARD: dict[str, type] = {"sequences": list, "manifest": dict, "sources": dict, "documents": dict}
+_ENTRY: dict[str, type] = {"name": str, "split": str, "seeds": list}
 CARD, MANIFEST, ARRAYS = "dataset.json", "manifest.jsonl", "arrays"
 
 
@@ -59,6 +62,7 @@ class Sample(Mapping[str, Array]):
             f"{kind}/{place.name}"
             for kind, each in BY_SCHEME.items()
             for place in sorted((self._coded / each.files.partition("/")[0]).glob("*"))
+            if place.is_dir()
         ]
         held = [f"{kind}/{name}" for kind, table in self._tables.items() for name in table.names()]
         return (*passes, *shared, *coded, *held)
@@ -260,6 +264,10 @@ class Dataset:
             name = "/".join(record["path"].split("/")[:2])
             if name in found:
                 found[name].add(record["path"].removeprefix(f"{name}/"))
+        # A line that is lost would shift the rest; Windows' ends of lines wouldn't.
+        content = (self.folder / MANIFEST).read_bytes().replace(b"\r\n", b"\n")
+        if hashlib.sha256(content).hexdigest() != self.card["manifest"].get("sha256"):
+            raise StorageError(f"{self.folder / MANIFEST}: changed since {CARD} was written; {_CURE}")
         return {name: frozenset(places) for name, places in found.items()}
 
     def samples(self, split: Split) -> Samples:
@@ -323,11 +331,16 @@ def open_dataset(path: str | Path) -> Dataset:
             f"{folder / CARD}: got {card.get('kind')!r}, expected {KIND!r}; "
             "cure: the version of optsim that made it"
         )
-    entries = card.get("sequences")
-    for entry in entries if isinstance(entries, list) else [{}]:  # pyright: ignore
-        if not isinstance(entry, dict) or not {"name", "split", "seeds"} <= entry.keys():  # pyright: ignore
-            raise StorageError(f"{folder / CARD}: got no list of sequences, expected one; {_CURE}")
+    whole = _holds({"sources": {}, "documents": {}, **card}, _CARD)
+    if not whole or not all(_holds(entry, _ENTRY) for entry in card["sequences"]):
+        raise StorageError(
+            f"{folder / CARD}: got no list of sequences with a manifest, expected one; {_CURE}"
+        )
     return Dataset(folder, card)
+
+
+def _holds(record: Any, kinds: Mapping[str, type]) -> bool:
+    return isinstance(record, dict) and all(isinstance(record.get(k), kinds[k]) for k in kinds)  # pyright: ignore
 
 
 def manifest(folder: Path) -> list[dict[str, Any]]:
@@ -339,8 +352,7 @@ def manifest(folder: Path) -> list[dict[str, Any]]:
     except (OSError, ValueError, RecursionError) as error:
         raise StorageError(f"{path}: got {error}, {cure}") from None
     for number, record in enumerate(records, start=1):
-        found = cast("dict[str, Any]", record) if isinstance(record, dict) else {}
-        whole = all(isinstance(found.get(key), kind) for key, kind in _KINDS.items())
-        if not whole or (place := Path(found["path"])).is_absolute() or ".." in place.parts:
+        whole = _holds(record, _KINDS) and len(record["path"]) < 1000
+        if not whole or (place := Path(record["path"])).is_absolute() or ".." in place.parts:
             raise StorageError(f"{path}, line {number}: got {json.dumps(record)[:80]}, {cure}")
     return records

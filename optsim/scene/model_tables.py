@@ -165,11 +165,13 @@ def _expanded(
         )
     stated |= {"file": str(file), "sha256": model_hash(file), "up": up}
     low, high = upright(model, up)
-    height_m = stated.get("height_m")
+    height_m, extent = stated.get("height_m"), high - low
+    if not extent.max() > 0 or (height_m is not None and extent[2] < 1e-9 * extent.max()):
+        raise ConfigError(f"{where}.file: got a model without a height; cure: another model, or another up")
     # Anything else is refused when the object is built.
     if unit in (None, *UNITS_M) and isinstance(height_m, int | float | type(None)):
-        scale = UNITS_M[unit or "m"] if height_m is None else height_m / max(float(high[2] - low[2]), 1e-12)
-        size_m = float((high - low).max()) * scale
+        scale = UNITS_M[unit or "m"] if height_m is None else height_m / float(extent[2])
+        size_m = float(extent.max()) * scale
         if not _SMALLEST * distance_m < size_m < _LARGEST * distance_m:
             raise ConfigError(
                 f"{where}: got a model of {size_m:.3g} m, expected one that fits a scene seen from "
