@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup benchmark bench regress planted-faults claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup benchmark regress planted-faults claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
 
 force:
 
@@ -34,8 +34,6 @@ docs: setup ## build the manual into site/, strictly; it opens from disk
 
 benchmark: setup ## run time against peers, measured now
 	$(BIN)/optsim benchmark
-
-bench: benchmark
 
 regress: setup ## the regression matrix against its baseline, reports/baselines/regress.json
 	$(BIN)/optsim regress

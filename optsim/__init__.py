@@ -11,14 +11,8 @@ The four verbs, in the order of use::
     print(score(result))
 """
 
-import sys
-
 import lazy_loader
-
-from optsim.core.old_names import OldNames
 
 __version__ = "0.1.0"
 # What __init__.pyi names is imported when it is first used, so that the command line starts quickly.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-sys.meta_path.insert(0, OldNames())  # first: folders of old rooms may still hold compiled files

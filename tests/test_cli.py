@@ -64,7 +64,6 @@ def cli(capsys, monkeypatch, tmp_path):
         (("run", "demo", "--dry-run", "--set", "methods.1.scheme.open_slots=99"), "'normal'"),
         (("list", "scenez"), "scenes"),
         (("benchmark", "omp.k2"), "omp.k2000"),
-        (("bench", "omp.k2"), "omp.k2000"),
         (("init", "demo2"), "demo"),
     ],
 )

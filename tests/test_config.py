@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from optsim.camera.hardware import icx674, imx174, sources
-from optsim.camera.parts import Objective
 from optsim.core.config import Part, build, override, read_toml
 from optsim.core.errors import ConfigError
 from optsim.core.units import parse_quantity, units_of
@@ -42,15 +41,6 @@ class Camera(Part):
 )
 def test_quantities_become_si(key: str, text: str, value: float) -> None:
     assert parse_quantity(key, text) == pytest.approx(value, rel=1e-12)
-
-
-def test_a_renamed_key_works_and_warns() -> None:
-    """By hand, and laid over a data sheet that has the new key."""
-    with pytest.warns(FutureWarning, match="moving_wing_share is moving_tail_share now"):
-        found = load_experiment("demo", ["camera.objective.moving_wing_share=0.01"])
-    assert found.camera.objective.moving_tail_share == 0.01
-    with pytest.warns(FutureWarning, match="^wing_share is tail_share now"):
-        assert Objective.model_validate({"wing_share": 0.002}).tail_share == 0.002
 
 
 @given(st.floats(min_value=-1e12, max_value=1e12, allow_nan=False))

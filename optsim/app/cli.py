@@ -316,8 +316,6 @@ app.command("tolerance")(tolerance)
 app.command("waterfall")(waterfall)
 app.command("yield")(yield_)
 app.command("benchmark")(benchmark)
-# Its name before that of the images of a bench.
-app.command("bench", hidden=True, deprecated=True)(benchmark)
 app.command("validate")(validate)
 _LEAST_COLUMNS = 40
 LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects")

@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import re
 import tomllib
-import warnings
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, cast, get_args
+from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -24,12 +23,7 @@ Table = dict[str, Any]
 
 
 class Part(BaseModel):
-    """Base of everything configurable: frozen, no unknown keys, quantity strings read by suffix.
-
-    ``OLD_KEYS`` maps former names of keys to those now; they work and warn.
-    """
-
-    OLD_KEYS: ClassVar[Mapping[str, str]] = {}
+    """Base of everything configurable: frozen, no unknown keys, quantity strings read by suffix."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -51,10 +45,6 @@ class Part(BaseModel):
         if not isinstance(values, Mapping):
             return values
         table = dict(cast("Mapping[str, object]", values))
-        for old in table.keys() & cls.OLD_KEYS.keys():
-            # A table laid over a data sheet has both: the user's old key wins.
-            warnings.warn(f"{old} is {cls.OLD_KEYS[old]} now", FutureWarning, stacklevel=2)
-            table[cls.OLD_KEYS[old]] = table.pop(old)
         for key in table.keys() & cls.model_fields.keys():
             table[key] = _number(key, table[key], cls.model_fields[key].annotation)
         return table

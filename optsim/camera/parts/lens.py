@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import ClassVar
 
 from pydantic import Field
 
@@ -41,11 +39,6 @@ class LensGroup(Part):
         Share of a point's light that interpolating the PSF over the field may misplace; 1 makes the PSF the
         same everywhere.
     """
-
-    OLD_KEYS: ClassVar[Mapping[str, str]] = {
-        "wing_share": "tail_share",
-        "moving_wing_share": "moving_tail_share",
-    }
 
     aberration_m: float = Field(ge=0)
     diffraction: bool = True
