@@ -139,6 +139,7 @@ def set_at(name: str, place: tuple[int, ...], value: float) -> Callable[[dict[st
             "standard_errors.leak: got -1, expected a number of at least 0",
         ),
         (about(standard_errors=3), "standard_errors: got 3, expected a table"),
+        (about(standard_errors=None), "standard_errors: got None, expected a table"),
         (set_at("responsivity_dn", (2, 3), np.nan), "responsivity_dn: got float32.*not finite"),
         (set_at("slot_weight", (0, 0, 1, 1), np.inf), "slot_weight: .*not finite"),
         (set_at("responsivity_dn", (2, 3), -1.0), "responsivity_dn.*negative"),

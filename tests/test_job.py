@@ -227,11 +227,11 @@ def test_a_run_too_short_for_the_steady_phase_says_so_on_the_terminal() -> None:
     assert "too short" in job.summary(short)
 
 
-def test_a_decoder_is_refused_before_a_run_s_bench_is_made_anew(
+def test_a_decoder_is_refused_before_a_run_s_frames_are_read(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "optsim.experiment.measurement.runs.calibrate", lambda *_: pytest.fail("a bench was made")
+        "optsim.experiment.measurement.runs.read_frames", lambda *_: pytest.fail("frames were read")
     )
     line = ["reconstruct", str(folder), "--method", "random", "--out", str(tmp_path / "none")]
     for wrong in (["--decoder", "gausian"], ["--set", "decoder.n_atom=3"]):

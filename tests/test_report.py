@@ -199,8 +199,6 @@ def test_faults_name_the_worst_place_and_open_the_viewer_there(results: dict[str
     # It errs more where it moves, and what it saturates has no place.
     assert any(f.text.startswith("Where it moves it errs") for f in faults)
     assert any("saturate" in f.text and not f.show for f in faults)
-    without = record.model_copy(update={"viewer": None})
-    assert not any(f.show for f in verdict.faults(without, "steady"))
     assert verdict.state(record, frame=0) == "", "a frame that is not among the pictures"
 
 
@@ -244,9 +242,8 @@ def test_uncertainties_are_told_where_a_method_states_them(
 ) -> None:
     table = page.split('id="uncertainty"')[1].split("</table>")[0]
     assert re.findall(r"<td[^>]*>([^<]*)</td>", table) == ["hdr_mosaic", "all", "61.3 %", "93.0 %", "1.238"]
-    # Runs from before this version say nothing of them.
-    older = {key: value for key, value in lean.items() if key != "uncertainty"}
-    assert 'id="uncertainty"' not in report.write_report(run_folder, older).read_text()
+    silent = {**lean, "uncertainty": []}
+    assert 'id="uncertainty"' not in report.write_report(run_folder, silent).read_text()
 
 
 def test_masks_are_told_by_phase_and_a_dash_where_they_have_no_meaning(
@@ -265,16 +262,14 @@ def test_masks_are_told_by_phase_and_a_dash_where_they_have_no_meaning(
     for share in (float("nan"), "none"):
         with pytest.raises(ValueCheckError, match=r"pooled_masks\.0\.iou"):
             report.check_results({**told, "pooled_masks": [row | shares | {"iou": share}]})
-    # Runs from before this version have the masks frame by frame only.
-    older = {key: value for key, value in lean.items() if key != "pooled_masks"}
-    assert 'id="masks"' not in report.write_report(run_folder, older).read_text()
+    without = {**lean, "pooled_masks": []}
+    assert 'id="masks"' not in report.write_report(run_folder, without).read_text()
 
 
-def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, Any]) -> None:
-    """Short footage run: no steady phase, no noise ceiling, no masks, no pictures, no claims."""
+def test_a_run_without_extras_still_reports(run_folder: Path, results: dict[str, Any]) -> None:
+    """Short footage run: no steady phase, no noise ceiling, no masks, no claims."""
     bare = copy.deepcopy(results)
     bare["scores"] = [s for s in bare["scores"] if s["phase"] == "warm-up"]
-    del bare["viewer"]
     for key in (
         "pictures",
         "by_luminance",
@@ -289,12 +284,11 @@ def test_a_run_without_extras_still_reports(tmp_path: Path, results: dict[str, A
     ):
         bare[key] = []
     bare["scores"][0]["value"], bare["scores"][0]["flag"] = None, "empty"
-    page = report.write_report(tmp_path, bare).read_text()
+    page = report.write_report(run_folder, bare).read_text()
     assert "too short to reach the steady phase" in page
-    assert "before the viewer" in page
     assert "what it can certify is unknown" in page
     bare["scores"] = bare["coverage"] = bare["frame_series"] = []
-    assert "No scores in this run" in report.write_report(tmp_path, bare).read_text()
+    assert "No scores in this run" in report.write_report(run_folder, bare).read_text()
 
 
 def test_schema_refuses_with_the_place(tmp_path: Path, results: dict[str, Any]) -> None:
@@ -312,20 +306,7 @@ def test_schema_refuses_with_the_place(tmp_path: Path, results: dict[str, Any]) 
 
 
 def test_results_are_written_as_they_were_read(results: dict[str, Any]) -> None:
-    # Of an earlier version, too: what it did not state stays absent.
-    older = {key: value for key, value in results.items() if key not in ("uncertainty", "pooled_masks")}
-    del older["latency"]["details"]
-    for record in (results, older):
-        assert report.check_results(record).as_json() == record
-
-
-def test_results_are_read_by_key_as_before_with_a_warning(results: dict[str, Any]) -> None:
-    found = report.check_results(results)
-    with pytest.warns(DeprecationWarning, match=r"record\['scores'\] is record.scores now"):
-        scores = found["scores"]
-    assert scores is found.scores
-    with pytest.raises(KeyError):
-        found["as_json"]
+    assert report.check_results(results).as_json() == results
 
 
 def test_tone_curve_is_one_monotone_curve() -> None:

@@ -86,31 +86,6 @@ def test_several_runs_share_a_page_with_their_history(run_folder: Path, tmp_path
     assert not re.search(r"https?://", page)
 
 
-def test_runs_of_before_the_viewer_have_a_page_and_a_line(run_folder: Path) -> None:
-    results = read_json(run_folder / "results.json")
-    for key in ("viewer", "by_luminance", "worst_places"):
-        del results[key]
-    old = {
-        "file": "assets/full_truth.png",
-        "caption": "",
-        "section": "compare",
-        "group": "",
-        "label": "truth",
-    }
-    results["pictures"] = [{**old, "width": 4, "height": 3}]
-    folder = run_folder.parent / "old"
-    (folder / "assets").mkdir(parents=True)
-    (folder / "assets/full_truth.png").write_bytes(b"kept")
-    write_json(folder / "results.json", results)
-    code, said = command(folder)
-    assert code == 0
-    assert f"{folder}: its page has no pictures" in said
-    page = (folder / "report.html").read_text()
-    assert "before the viewer" in page
-    assert "<canvas" not in page
-    assert "viewer-record" not in page
-
-
 @pytest.mark.parametrize("content", [None, "{", json.dumps({"schema_version": 1})])
 def test_what_is_no_run_is_refused_in_one_line(
     run_folder: Path, tmp_path: Path, content: str | None, capsys: pytest.CaptureFixture[str]

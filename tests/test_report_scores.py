@@ -53,22 +53,6 @@ def test_each_score_stands_beside_its_interval(run_folder: Path, lean: dict[str,
     assert len({text for _, text in shown}) > 50
 
 
-def test_runs_of_before_have_their_intervals_from_the_frames(
-    run_folder: Path, results: dict[str, Any]
-) -> None:
-    older = {**results, "scores": [{**s, "low": None, "high": None} for s in results["scores"]]}
-    pages = [report.write_report(run_folder, each).read_text() for each in (results, older)]
-    steady = [
-        re.search(r'<table class="scores" data-phase="steady".*?</table>', p, flags=re.S) for p in pages
-    ]
-    now, before = (re.findall(r"±\s[0-9.]+", found[0] if found else "") for found in steady)
-    assert now == before
-    assert len(now) == len(METHODS) * 3 * 3
-    heads = [p.split('id="headline"')[1].split("</table>")[0] for p in pages]
-    assert heads[0] == heads[1]
-    assert heads[0].count("±") == len(METHODS) * 3
-
-
 def series(method: str, metric: Any, region: str, values: list[float | None]) -> dict[str, Any]:
     return {
         "method": method,

@@ -22,17 +22,13 @@ def remake_reports(
     ] = None,
 ) -> None:
     """Make report.html anew from results.json and assets; of several runs also a page with their history."""
-    from optsim.core.console import page, people
+    from optsim.core.console import page
     from optsim.report import write_report
     from optsim.report.index import write_index
 
     read = [(folder, _results(folder)) for folder in runs]
     for folder, results in read:
         page.print(f"Report: {write_report(folder, results)}")
-        if results.viewer is None:
-            people.print(
-                f"{folder}: its page has no pictures, the run is older than they; cure: run it again"
-            )
     if index is None and len(read) > 1:
         index = Path(os.path.commonpath([folder.resolve() for folder in runs])) / "index.html"
     if index is not None:

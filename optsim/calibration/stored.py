@@ -200,8 +200,8 @@ def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
 
 
 def _standard_errors(about: Mapping[str, Any], where: object) -> dict[str, float]:
-    """Read the standard errors of single numbers; older files have none."""
-    said: object = about.get("standard_errors", {})
+    """Read the standard errors of single numbers."""
+    said: object = about.get("standard_errors")
     if not isinstance(said, dict):
         raise StorageError(f"{where}: standard_errors: got {said!r}, expected a table; cure: {_CURE}")
     errors = cast("dict[str, Any]", said)

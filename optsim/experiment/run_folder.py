@@ -161,12 +161,10 @@ def write_checksums(folder: Path) -> None:
 
 
 def changed_file(folder: Path, names: Sequence[str] | None = None) -> str:
-    """Name the first listed file that differs from :data:`CHECKSUMS`; empty when none does."""
-    if not (folder / CHECKSUMS).is_file():
-        return ""
+    """Name the first file, of all listed ones by default, that differs from :data:`CHECKSUMS`; else empty."""
     sums = read_record(folder / CHECKSUMS)
     for name in sums if names is None else names:
-        if name in sums and not ((folder / name).is_file() and list(sum_of(folder / name)) == sums[name]):
+        if not (folder / name).is_file() or list(sum_of(folder / name)) != sums.get(name):
             return name
     return ""
 

@@ -5,7 +5,6 @@ A missing number is None, never NaN or infinity. Shares are 0..1.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -24,13 +23,6 @@ class Record(BaseModel):
     """Part of results.json: frozen, no unknown keys, read by attribute."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    def __getitem__(self, key: str) -> Any:
-        """Read a key as from a dict, with a warning."""
-        if key not in type(self).model_fields:
-            raise KeyError(key)
-        warnings.warn(f"record[{key!r}] is record.{key} now", DeprecationWarning, stacklevel=2)
-        return getattr(self, key)
 
     def as_json(self) -> dict[str, Any]:
         """Return its content for a JSON file; a key that was not stated is absent."""

@@ -103,13 +103,6 @@ def half_width(values: Sequence[float]) -> float | None:
     return None if len(values) < _LEAST_FRAMES else student.half_width(values)
 
 
-def score_half_width(results: Results, score: Score) -> float | None:
-    """Half of the interval of a score, which runs of before leave to the scatter of their coded frames."""
-    if score.half is not None:
-        return score.half
-    return half_width(list(by_frame(results, score.metric, score.region, score.method, score.phase).values()))
-
-
 @dataclass(frozen=True)
 class Lead:
     """Lead of the best method over another, in the metric's unit: a mean over their common coded frames."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -94,7 +93,6 @@ def _context(results: Results) -> dict[str, object]:
         "quality": verdict.quality(results, phase) if phase else "",
         "faults": verdict.faults(results, phase) if phase else [],
         "rows": rows,
-        "half": partial(headline.score_half_width, results),
         "n_frames": _n_frames(results, phase),
         "tables": [(p, headline.table(results.scores, results.methods, p)) for p in reached],
         "class_rows": class_table.class_rows(results),

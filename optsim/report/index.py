@@ -78,9 +78,7 @@ def _entries(path: Path, runs: Sequence[tuple[Path, Results]]) -> list[Entry]:
             continue
         row = lines[0].row
         halves = {
-            score.method: words.plus_minus(headline.score_half_width(results, score), row.unit)
-            for score in row.scores
-            if score is not None
+            score.method: words.plus_minus(score.half, row.unit) for score in row.scores if score is not None
         }
         link = quote(os.path.relpath(folder.resolve(), path.resolve().parent))
         stills = [p for p in results.pictures if p.section == "compare"]

@@ -33,7 +33,7 @@ RESULTS = "results.json"
 
 Scalar = str | int | float | bool | None
 Cell = Scalar | list[Scalar]
-Section = Literal["compare", "crops", "moving", "capture", "errors"]
+Section = Literal["compare", "capture", "errors"]
 
 
 class StageTime(Record):
@@ -90,7 +90,7 @@ class Latency(Record):
     frames: int
     smallest_physical: int
     hypothetical: bool
-    details: dict[str, Cell] | None = None
+    details: dict[str, Cell]
 
 
 class SceneFacts(Record):
@@ -140,14 +140,6 @@ class EvidenceRow(Record):
     reason: str | None
 
 
-class ColourScale(Record):
-    """A labelled colour bar: CSS colours from low to high, evenly spaced."""
-
-    colours: list[str]
-    ticks: list[str]
-    unit: str
-
-
 class LegendEntry(Record):
     """One colour of an image and its meaning."""
 
@@ -156,11 +148,7 @@ class LegendEntry(Record):
 
 
 class Picture(Record):
-    """An image file below the run folder, and its place in the report.
-
-    Sections "crops" and "moving" and the keys ``still`` and ``scale`` are of earlier versions, which had no
-    viewer; no page shows them.
-    """
+    """An image file below the run folder, and its place in the report."""
 
     file: str
     caption: str
@@ -169,8 +157,6 @@ class Picture(Record):
     label: str
     width: int
     height: int
-    still: str | None = None
-    scale: ColourScale | None = None
     legend: list[LegendEntry] = Field(default_factory=list[LegendEntry])
 
 
@@ -213,7 +199,7 @@ class CalibrationFile(Record):
 
 
 class Results(Record):
-    """All content of a report; keys with a default did not exist in earlier versions."""
+    """All content of a report."""
 
     schema_version: Literal[2]
     title: str
@@ -221,13 +207,13 @@ class Results(Record):
     command: str
     finished_utc: str
     versions: dict[str, str]
-    run_key: str | None = None
-    commit: str | None = None
-    exported_truth: bool | None = None
+    run_key: str
+    commit: str | None
+    exported_truth: bool
     backend: str
     seeds: dict[str, int]
     timings: list[StageTime]
-    resumed: Resumed | None = None
+    resumed: Resumed
     light_rule: LightRule
     photons: list[Photons]
     ledgers: list[Ledger]
@@ -235,18 +221,18 @@ class Results(Record):
     latency: Latency
     scene: SceneFacts
     methods: dict[str, str]
-    calibrations: dict[str, str] = Field(default_factory=dict[str, str])
-    calibration_files: list[CalibrationFile] = Field(default_factory=list[CalibrationFile])
+    calibrations: dict[str, str]
+    calibration_files: list[CalibrationFile]
     scores: list[Score]
     coverage: list[Coverage]
     frame_series: list[Series]
     slot_series: list[Series]
-    class_series: list[ClassSeries] = Field(default_factory=list[ClassSeries])
-    temporal: list[Temporal] = Field(default_factory=list[Temporal])
-    readings: list[Reading] = Field(default_factory=list[Reading])
-    uncertainty: list[Uncertainty] = Field(default_factory=list[Uncertainty])
+    class_series: list[ClassSeries]
+    temporal: list[Temporal]
+    readings: list[Reading]
+    uncertainty: list[Uncertainty]
     masks: list[MaskScore]
-    pooled_masks: list[PooledMask] = Field(default_factory=list[PooledMask])
+    pooled_masks: list[PooledMask]
     noise_ceiling: list[Score]
     pairs: list[PairRecord]
     claims: list[Verdict]
@@ -255,17 +241,16 @@ class Results(Record):
     not_modelled: list[str]
     reconstruct_s: dict[str, float]
     pictures: list[Picture]
-    viewer: Viewer | None = None
-    by_luminance: list[LuminanceBin] = Field(default_factory=list[LuminanceBin])
-    worst_places: list[Place] = Field(default_factory=list[Place])
+    viewer: Viewer
+    by_luminance: list[LuminanceBin]
+    worst_places: list[Place]
 
     @property
     def files(self) -> list[str]:
         """Files below the run folder that the page shows."""
         found = [picture.file for picture in self.pictures]
-        if self.viewer is not None:
-            for frame in self.viewer.frames:
-                found += [frame.truth, *frame.methods.values()]
+        for frame in self.viewer.frames:
+            found += [frame.truth, *frame.methods.values()]
         return found
 
 

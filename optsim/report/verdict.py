@@ -73,7 +73,7 @@ def quality(results: Results, phase: Phase) -> str:
     score = next(iter(found), None)
     if score is None or score.value is None:
         return ""
-    value, half = score.value, words.plus_minus(headline.score_half_width(results, score), "stops")
+    value, half = score.value, words.plus_minus(score.half, "stops")
     said = " ".join(filter(None, [f"errs by {words.score(value, 'stops')}", half, "stops"]))
     said += f" ({words.per_cent_of_stops(value)})"
     sure = headline.ceilings(results, phase).get(("all", metric))
@@ -96,9 +96,7 @@ def faults(results: Results, phase: Phase) -> list[Fault]:
 
 
 def state(results: Results, **wanted: object) -> str:
-    """Write a state of the viewer as JSON; empty when the run has none, or not that coded frame."""
-    if results.viewer is None:
-        return ""
+    """Write a state of the viewer as JSON; empty when it lacks that coded frame."""
     shown = [frame.index for frame in results.viewer.frames]
     return json.dumps(wanted) if wanted.get("frame", shown[0]) in shown else ""
 

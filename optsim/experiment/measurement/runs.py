@@ -18,9 +18,7 @@ from optsim.core.errors import ConfigError, StorageError, unknown_name
 from optsim.core.files import read_record
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import Decoder
-from optsim.experiment.calibrations import calibrate
 from optsim.experiment.experiment import Experiment, Method
-from optsim.experiment.loop import planned
 from optsim.experiment.measurement.coded import Measurement
 from optsim.experiment.run_folder import CHECKSUMS, RECORD, calibration_names, changed_file, frame_files
 from optsim.footage.measured import read_pictures
@@ -35,8 +33,6 @@ def decoder_of_run(folder: Path, method: str | None) -> Decoder:
 
 def read_run(folder: Path, method: str | None, calibration: Path | None = None) -> Measurement:
     """Read the frames of one of a run's methods, with its calibration or another one.
-
-    A run without a stored calibration, as of earlier versions, is calibrated anew.
 
     Parameters
     ----------
@@ -61,7 +57,7 @@ def read_run(folder: Path, method: str | None, calibration: Path | None = None) 
     if calibration is None:
         kept = folder / calibration_names(experiment)[known]
         _check_written(folder, [kept], "a calibration")
-        found = read_calibration(kept) if kept.is_file() else calibrate(planned(experiment)[0], known)
+        found = read_calibration(kept)
     else:
         known = CalibrationChoice(str(calibration), known.reading_px)
         found = kept_calibration(known, camera)
@@ -149,6 +145,8 @@ def _picture(path: Path, shape: tuple[int, ...], dtype: type[np.generic]) -> NDA
 
 def _check_written(folder: Path, files: Sequence[Path], what: str) -> None:
     """Refuse a file that is missing or changed since the run."""
+    if not (folder / CHECKSUMS).is_file():
+        raise StorageError(f"{folder / CHECKSUMS}: got no such file, expected what the run wrote; {_CURE}")
     changed = changed_file(folder, [path.relative_to(folder).as_posix() for path in files])
     if changed:
         got = "other content" if (folder / changed).is_file() else "no such file"
