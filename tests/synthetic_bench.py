@@ -136,6 +136,8 @@ class Camera:
             slots_per_frame=self.slots,
             coded_slots=self.slots,
             panel_shape=self.panel,
+            ccd_pitch_m=4e-6,
+            ccd_per_panel_px=self.ratio,
             darks=self.frames(np.zeros(self.ccd), 16),
             flats=tuple(self.flat(255, e, 8) for e in (0.3, 0.6, 1.0)),
             off=self.flat(0, 10.0, 4),

@@ -22,6 +22,7 @@ from optsim.calibration.estimate import measure_calibration
 from optsim.calibration.orientation import DIRECTIONS, UPRIGHT
 from optsim.core.errors import BenchError
 from optsim.core.files import write_png16
+from optsim.experiment.calibration_record import calibration_record
 
 PANEL, CCD = (40, 52), (140, 176)
 Change = Callable[[Bench], dict[str, Any]]
@@ -85,6 +86,31 @@ def shifted(names: tuple[str, ...], down: int, right: int) -> Change:
     return change
 
 
+def moved(px: float, *of: str) -> Change:
+    """Take some images with the CCD moved along its rows by a share of a panel pixel."""
+
+    def change(bench: Bench) -> dict[str, Any]:
+        there = replace(
+            Camera(panel=PANEL, ccd=CCD, shift=(3.3, -2.7 + 2.88 * px)).bench(), about=bench.about
+        )
+        changed: dict[str, Any] = {}
+        for each in of:
+            name, _, index = each.partition("[")
+            held, other = getattr(bench, name), getattr(there, name)
+            if index:
+                number, _, frame = index.partition("].")
+                number = int(number.rstrip("]"))
+                dn = held[number].dn.copy()
+                dn[int(frame) if frame else slice(None)] = other[number].dn[
+                    int(frame) if frame else slice(None)
+                ]
+                other = (*held[:number], replace(held[number], dn=dn), *held[number + 1 :])
+            changed[name] = other
+        return changed
+
+    return change
+
+
 PATTERNS = ("anchors", "dots", "glare")
 REFUSED: dict[str, tuple[Change, str]] = {
     "counted from 1": (shifted(("anchors", "dots"), 1, 1), r"dots\[0\].*ends -?\+?.*count from 0"),
@@ -102,6 +128,18 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "a lit dark": (one_frame("darks", None, lambda b: b.flats[0].dn), r"darks, frame 15: .*DN rms off"),
     "a flat of another light": (one_frame("flats", 1, lambda b: b.flats[2].dn), r"flats\[1\], frame 7"),
     "a dot pattern of another lattice": (one_frame("dots", 2, lambda b: b.dots[0].dn), r"dots\[2\], frame"),
+    "one lattice moved": (
+        moved(0.4, "dots[2]"),
+        r"dots\[2\], frame \d: got dots [+-]0\.00\d rows and \+0\.[34]\d+ columns .*beside .* dots\[\d\], f",
+    ),
+    "one lattice moved a little": (moved(0.06, "dots[1]"), r"dots\[1\], frame .: got .*camera moved"),
+    "one frame moved": (moved(0.2, "dots[3].1"), r"dots\[3\], frame 1: got dots .*camera moved"),
+    "dots moved": (moved(0.4, "dots"), r"anchors\[0\].* -0\.4\d columns .*map of bench dots\[0\].*moved"),
+    "an anchor moved": (moved(-0.2, "anchors[1]"), r"anchors\[1\].* -0\.\d+ columns"),
+    "patterns moved": (
+        moved(0.4, "dots", "anchors"),
+        r"dots\[0\].* \+0\.\d+ at the left, -0\.\d+ at the right.*moved between dots and flats",
+    ),
     "a saturated flat": (
         lambda b: {"flats": (*b.flats[:2], replace(b.flats[2], dn=b.saturated.dn))},
         r"flats\[2\]: got 100% of its pixels saturated",
@@ -191,6 +229,12 @@ def edited(folder: Path, tmp_path: Path, change: Callable[[dict[str, Any]], obje
         (lambda r: r["flats"][0].update(level=300), r"flats\[0\]\.level: got 300, expected a drive level"),
         (lambda r: r["off"].update(irradiance_w_m2=0), "irradiance_w_m2: got 0, expected a number above 0"),
         (lambda r: r.update(coded_slots=99, exposure_s=99 / 180), "coded_slots: got 99, expected 1 to slots"),
+        (lambda r: r["flats"][1].update(gain=2), r"flats\[1\]\.gain: got an unknown key; cure: put it into"),
+        (lambda r: r["off"].update(levle=0), r"off\.levle: got an unknown key; cure: did you mean 'level'"),
+        (lambda r: r["dots"][2].update(colour="green"), r"dots\[2\]\.colour: got an unknown key"),
+        (lambda r: r["steps"][3].update(delay_ms=3), r"steps\[3\]\.delay_ms: got .*mean 'delay_s'"),
+        (lambda r: r.update(ccd_pitch_m=4.54), "ccd_pitch_m: got 4.54, expected metres, below 0.001"),
+        (lambda r: r.update(ccd_per_panel_px="3"), "ccd_per_panel_px: got '3', expected a number"),
         (lambda r: r.update(steps="none"), "steps: got 'none', expected a list of objects"),
     ],
 )  # fmt: skip
@@ -233,3 +277,24 @@ def test_a_file_is_named_where_its_images_are_wrong(folder: Path, tmp_path: Path
 def test_every_field_of_a_bench_is_in_its_manifest(folder: Path) -> None:
     record = json.loads((folder / "bench.json").read_text())
     assert {each.name for each in fields(Bench)} - {"files"} <= record.keys()
+
+
+def remarks(bench: Bench) -> str:
+    return " ".join(calibration_record(measure_calibration(bench), bench, Path("bench")).remarks)
+
+
+def test_left_justified_data_are_said(bench: Bench) -> None:
+    """Of 12 bits in words of 16, frames to decode that are not stored alike would be misread by 16 times."""
+    assert "multiples" not in remarks(bench)
+    left = replace(bench, **with_images(bench, lambda dn: (dn >> 2) << 4))
+    assert "All DN are multiples of 16: left-justified by 4 bits" in remarks(left)
+
+
+@pytest.mark.parametrize("slots", [0.15, -0.1])
+def test_a_delay_common_to_all_flashes_is_said(bench: Bench, slots: float) -> None:
+    assert "common to all flashes" not in remarks(bench)
+    by_s = slots * bench.slot_s
+    steps = tuple(replace(each, delay_s=each.delay_s + by_s) for each in bench.steps)
+    said = remarks(replace(bench, steps=steps))
+    assert f"seems to turn {slots:+.2f}" in said
+    assert "check delay_s" in said

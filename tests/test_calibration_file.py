@@ -37,6 +37,7 @@ def known() -> Calibration:
         glare=Glare(0.01, 0.02, 11.0, (0.001, 0.002, 0.0, 0.003)),
         reading_px=3,
         standard_errors={"leak": 0.001, "map_px": 0.002},
+        misalignment={"shift_y_px": -1.25, "rotation_rad": 0.008},
     )
 
 
@@ -138,6 +139,8 @@ def set_at(name: str, place: tuple[int, ...], value: float) -> Callable[[dict[st
             about(standard_errors={"leak": -1}),
             "standard_errors.leak: got -1, expected a number of at least 0",
         ),
+        (about(misalignment={"rotation_rad": "8"}), "misalignment.rotation_rad: got '8', expected a number;"),
+        (about(misalignment=[]), r"misalignment: got \[\], expected a table"),
         (about(standard_errors=3), "standard_errors: got 3, expected a table"),
         (about(standard_errors=None), "standard_errors: got None, expected a table"),
         (set_at("responsivity_dn", (2, 3), np.nan), "responsivity_dn: got float32.*not finite"),

@@ -87,6 +87,8 @@ class Bench:
     orientation : tuple of str or None
         Directions on the CCD's image in which panel rows and panel columns count up: ("down", "right") if
         upright, ("down", "left") if mirrored, ("right", "down") if transposed. None: unknown, any is taken.
+    ccd_pitch_m, ccd_per_panel_px : float or None
+        Pitch of the CCD, m, and the nominal CCD pixels a panel pixel: the units of misalignments.
     about : mapping
         Whatever the laboratory notes: who, when, with which program.
     files : mapping
@@ -120,6 +122,8 @@ class Bench:
     fields: tuple[Step, ...] = ()
     white_rad: float = math.pi
     orientation: Orientation | None = None
+    ccd_pitch_m: float | None = None
+    ccd_per_panel_px: float | None = None
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
@@ -142,6 +146,7 @@ class Bench:
                 f"1 to slots_per_frame, {self.slots_per_frame}",
             ),
             (min(self.panel_shape) > 0, "panel_shape", self.panel_shape, "rows and columns"),
+            (0 < (self.ccd_pitch_m or 1e-6) < 1e-3, "ccd_pitch_m", self.ccd_pitch_m, "metres, below 0.001"),
         ):
             if not fine:
                 raise BenchError(f"bench {key}: got {got}, expected {expected}; cure: correct {RECORD}")
@@ -187,6 +192,8 @@ class Bench:
             "panel_shape": self.panel_shape,
             "white_rad": self.white_rad,
             "orientation": self.orientation,
+            "ccd_pitch_m": self.ccd_pitch_m,
+            "ccd_per_panel_px": self.ccd_per_panel_px,
             "about": self.about,
         }
 
@@ -243,6 +250,7 @@ class Bench:
             fields=tuple(read_step(t) for t in table.tables("fields")),
             white_rad=table.positive("white_rad"),
             orientation=_orientation(table),
+            **{key: table.positive(key) for key in ("ccd_pitch_m", "ccd_per_panel_px") if key in table.items},
             about=table.table("about").items if "about" in table.items else {},
             files=_files(table, cls.SETS),
         )

@@ -111,11 +111,13 @@ def write_group(folder: Path, stem: str, group: Group, suffix: str = "png") -> d
 
 def read_flat(table: Table) -> Flat:
     """Read a flat and its images."""
+    table.only(("level", "irradiance_w_m2", "files"))
     return Flat(table.level("level"), table.positive("irradiance_w_m2"), table.images("files"))
 
 
 def read_patches(table: Table) -> Patches:
     """Read patches and their images."""
+    table.only(("rows", "cols", "size", "irradiance_w_m2", "files"))
     rows, cols = table.integers("rows"), table.integers("cols")
     size, irradiance_w_m2 = int(table.positive("size")), table.positive("irradiance_w_m2")
     return Patches(rows, cols, size, irradiance_w_m2, table.images("files"))
@@ -123,5 +125,6 @@ def read_patches(table: Table) -> Patches:
 
 def read_step(table: Table) -> Step:
     """Read a step and its images."""
+    table.only(("before", "after", "delay_s", "flash_s", "files"))
     before, after = table.level("before"), table.level("after")
     return Step(before, after, table.number("delay_s"), table.positive("flash_s"), table.images("files"))

@@ -95,6 +95,9 @@ class Calibration:
     standard_errors : mapping
         Standard errors of single numbers by their names in the calibration's file, in the same unit, and
         ``map_px`` of the pixel map, panel pixels; of measured ones only.
+    misalignment : mapping
+        Shift, rotation, scale, keystone and distortion of the panel's image by the names of
+        :data:`~optsim.calibration.misalignment.NAMES`; their errors stand in ``standard_errors``.
     """
 
     source: Literal["bench", "true", "ideal"]
@@ -118,6 +121,7 @@ class Calibration:
     glare: Glare = NO_GLARE
     reading_px: int = 1
     standard_errors: Mapping[str, float] = field(default_factory=dict[str, float])
+    misalignment: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (

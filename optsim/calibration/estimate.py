@@ -10,6 +10,7 @@ from optsim.calibration.bench import Bench
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.image_checks import check_images
 from optsim.calibration.light_spread import crosstalk, measured_glare
+from optsim.calibration.misalignment import misalignment
 from optsim.calibration.panel_edges import check_edges, edges_off_px
 from optsim.calibration.pixel_map import PixelMap, map_pixels
 from optsim.calibration.sensor_noise import photon_transfer, saturation_threshold
@@ -154,6 +155,10 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
         response, misfit = steps_fit.response, steps_fit.misfit
         errors |= steps_fit.errors_s
         response = field_drive(bench.fields, reader, valid, bench.slot_s, response)
+    seen = pixel_map.on_ccd(pixel_map.dots_px) + pixel_map.off_ccd_px
+    aligned, aligned_errors = misalignment(
+        pixel_map.dots_px, seen, pixel_map, (height, width), bench.ccd_per_panel_px
+    )
     map_error_px = float(np.sqrt(2 * np.mean(pixel_map.error_px() ** 2)))
     calibration = Calibration(
         source="bench",
@@ -176,7 +181,8 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
         map_residual_px=pixel_map.residual_px,
         glare=glare.glare,
         reading_px=reading_px,
-        standard_errors=errors | {"map_px": map_error_px},
+        standard_errors=errors | {"map_px": map_error_px} | aligned_errors,
+        misalignment=aligned,
     )
     done()
     return Measured(calibration, pixel_map, off_px, misfit, on_ccd_share)

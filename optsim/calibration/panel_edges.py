@@ -24,6 +24,8 @@ _LEAST_BEYOND_PX = 1.6
 # An edge is seen if the light beyond falls below this share of that inside.
 _DARK = 0.35
 _MOST_OFF_PX = 0.5
+# Half the difference of opposite edges is a shift, whatever the shape of an edge: 0.01 on the demo's bench.
+_MOST_MOVED_PX = 0.1
 
 
 def edges_off_px(bench: Bench, found: PixelMap, black_dn: Floats) -> dict[str, float]:
@@ -88,13 +90,17 @@ def check_edges(bench: Bench, off_px: dict[str, float]) -> None:
         (("top", "bottom"), ("left", "right")), ("rows", "cols"), bench.panel_shape, strict=True
     ):
         shown = {side: off_px[side] for side in (first, last) if side in off_px}
-        if not shown or max(abs(each) for each in shown.values()) <= _MOST_OFF_PX:
+        moved_px = abs(shown[last] - shown[first]) / 2 if len(shown) == 2 else 0.0
+        most_px = max(map(abs, shown.values()), default=0.0)
+        if most_px <= _MOST_OFF_PX and moved_px <= _MOST_MOVED_PX:
             continue
         said = ", ".join(f"{each:+.2f} at the {side}" for side, each in shown.items())
         cure = f"the {key} of dots and anchors are shifted: count from 0"
         if len(shown) == 2 and abs(shown[first] + shown[last]) > _MOST_OFF_PX:
             cure = f"panel_shape says {size} {key}: correct it, or the {key} of dots and anchors"
+        if most_px <= _MOST_OFF_PX:
+            cure = "the camera moved between dots and flats: take the bench again"
         raise BenchError(
-            f"{bench.where('dots[0]')}: got a panel that ends {said} pixels beyond where the map of dots "
-            f"has its edge, expected {_MOST_OFF_PX:g} at most; cure: {cure}"
+            f"{bench.where('dots[0]')}: got a panel that ends {said} pixels beyond where the map of dots has "
+            f"its edge, expected {_MOST_OFF_PX:g} at most and a shift of {_MOST_MOVED_PX:g}; cure: {cure}"
         )

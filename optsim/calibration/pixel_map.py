@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -23,10 +24,14 @@ _DIM = 0.3
 _OUTLIER_SIGMAS = 5.0
 # What shading across the image of a dot moves its centroid, panel pixels. Measured on benches of another
 # program (validation/calibration_intervals).
-_MODEL_PX = 6e-4
-# No source, sensible defaults: a lattice of which fewer dots agree shows another pattern; so does an anchor
-# farther from where the dots have it, panel pixels.
-_LEAST_AGREEING, _MOST_APART_PX = 0.5, 0.5
+MODEL_PX = 6e-4
+# No source, a sensible default: a lattice of which fewer dots agree shows another pattern.
+_LEAST_AGREEING = 0.5
+# Share of still benches whose noise is taken for a move: of dots, and of anchors.
+_FALSE_ALARMS = 1e-3
+# Panel pixels by which images may differ beyond noise, of dots and of anchors: less costs nothing, and those
+# of the demo differ by 0.002 and 0.008. An anchor half a pixel off is wrong, however the dots scatter.
+_STILL_PX, _ANCHOR_PX, _MOST_APART_PX = 0.02, 0.05, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +88,7 @@ class PixelMap:
         """Give the map's standard error at each panel pixel along either axis, panel pixels: array (v, u)."""
         terms = _terms(self._centres(), self.panel_shape, _ORDER)
         variance = np.einsum("nt,ts,ns->n", terms, self.covariance, terms, optimize=True)
-        return np.hypot(np.sqrt(variance) / self.ccd_per_panel_px, _MODEL_PX).reshape(self.panel_shape)
+        return np.hypot(np.sqrt(variance) / self.ccd_per_panel_px, MODEL_PX).reshape(self.panel_shape)
 
     def beyond_dots(self) -> Bools:
         """Panel pixels outside of the dots' rectangle, where the map is extrapolated: array (v, u)."""
@@ -130,15 +135,11 @@ def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
         bench says.
     """
     off = bench.off.dn.mean(axis=0, dtype=np.float32) - black_dn
-    pictures = [
-        (
-            p,
-            p.dn.mean(axis=0, dtype=np.float32)
-            - black_dn
-            - off * (p.irradiance_w_m2 / bench.off.irradiance_w_m2),
-        )
-        for p in (*bench.anchors, *bench.dots)
-    ]
+
+    def light(shown: Patches, dn: Floats) -> tuple[Patches, Floats]:
+        return shown, dn - black_dn - off * (shown.irradiance_w_m2 / bench.off.irradiance_w_m2)
+
+    pictures = [light(p, p.dn.mean(axis=0, dtype=np.float32)) for p in (*bench.anchors, *bench.dots)]
     n = len(bench.anchors)
     anchors, on_ccd = _anchors(bench, pictures[:n])
     affine = np.linalg.lstsq(_terms(anchors, bench.panel_shape, 1), on_ccd)[0].astype(np.float64)
@@ -147,7 +148,12 @@ def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
     found, kept = _fit(bench, panel, ccd, scale)
     ccd_shape = black_dn.shape[0], black_dn.shape[1]
     _check_lattices(bench, found, ccd_shape, np.bincount(lattice[kept], minlength=len(bench.dots)))
-    _check_anchors(bench, found, anchors, on_ccd)
+    _check_anchors(bench, found, anchors, on_ccd, _MOST_APART_PX)
+    frames = [(p, dn.astype(np.float32)) for p in bench.dots for dn in p.dn]
+    _check_still(bench, found, *_dots([light(*each) for each in frames], affine, scale, bench.panel_shape))
+    # An anchor has more light than a dot, so less noise; on either axis.
+    sigmas = NormalDist().inv_cdf(1 - _FALSE_ALARMS / 4 / n)
+    _check_anchors(bench, found, anchors, on_ccd, max(_ANCHOR_PX, sigmas * found.residual_px / np.sqrt(2)))
     if bench.orientation is not None and found.orientation != bench.orientation:
         raise BenchError(
             f"{bench.where('anchors[0]')}: orientation: got an image that is {in_words(found.orientation)}, "
@@ -168,19 +174,46 @@ def _check_lattices(bench: Bench, found: PixelMap, ccd_shape: tuple[int, int], a
             raise BenchError(
                 f"{bench.where(f'dots[{number}]')}: got {n_kept} of {n_there} dots where the map of all "
                 "dots has them, expected most; cure: it shows another pattern than rows and cols say: "
-                "exchange the file or correct them"
+                "exchange the file or correct them; or the camera moved: take the bench again"
             )
 
 
-def _check_anchors(bench: Bench, found: PixelMap, panel: Doubles, on_ccd: Doubles) -> None:
+def _check_still(bench: Bench, found: PixelMap, panel: Doubles, ccd: Doubles, image: Ints) -> None:
+    """Refuse images of dots between which the camera moved, by their medians beside the map of all."""
+    names = [(f"dots[{k}]", frame) for k, p in enumerate(bench.dots) for frame in range(len(p.dn))]
+    beside = found.on_panel(ccd - found.on_ccd(panel))
+    counts = np.bincount(image, minlength=len(names))
+    medians = [np.median(beside[image == k], axis=0) if counts[k] else [0, 0] for k in range(len(names))]
+    place: Doubles = np.array(medians, np.float64)
+    # Robust standard deviation of a dot on one axis, and from it the standard error of a median.
+    freedom = max(1 - len(names) / len(beside), 0.1)
+    scatter = 1.4826 * float(np.median(np.abs(beside - place[image]))) / np.sqrt(freedom)
+    variance = np.pi / 2 * scatter**2 / np.maximum(counts, 1e-9)
+    n_tests = max(len(names) * (len(names) - 1), 1)  # both axes of all pairs
+    sigmas = NormalDist().inv_cdf(1 - _FALSE_ALARMS / 2 / n_tests)
+    limit = np.maximum(sigmas * np.sqrt(variance[:, None] + variance), _STILL_PX)
+    excess = np.abs(place[:, None] - place).max(axis=2) / limit
+    pair = np.unravel_index(int(excess.argmax()), excess.shape)
+    # The image that differs from most others is named first.
+    first, other = sorted(pair, key=lambda image: float(np.median(excess[image])))
+    if excess[first, other] > 1:
+        down, right = place[other] - place[first]
+        raise BenchError(
+            f"{bench.where(*names[other])}: got dots {down:+.3f} rows and {right:+.3f} columns of the panel "
+            f"beside those of {bench.where(*names[first])}, expected at most {limit[first, other]:.2g}; "
+            "cure: the camera moved between them: fix it and take the bench again"
+        )
+
+
+def _check_anchors(bench: Bench, found: PixelMap, panel: Doubles, on_ccd: Doubles, most: float) -> None:
     """Refuse an anchor that is not where the dots' map has it."""
     for number, (down, right) in enumerate(found.on_panel(on_ccd - found.on_ccd(panel))):
-        if np.hypot(down, right) > _MOST_APART_PX:
+        if max(abs(down), abs(right)) > most:
             raise BenchError(
                 f"{bench.where(f'anchors[{number}]')}: got its patch {down:+.2f} rows and {right:+.2f} "
-                f"columns of the panel from where the dots' map has it, expected less than "
-                f"{_MOST_APART_PX:g}; cure: anchors or dots were shown elsewhere than rows and cols say, or "
-                "files are exchanged"
+                f"columns of the panel from where the map of {bench.where('dots[0]')} has it, expected at "
+                f"most {most:.2g}; cure: the camera moved: take the bench again; or rows and cols are not "
+                "those shown, or files are exchanged"
             )
 
 

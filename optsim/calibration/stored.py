@@ -92,6 +92,7 @@ def calibration_arrays(calibration: Calibration) -> dict[str, NDArray[Any]]:
         "optsim": __version__,
         "source": calibration.source,
         "standard_errors": dict(calibration.standard_errors),
+        "misalignment": dict(calibration.misalignment),
         "arrays": {n: {"axes": a, "unit": u, "meaning": m} for n, (a, u, m) in _MEANING.items()},
     }
     held: dict[str, Any] = {
@@ -136,7 +137,8 @@ def calibration_of(arrays: Mapping[str, NDArray[Any]], where: object) -> Calibra
     try:
         found = Calibration(
             source=about["source"],
-            standard_errors=_standard_errors(about, where),
+            standard_errors=_numbers(about, "standard_errors", 0, where),
+            misalignment=_numbers(about, "misalignment", -np.inf, where),
             response=PanelResponse.model_validate({n: _value(arrays, n) for n in PanelResponse.model_fields}),
             glare=Glare(**{name.removeprefix(_GLARE): _value(arrays, name) for name in glare}),
             **{name: _value(arrays, name) for name in _own_names()},
@@ -199,19 +201,17 @@ def _said(arrays: Mapping[str, NDArray[Any]], where: object) -> dict[str, Any]:
     return said
 
 
-def _standard_errors(about: Mapping[str, Any], where: object) -> dict[str, float]:
-    """Read the standard errors of single numbers."""
-    said: object = about.get("standard_errors")
+def _numbers(about: Mapping[str, Any], key: str, least: float, where: object) -> dict[str, float]:
+    """Read a table of single numbers."""
+    said: object = about.get(key)
     if not isinstance(said, dict):
-        raise StorageError(f"{where}: standard_errors: got {said!r}, expected a table; cure: {_CURE}")
-    errors = cast("dict[str, Any]", said)
-    for name, error in errors.items():
-        if not isinstance(error, int | float) or not 0 <= error < np.inf:
-            raise StorageError(
-                f"{where}: standard_errors.{name}: got {error!r}, expected a number of at least 0; "
-                f"cure: {_CURE}"
-            )
-    return errors
+        raise StorageError(f"{where}: {key}: got {said!r}, expected a table; cure: {_CURE}")
+    numbers = cast("dict[str, Any]", said)
+    for name, number in numbers.items():
+        if not isinstance(number, int | float) or not least <= number < np.inf or number == -np.inf:
+            expected = "a number" if least else f"a number of at least {least}"
+            raise StorageError(f"{where}: {key}.{name}: got {number!r}, expected {expected}; cure: {_CURE}")
+    return numbers
 
 
 def _own_names() -> list[str]:

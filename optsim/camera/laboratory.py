@@ -127,6 +127,8 @@ def bench_settings(camera: CodedCamera) -> dict[str, Any]:
         "panel_shape": (camera.panel_rows, camera.panel_cols),
         "white_rad": camera.modulator.stated_white_rad(camera.wavelength_m),
         "orientation": UPRIGHT,
+        "ccd_pitch_m": camera.sensor.pitch_m,
+        "ccd_per_panel_px": camera.ratio,
     }
 
 

@@ -10,12 +10,14 @@ import numpy as np
 from optsim.calibration import Bench, Calibration
 from optsim.calibration.estimate import Measured
 from optsim.calibration.held_out import Explained
+from optsim.calibration.misalignment import NAMES, misalignment
 from optsim.calibration.orientation import in_words
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
 from optsim.camera.true_calibration import true_calibration
 from optsim.core.quantities import Bools, Doubles, Floats
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import planned
+from optsim.experiment.misalignment_record import misaligned
 from optsim.metrics.student import half_width
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.report.calibration_page import (
@@ -32,7 +34,7 @@ _NAMES = {
     "leak": "leak: light with the panel off over on",
     "tau_on_s": "time constant of the retardance, rising",
     "tau_off_s": "time constant of the retardance, falling",
-    "delay_s": "when the first row turns, after its slot began",
+    "delay_s": "when the first row turns, after its slot began, with any delay common to all flashes",
     "scan_s": "how much later the last row turns",
     "drive_exponent": "exponent of the grey curve",
     "dn_per_e": "gain, DN an electron",
@@ -42,6 +44,8 @@ _NAMES = {
 }
 # Deviations of the residual, and of flashes over their noise, that deserve a word; sensible defaults.
 _LARGE_RESIDUAL_PX, _LARGE_MISFIT = 0.03, 3.0
+# Share of a slot beyond which the panel's delay is larger than a panel's usually is; a sensible default.
+_LARGE_DELAY = 0.1
 # Half width of the windows in which the pixel map takes the centre of a dot, panel pixels, and a lattice on
 # which dots don't meet in them.
 _WINDOW_PX, _LATTICE_PX = 2, 7
@@ -80,6 +84,10 @@ def calibration_record(measured: Measured, bench: Bench, folder: Path) -> Calibr
             for key, what in _NAMES.items()
         ),
         *(Quantity(key=key, what=what, value=values[key]) for key, what in _UNCERTAIN_NAMES.items()),
+        *(
+            Quantity(key=key, what=NAMES[key], value=value, standard_error=found.standard_errors[key])
+            for key, value in found.misalignment.items()
+        ),
     ]
     images = len(bench.darks) + sum(len(group.dn) for _, group in bench.groups())
     return CalibrationRecord(
@@ -93,6 +101,7 @@ def calibration_record(measured: Measured, bench: Bench, folder: Path) -> Calibr
         valid_share=float(found.valid.mean()),
         quantities=quantities,
         edges_off_px=measured.edges_off_px,
+        misaligned=misaligned(quantities, bench, found),
         remarks=_remarks(measured, bench),
     )
 
@@ -141,6 +150,10 @@ def _remarks(measured: Measured, bench: Bench) -> list[str]:
     beyond = pixel_map.beyond_dots()
     error_px = pixel_map.error_px()
     unseen = [side for side in ("top", "bottom", "left", "right") if side not in measured.edges_off_px]
+    early_s = -INTERVAL_SIGMAS * found.standard_errors["delay_s"]
+    sets = (bench.darks, *(group.dn for _, group in bench.groups()))
+    used = int(np.bitwise_or.reduce([np.bitwise_or.reduce(dn, axis=None) for dn in sets]))
+    step_dn = used & -used  # largest power of two that divides all DN
     n_invalid = int(np.count_nonzero(~found.valid))
     said = [
         (
@@ -185,6 +198,20 @@ def _remarks(measured: Measured, bench: Bench) -> list[str]:
             f"The flashes are {measured.step_misfit:.1f} times their noise off the panel's model; the "
             "intervals of its times are as much wider.",
         ),
+        (
+            not early_s <= found.response.delay_s <= _LARGE_DELAY * bench.slot_s,
+            f"The first row seems to turn {found.response.delay_s / bench.slot_s:+.3f} slots after its slot "
+            "began. A delay common to all flashes looks alike: check delay_s against their trigger.",
+        ),
+        (
+            step_dn > 1,
+            f"All DN are multiples of {step_dn}: left-justified by {step_dn.bit_length() - 1} bits. Gain and "
+            "noise are in these DN, so frames to decode must be stored alike.",
+        ),
+        (
+            bench.ccd_pitch_m is None or bench.ccd_per_panel_px is None,
+            "Micrometres need ccd_pitch_m in the manifest, magnification_error needs ccd_per_panel_px.",
+        ),
     ]
     return [text for applies, text in said if applies]
 
@@ -207,6 +234,7 @@ def with_truth(
     true = true_calibration(camera, found.reading_px)
     # The flats see the mean over the columns, the response has the leak on axis.
     values = _values(true) | {"leak": float(camera.column_leaks.mean())}
+    values |= misalignment(*light_places(camera), measured.pixel_map, found.ccd_shape, camera.ratio)[0]
     del values["gain_uncertainty"], values["leak_uncertainty"]
     quantities = [each.model_copy(update={"true": values.get(each.key)}) for each in record.quantities]
     known = [each.holds for each in quantities if each.holds is not None]
@@ -266,16 +294,21 @@ def with_before(record: CalibrationRecord, compared: Sequence[Explained], before
 
 
 def map_off_px(measured: Measured, camera: CodedCamera) -> Doubles:
-    """Give where the map has each panel pixel minus where its light is: (v, u, 2), panel pixels.
+    """Give where the map has each panel pixel minus where its light is: (v, u, 2), panel pixels."""
+    centres, places = light_places(camera)
+    off = measured.pixel_map.on_ccd(centres) - places
+    return measured.pixel_map.on_panel(off).reshape(*measured.calibration.shape, 2)
+
+
+def light_places(camera: CodedCamera) -> tuple[Doubles, Doubles]:
+    """Give the panel pixels' centres, and where their light is on the CCD: each (n, 2).
 
     Coma moves the centre of the light of a pixel away from its geometric image, and a bench sees light.
     """
-    rows, cols = measured.calibration.shape
-    centres: Doubles = np.indices((rows, cols), np.float64).reshape(2, -1).T + 0.5
+    centres: Doubles = np.indices((camera.panel_rows, camera.panel_cols), np.float64).reshape(2, -1).T + 0.5
     lit = centres + light_shift_px(camera).reshape(-1, 2)
-    y, x = camera.relay_geometry().place(lit[:, 0] * SAMPLES_PER_PITCH, lit[:, 1] * SAMPLES_PER_PITCH)
-    off = measured.pixel_map.on_ccd(centres) - np.stack([y, x], axis=-1)
-    return measured.pixel_map.on_panel(off).reshape(rows, cols, 2)
+    places = camera.relay_geometry().place(lit[:, 0] * SAMPLES_PER_PITCH, lit[:, 1] * SAMPLES_PER_PITCH)
+    return centres, np.stack(places, axis=-1)
 
 
 def light_shift_px(camera: CodedCamera) -> Doubles:

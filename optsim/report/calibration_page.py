@@ -54,6 +54,32 @@ class Quantity(Record):
         return abs(self.value - self.true) <= self.interval
 
 
+class Misaligned(Record):
+    """The quantity of a key as a displacement, with 95 % half widths, and the move that undoes it.
+
+    The displacement is of the whole image by a shift, of the panel's corner by anything else. On the CCD it
+    is None without the pitch. ``undo`` is the image's move, in the unit of the key.
+    """
+
+    key: str
+    panel_px: float
+    panel_half_px: float
+    ccd_m: float | None
+    ccd_half_m: float | None
+    undo: float
+    screw: str
+
+    @property
+    def said(self) -> str:
+        """The displacement and the screw in a sentence."""
+        moved = f"{words.number(self.panel_px)} ± {words.number(self.panel_half_px)} panel pixels"
+        if self.ccd_m is not None:
+            moved += (
+                f", {words.quantity('_m', self.ccd_m)} ± {words.quantity('_m', self.ccd_half_m)} on the CCD"
+            )
+        return f"{self.key}: {moved}; {self.screw}."
+
+
 class Coverage(Record):
     """How often the 95 % intervals of something on every panel pixel hold.
 
@@ -160,6 +186,8 @@ class CalibrationRecord(Record):
         The numbers.
     edges_off_px : dict
         Where the panel's sides are, beyond where the map has them.
+    misaligned : list of Misaligned
+        How the panel's image lies on the CCD.
     remarks : list of str
         What was refused, extrapolated, or could not be told.
     score : TruthScore or None
@@ -178,6 +206,7 @@ class CalibrationRecord(Record):
     valid_share: float
     quantities: list[Quantity]
     edges_off_px: dict[str, float]
+    misaligned: list[Misaligned]
     remarks: list[str]
     score: TruthScore | None = None
     held_out: HeldOut | None = None
@@ -230,14 +259,19 @@ def summary(record: CalibrationRecord) -> list[Table | str]:
         (q.what, words.quantity(q.key, q.value), words.quantity(q.key, q.interval)) for q in record.quantities
     ]
     score = record.score
+    moves = [
+        "How the panel's image lies, at its corner but for shifts, ± 95 %; focus is not measured:",
+        *(each.said for each in record.misaligned),
+    ]
     if score is None:
-        return [table(f"calibration from {record.bench}", columns, rows), *record.remarks]
+        return [table(f"calibration from {record.bench}", columns, rows), *moves, *record.remarks]
     scored = [
         (*row, words.quantity(q.key, q.true), {True: "holds", False: "fails", None: ""}[q.holds])
         for row, q in zip(rows, record.quantities, strict=True)
     ]
     return [
         table(f"calibration from {record.bench}", (*columns, f"true: {score.truth}", "interval"), scored),
+        *moves,
         f"The map is {score.map_rms_px:.2g} panel pixels rms off the true centres, at worst "
         f"{score.map_worst_px:.2g}; {score.held} of {score.intervals} intervals hold.",
         *(
