@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from optsim.core.errors import ConfigError
+from optsim.core.files import content_hash
 from optsim.dataset import export_passes
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.reading import Dataset
@@ -37,7 +38,8 @@ def dataset(tmp_path_factory):
     export_passes(load_experiment("demo", SMALL), folder / "test/solids/truth", range(5, 7))
     sequences = [{"name": "test/solids", "split": "test", "seeds": []}]
     (folder / "manifest.jsonl").touch()
-    return Dataset(folder, {"name": "solids", "sequences": sequences})
+    listed = {"sha256": content_hash(folder / "manifest.jsonl")}
+    return Dataset(folder, {"name": "solids", "sequences": sequences, "manifest": listed})
 
 
 def unpacked(segmentation):
