@@ -17,7 +17,7 @@ from PIL import Image
 from scipy import stats
 from test_cli import cli  # noqa: F401  a fixture
 
-from optsim.core.errors import ConfigError, StorageError
+from optsim.core.errors import ConfigError, StorageError, ValueCheckError
 from optsim.core.files import read_json, write_json
 from optsim.metrics.comparison import Judgement, estimate, judge, row_level
 from optsim.metrics.tolerances import TOLERANCES
@@ -684,3 +684,10 @@ def test_several_runs_of_a_folder(made: Path, tmp_path: Path) -> None:
     assert isinstance(scored_runs(made), Scored)
     assert math.isclose(scored_runs(made).runs[0].frames[0], 5)
     assert Delta.model_fields
+
+
+def test_a_bad_record_is_named_with_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "2").mkdir()
+    (tmp_path / "2/results.json").write_text("{}")
+    with pytest.raises(ValueCheckError, match=r"2/results\.json is not of schema version"):
+        scored_runs(tmp_path)

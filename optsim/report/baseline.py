@@ -106,7 +106,7 @@ def run_folders(place: Path) -> list[Path]:
 
 def scored_runs(place: Path) -> Scored:
     """Read the scores of a run's folder, or of all runs below a folder, which must differ."""
-    read = [check_results(read_record(folder / RESULTS)) for folder in run_folders(place)]
+    read = [check_results(read_record(folder / RESULTS), folder / RESULTS) for folder in run_folders(place)]
     runs = [_run(results) for results in read]
     names = [(run.case, run.seed) for run in runs]
     if twice := sorted({name for name in names if names.count(name) > 1}):

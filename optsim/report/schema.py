@@ -254,8 +254,8 @@ class Results(Record):
         return found
 
 
-def check_results(results: object) -> Results:
-    """Check a results record against the schema.
+def check_results(results: object, where: object = RESULTS) -> Results:
+    """Check a results record, which lies at ``where``, against the schema.
 
     Raises
     ------
@@ -271,6 +271,5 @@ def check_results(results: object) -> Results:
             for item in error.errors()
         ]
         raise ValueCheckError(
-            f"results.json is not of schema version {SCHEMA_VERSION}: {len(lines)} problems\n"
-            + "\n".join(lines)
+            f"{where} is not of schema version {SCHEMA_VERSION}: {len(lines)} problems\n" + "\n".join(lines)
         ) from None
