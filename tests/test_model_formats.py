@@ -398,7 +398,7 @@ def test_colours_beyond_their_range_are_refused_unless_the_scene_has_a_material(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("v 0 0 0 1 0 0 1\n", "numbers of a vertex beyond three of place and three of colour"),
+        ("v 0 0 0 1 0 0 1\n", "numbers of a vertex beyond place and colour"),
         ("#MRGB ffff0000\n", "#MRGB"),
         ("\0\0\n", "what is no text"),
     ],

@@ -175,8 +175,7 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
         materials = {name: (library, each) for name, each in stated.items()} | materials
     points, lost, pieces = text.columns(0, 0.0), [text.lost], list[Piece]()
     coded = None
-    if {*text.widths} - {3, 4, 6}:
-        lost.append("numbers of a vertex beyond three of place and three of colour")
+    lost += ["numbers of a vertex beyond place and colour"] if {*text.widths} - {3, 4, 6} else []
     if max(text.widths, default=0) >= 6:
         # White for a vertex without.
         coded = shared.linear_colours(text.columns(3, 1.0))
