@@ -179,6 +179,14 @@ def test_a_manifest_that_lost_lines_is_refused_by_readers(folder):
             open_dataset(folder).samples("test")
 
 
+def test_a_cut_calibration_is_said_in_a_line(folder):
+    sample = open_dataset(folder).test[0]
+    (sample.folder / "seed1/calibration.npz").write_bytes(b"PK\3\4 and no end")
+    with pytest.raises(StorageError, match=r"calibration\.npz cannot be read as NPZ") as caught:
+        list(sample)
+    assert "\n" not in str(caught.value)
+
+
 def test_files_that_systems_leave_are_no_arrays(folder):
     sample = open_dataset(folder).test[0]
     names = list(sample)

@@ -133,14 +133,14 @@ class Table:
         """Names of the arrays."""
         if self.path.suffix == ".json":
             return [name for name in _LIGHT_UNITS if name in read_record(self.path)]
-        with np.load(self.path) as stored:
+        with reading(self.path, "NPZ"), self.path.open("rb") as file, np.load(file) as stored:
             return [name for name in stored.files if name != "about"]
 
     def read(self, name: str) -> Array:
         """Read one array."""
         if self.path.suffix == ".json":
             return np.asarray(read_record(self.path)[name], np.float64)
-        with np.load(self.path) as stored:
+        with reading(self.path, "NPZ"), self.path.open("rb") as file, np.load(file) as stored:
             array = stored[name]
         return array.astype(np.float32) if array.dtype == np.float16 else array
 
@@ -150,7 +150,7 @@ class Table:
             return _LIGHT_UNITS[name], ""
         if name in _OPERATOR and self.path.stem == "operator":
             return _OPERATOR[name]
-        with np.load(self.path) as stored:
+        with reading(self.path, "NPZ"), self.path.open("rb") as file, np.load(file) as stored:
             said = json.loads(str(stored["about"].item()))["arrays"][name]
         return said["unit"], said["axes"]
 
