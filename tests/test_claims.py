@@ -144,7 +144,7 @@ def test_a_new_file_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "render demo {sets} --passes --out {out}",
         "trace demo {sets} --pixel 20,20 --out {out}",
         "reconstruct {measurement} --out {out}",
-        "bench --out {out}",
+        "benchmark --out {out}",
         "train dictionary --footage leaves --out {out}.npz",
     ],
 )
