@@ -180,7 +180,7 @@ def test_every_array_says_its_unit_and_axes(sample):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["flying_solids", "window_room"])
-def test_the_lines_explain_the_first_rendered_frame_of_each_scene(tmp_path, scene):
+def test_the_lines_explain_four_rendered_frames_of_each_scene(tmp_path, scene):
     """By what the bench knows, from a set that a build made."""
     if choose_backend().preview:
         pytest.skip("only the scalar fallback works here")
@@ -204,6 +204,6 @@ train = {{ share = 0.3 }}
     assert outcome.failed == {}
     sample = open_dataset(tmp_path / "set").train[0]
     for scheme in ("random", "hdr_mosaic", "normal"):
-        for frame in range(1):
+        for frame in range(4):
             residual = residuals(sample, scheme, frame, lines()["explained"](sample, scheme, frame))
             assert np.sqrt(np.mean(residual**2)) < MOST, (scheme, frame)
