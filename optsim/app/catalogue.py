@@ -6,13 +6,7 @@ from optsim.core.config import Part, read_toml
 
 
 def catalogue(what: str) -> list[tuple[str, str]]:
-    """Names and first lines of a kind of shipped thing.
-
-    Parameters
-    ----------
-    what : str
-        One of scenes, presets, schemes, decoders, metrics, effects.
-    """
+    """Names and first lines of a kind of shipped thing."""
     if what == "presets":
         from optsim.experiment.experiment import experiment_path, preset_names
 

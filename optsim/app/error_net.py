@@ -29,19 +29,7 @@ _NO_MEMORY = (
 
 
 def guarded(command: Callable[[], object]) -> int:
-    """Run a command line to its end; say in one line what stopped it.
-
-    Parameters
-    ----------
-    command : callable
-        Returns an exit code, or None for 0.
-
-    Returns
-    -------
-    int
-        Its exit code; 2 for bad input, a full disk, too little memory, and for what nobody expected, of which
-        ``-v`` or ``OPTSIM_DEBUG`` show the traceback.
-    """
+    """Run a command line to its end; say in one line what stopped it."""
     for stream in (sys.stdout, sys.stderr):
         # Names of files needn't be UTF-8; to show one must not fail.
         if isinstance(stream, io.TextIOWrapper):

@@ -112,32 +112,7 @@ class SaturationPrior:
 def take(
     calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
 ) -> tuple[DemixedFrame, PanelState]:
-    """Demix one frame.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The camera as measured on the bench.
-    frame : CodedFrame
-        The frame.
-    panel : PanelState or None
-        The panel when the frame started; None for the first frame of an experiment.
-    crosstalk : {"undone", "row_summed"}
-        "undone" inverts the calibrated kernel. The kernel acts on the sum over the slots, so this is right
-        for every code and scene. "row_summed" keeps the mixed light and adds the neighbours' share to the
-        weights. It is right only where the scene is uniform over the kernel.
-
-    Returns
-    -------
-    demixed : DemixedFrame
-    panel : PanelState
-        The panel when the next frame starts.
-
-    Raises
-    ------
-    ConfigError
-        When "undone" is asked for and the kernel is too wide to invert by iteration.
-    """
+    """Demix one frame."""
     seen = calibration.observe(frame)
     weigh = calibration.effective_weights if crosstalk == "row_summed" else calibration.weights
     weights, panel = weigh(frame.code, panel)
@@ -291,17 +266,6 @@ def attribution_variance(
     neighbour's code give the same signal. The second comes from fringing fields, and from blur across an edge
     within a pixel. Any mixture of the two is equally likely (a sensible default; no source). So the standard
     deviation is their difference over the square root of three, around the choice of :meth:`Calibration.mix`.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Holds the kernel.
-    exposure : ndarray of shape (v, u), float32
-        Sum over the slots of the weights, slots.
-    irradiance : ndarray of shape (v, u), float32
-        Irradiance of each pixel, W m^-2.
-    variance : ndarray of shape (v, u), float32, optional
-        Its variance, (W m^-2)^2. Differences between neighbours up to two standard deviations count as none.
     """
     own = calibration.own_share
     theirs, opened = calibration.spread(np.stack([irradiance * exposure, exposure]))

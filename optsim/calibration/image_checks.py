@@ -18,13 +18,7 @@ _NOT_OFF = 0.5
 
 
 def check_images(bench: Bench) -> None:
-    """Refuse a frame that differs from the others of its set by more than noise, and an off that is lit.
-
-    Raises
-    ------
-    BenchError
-        With its file.
-    """
+    """Refuse a frame that differs from the others of its set by more than noise, and an off that is lit."""
     darks = _thinned(bench.darks)
     black: Floats = np.median(darks, axis=0)
     read_variance = float(np.median(np.mean(np.diff(darks, axis=0) ** 2, axis=(1, 2)))) / 2

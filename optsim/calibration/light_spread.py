@@ -49,11 +49,6 @@ def measured_glare(bench: Bench, reader: PixelReader, flat: Shading) -> GlareFit
 
     The light there beyond the panel's leak is :meth:`Glare.light` of the pattern. It is linear in all shares,
     and none is negative. Least squares weighted by the noise gives the shares.
-
-    Raises
-    ------
-    BenchError
-        When no valid pixel is far enough from a patch, or a patch is not where the bench says.
     """
     patterns = bench.glare
     if not patterns:
@@ -161,24 +156,7 @@ def _dark_places(
 def crosstalk(
     dots: Sequence[Patches], reader: PixelReader, flat: Shading, offset_px: Doubles, glare: Glare
 ) -> Floats:
-    """Crosstalk kernel of every panel pixel: array of shape (v, u, k, k), float32, each of sum 1.
-
-    Parameters
-    ----------
-    dots : sequence of Patches
-        Lattices of single bright pixels.
-    reader, flat : PixelReader, Shading
-        Estimates so far.
-    offset_px : ndarray of shape (v, u, 2), float64
-        Centre of each CCD pixel of the pixel map minus that of its panel pixel, panel pixels.
-    glare : Glare
-        Light from more distant dots.
-
-    Raises
-    ------
-    BenchError
-        When no dot lies among valid pixels.
-    """
+    """Crosstalk kernel of every panel pixel: array of shape (v, u, k, k), float32, each of sum 1."""
     full = flat.responsivity_dn - flat.off_dn
     lattices: list[Dots] = []
     for dot in dots:

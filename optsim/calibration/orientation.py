@@ -25,13 +25,7 @@ _NAMES = {
 
 
 def orientation_of(slope: Doubles) -> Orientation:
-    """Return the nearest of the eight orientations to a map.
-
-    Parameters
-    ----------
-    slope : ndarray of shape (2, 2), float64
-        CCD pixels (y, x) a panel pixel along v (first row) and u (second row).
-    """
+    """Return the nearest of the eight orientations to a map."""
 
     def agreement(each: Orientation) -> float:
         return sum(float(slope[axis] @ _STEPS[way]) for axis, way in enumerate(each))

@@ -29,22 +29,7 @@ _MOST_MOVED_PX = 0.1
 
 
 def edges_off_px(bench: Bench, found: PixelMap, black_dn: Floats) -> dict[str, float]:
-    """Find where the lit panel ends, beyond where the map has its sides, panel pixels outwards.
-
-    Parameters
-    ----------
-    bench : Bench
-        Its brightest flat.
-    found : PixelMap
-        The map.
-    black_dn : ndarray of shape (y, x), float32
-        Black level.
-
-    Returns
-    -------
-    dict
-        By side; a side is left out if it is too close to the CCD's border, or light does not end there.
-    """
+    """Find where the lit panel ends, beyond where the map has its sides, panel pixels outwards."""
     from scipy.ndimage import map_coordinates
 
     flat = max(bench.flats, key=lambda shot: shot.irradiance_w_m2)
@@ -79,13 +64,7 @@ def edges_off_px(bench: Bench, found: PixelMap, black_dn: Floats) -> dict[str, f
 
 
 def check_edges(bench: Bench, off_px: dict[str, float]) -> None:
-    """Refuse a map whose panel does not end where light does.
-
-    Raises
-    ------
-    BenchError
-        With the shift, or the size, that the edges tell.
-    """
+    """Refuse a map whose panel does not end where light does."""
     for (first, last), key, size in zip(
         (("top", "bottom"), ("left", "right")), ("rows", "cols"), bench.panel_shape, strict=True
     ):

@@ -119,21 +119,7 @@ class PixelMap:
 
 
 def map_pixels(bench: Bench, black_dn: Floats) -> PixelMap:
-    """Fit the map from the bench's anchors and dots.
-
-    Parameters
-    ----------
-    bench : Bench
-        Its off frames, anchors and dots.
-    black_dn : ndarray of shape (y, x), float32
-        Black level.
-
-    Raises
-    ------
-    BenchError
-        When an anchor is not seen, too few dots are, or a pattern or the image's orientation is not as the
-        bench says.
-    """
+    """Fit the map from the bench's anchors and dots."""
     off = bench.off.dn.mean(axis=0, dtype=np.float32) - black_dn
 
     def light(shown: Patches, dn: Floats) -> tuple[Patches, Floats]:

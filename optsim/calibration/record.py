@@ -113,13 +113,7 @@ class Table:
 
 
 def read_record(folder: Path, form: str) -> Table:
-    """Read the manifest of a bench folder.
-
-    Raises
-    ------
-    BenchError
-        When there is none, or it is of another format.
-    """
+    """Read the manifest of a bench folder."""
     path = folder / RECORD
     try:
         record = cast("object", read_json(path))

@@ -60,22 +60,7 @@ def temporal_variance(frames: Words) -> float:
 
 
 def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) -> SensorNoise:
-    """Estimate read noise and gain.
-
-    Parameters
-    ----------
-    bench : Bench
-        Its darks and flats.
-    black_dn : ndarray of shape (y, x), float32
-        Black level.
-    lit : tuple of slice
-        CCD rows and columns that the panel lights.
-
-    Raises
-    ------
-    BenchError
-        When the flats are too dim to show photon noise.
-    """
+    """Estimate read noise and gain."""
     read_variance = temporal_variance(bench.darks)
     read_error = read_variance * _relative_error(bench.darks)
     signals, excesses, errors = list[float](), list[float](), list[float]()
@@ -121,24 +106,6 @@ def saturation_threshold(
     """Raw DN from which a pixel is saturated: its mean clip level minus four standard deviations.
 
     A thousandth of it is subtracted too, for smear.
-
-    Parameters
-    ----------
-    clipped : ndarray of shape (frame, v, u), uint16
-        Frames that should be saturated, at the pixels of the map.
-    black_dn : ndarray of shape (v, u), float32
-        Black level there.
-    inside : ndarray of shape (v, u), bool
-        Pixels that were lit.
-    noise : SensorNoise
-        Gain and read noise.
-    where : str
-        Name of the frames for messages.
-
-    Raises
-    ------
-    BenchError
-        When the frames are not saturated.
     """
     mean = clipped.mean(axis=0, dtype=np.float64)
     variance = temporal_variance(clipped[:, inside])

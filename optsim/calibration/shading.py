@@ -111,13 +111,7 @@ class Shading:
 
 
 def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
-    """Estimate responsivity and leak from the flats with the panel on and off.
-
-    Raises
-    ------
-    BenchError
-        When no pixel is lit.
-    """
+    """Estimate responsivity and leak from the flats with the panel on and off."""
     from scipy.ndimage import binary_dilation, median_filter
 
     for number, shot in enumerate(bench.flats):
@@ -175,11 +169,6 @@ def drive_exponent(
 
     Flats are means over slots whose fields may be driven differently: a held level follows them with the
     response's lag. Also returned is its standard error, by noise and by what the levels disagree.
-
-    Raises
-    ------
-    BenchError
-        When a level is none in between, or the levels disagree.
     """
     from scipy.optimize import root_scalar
 

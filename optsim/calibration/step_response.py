@@ -65,23 +65,7 @@ class StepFit:
 def step_weights(
     steps: Sequence[Step], response: PanelResponse, row_delays_s: Doubles, slot_s: float
 ) -> Doubles:
-    """Weight of rows during each step's flash, by the closed form of the relaxing retardance.
-
-    Parameters
-    ----------
-    steps : sequence of Step
-        Flashes, with the panel settled at the first level before it changes.
-    response : PanelResponse
-        Response of the panel; its own row delays are not used.
-    row_delays_s : ndarray of shape (row,), float64
-        Delay at which each row is driven to a slot's level, s.
-    slot_s : float
-        Duration of a slot, s.
-
-    Returns
-    -------
-    ndarray of shape (step, row), float64
-    """
+    """Weight of rows during each step's flash, by the closed form of the relaxing retardance."""
     ends = np.array([[s.before, s.after] for s in steps], np.uint8)
     held = settled_retardance(ends, response).astype(np.float64)
     flash_s = np.array([[s.flash_s] for s in steps])
@@ -113,24 +97,6 @@ def response_times(
 
     The flash's energy is free in each band, so its light need not be uniform nor cover all bands. If it
     lights a quarter of the rows or less, all rows count as written at once.
-
-    Parameters
-    ----------
-    bench : Bench
-        Its steps, flashes around changes in both directions.
-    reader : PixelReader
-        Reads the frames.
-    flat : Shading
-        Panel pixels to average over, and their responsivity.
-    known : PanelResponse
-        Its leak, grey curve and fields are kept.
-    glare, kernels : Glare, ndarray of shape (v, u, k, k), float32
-        Light from other rows, which turn earlier or later: far ones, and near ones by the crosstalk kernels.
-
-    Raises
-    ------
-    BenchError
-        When a direction is missing, no light is seen, or a flash is not as the bench says.
     """
     from scipy.optimize import least_squares
 
@@ -191,32 +157,7 @@ def response_times(
 def field_drive(
     fields: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, response: PanelResponse
 ) -> PanelResponse:
-    """Relative retardance of successive slots, from flashes as long as a slot with the panel held.
-
-    Parameters
-    ----------
-    fields : tuple of Step
-        Flashes at one grey level and at full drive, at delays of whole slots. Empty: all slots count as
-        equal.
-    reader : PixelReader
-        Reads the frames.
-    valid : ndarray of shape (v, u), bool
-        Panel pixels to average over.
-    slot_s : float
-        Duration of a slot, s.
-    response : PanelResponse
-        Other parameters of the panel.
-
-    Returns
-    -------
-    PanelResponse
-        With the drives of the fields. Their mean is set to 1: flashes cannot determine a common factor.
-
-    Raises
-    ------
-    BenchError
-        When a slot lacks one of its two flashes.
-    """
+    """Relative retardance of successive slots, from flashes as long as a slot with the panel held."""
     if not fields:
         return response
     from scipy.optimize import least_squares

@@ -261,18 +261,7 @@ ALL: dict[str, Effect] = {
 
 
 def switched(switches: Mapping[str, object]) -> dict[str, dict[str, Any]]:
-    """Fields of parts changed by a table of switches.
-
-    Parameters
-    ----------
-    switches : mapping
-        Effect -> "ideal", "nominal" or "pessimistic"; ``all`` stands for every effect not named.
-
-    Raises
-    ------
-    ConfigError
-        For an unknown effect or state.
-    """
+    """Fields of parts changed by a table of switches."""
     changes: dict[str, dict[str, Any]] = {}
     for name, state in switches.items():
         if name != "all" and name not in ALL:

@@ -63,13 +63,7 @@ class GeometryReport:
         return not self._problems()
 
     def check(self) -> None:
-        """Refuse parts that don't fit, with the keys to change.
-
-        Raises
-        ------
-        GeometryError
-            With the value got, the value that fits, and the cure.
-        """
+        """Refuse parts that don't fit, with the keys to change."""
         problems = self._problems()
         if problems:
             raise GeometryError("; ".join(problems))

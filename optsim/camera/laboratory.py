@@ -135,15 +135,7 @@ def bench_settings(camera: CodedCamera) -> dict[str, Any]:
 def planned_shots(
     camera: CodedCamera, rng: Generator, frames: Frames = ALL_FRAMES, done: int = 0
 ) -> list[PlannedShot]:
-    """Plan the images of a bench, in the order of taking them.
-
-    Parameters
-    ----------
-    camera, rng, frames
-        As of :func:`measure_bench`.
-    done : int
-        Shots at the start of the plan that were taken before; the first to be taken comes after them.
-    """
+    """Plan the images of a bench, in the order of taking them."""
     check_panel(camera)
     lab = _Laboratory(camera, rng, done)
     brightest = lab.irradiance(_FLAT_SHARES[-1])

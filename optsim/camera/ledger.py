@@ -44,24 +44,7 @@ def photon_ledger(
     coded_slots: int,
     wavelength_m: float,
 ) -> tuple[LedgerRow, ...]:
-    """Follow a uniform radiance on axis through an all-on camera, without glare and fixed patterns.
-
-    Parameters
-    ----------
-    radiance_w_m2_sr : float
-        Scene radiance in the band.
-    objective, splitter, modulator, relay, sensor
-        The camera's parts.
-    coded_slots : int
-        Slots with the shutter open.
-    wavelength_m : float
-        Wavelength of the light, m.
-
-    Returns
-    -------
-    tuple of LedgerRow
-        From radiance to the signal-to-noise ratio of a frame, of a slot, and of nine pixels instead of one.
-    """
+    """Follow a uniform radiance on axis through an all-on camera, without glare and fixed patterns."""
     rows = [LedgerRow("scene radiance", None, radiance_w_m2_sr, "W m^-2 sr^-1")]
     cone = math.pi / (4 * objective.working_f_number**2)
     rows.append(

@@ -193,15 +193,7 @@ def kept_calibration(known: CalibrationChoice, camera: CodedCamera) -> Calibrati
 
 
 def read_kept(known: CalibrationChoice, camera: CodedCamera) -> Calibration | Bench:
-    """Read a stored calibration or bench whole, and refuse that of another camera.
-
-    Raises
-    ------
-    StorageError, BenchError
-        When the file is missing, damaged, or is no calibration.
-    ConfigError
-        When its panel, CCD, timing or readout window is not the experiment's.
-    """
+    """Read a stored calibration or bench whole, and refuse that of another camera."""
     file = kept_file(Path(known.operator))
     if file.name == BENCH_FILE:
         found = Bench.read(file.parent)

@@ -17,10 +17,10 @@ from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.optics.fringing import whole_cells
 from optsim.optics.relay import RelayOperator
 
-# Half width of the core, fine samples: beside a window 100 times as bright a reading is off by up to 6 sigma with 6,
-# by 2 with 8 or 12.
+# Half width of the core, fine samples. Beside a window 100 times as bright a reading is off by up to 6 sigma
+# with 6, by 2 with 8 or 12.
 _HALF = 8
-# Spacing of readings that are traced back together, panel pixels. With 7 their tails entered each other's cores.
+# Spacing of readings that are traced back together, panel pixels: with 7 tails enter each other's cores.
 _SPACING = 12
 # Largest half width of the tails, panel pixels; of the ghost, standard deviations of its blur.
 _REACH, _GHOST_SIGMAS = 30, 3

@@ -61,11 +61,6 @@ def flutter_code(n: int) -> Bools:
 
     Each start opens the chops where a chirp is lowest, since chirps have flat spectra. Then an open and a
     closed chop are exchanged, the pair that raises the spectrum's minimum most, until none raises it.
-
-    Returns
-    -------
-    ndarray of shape (n,), bool
-        The best of all starts.
     """
     chop = np.arange(n)
     waves = np.exp(-2j * np.pi * np.outer(chop, np.arange(_PADDING * n // 2 + 1)) / (_PADDING * n))

@@ -21,18 +21,6 @@ def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
 
     The motion is continued straight at the same speed. A region without a measured displacement stays
     unchanged. A region cut by the panel's edge, or just merged or split, follows its centroid.
-
-    Parameters
-    ----------
-    mask, before : ndarray of shape (v, u), bool
-        The mask of the newest frame, and that of the frame before.
-    frames_ahead : float
-        Frames from the newest one to the one that is coded.
-
-    Returns
-    -------
-    ndarray of shape (v, u), bool
-        The mask and the swept area, within the panel.
     """
     places, displacements = region_displacements(mask, before)
     swept = mask.copy()
@@ -56,18 +44,6 @@ def region_displacements(mask: Bools, before: Bools) -> tuple[list[tuple[Ints, I
     shared frame stays, and the new one comes from it. So the predecessor is the region with the largest
     overlap. Without overlap it is the region with the nearest centroid, within three lengths (the larger side
     of the region's bounding box).
-
-    Parameters
-    ----------
-    mask, before : ndarray of shape (v, u), bool
-        Two masks, a frame apart.
-
-    Returns
-    -------
-    places : list of (ndarray, ndarray)
-        Rows and columns of the pixels of each region (8 neighbours) of ``mask``.
-    displacements : ndarray of shape (region, 2), float64
-        Along rows and columns, pixels a frame; NaN without a predecessor.
     """
     (now, n_now), (then, n_then) = regions(mask), regions(before)
     places = _places(now, n_now)

@@ -54,15 +54,7 @@ class PeriodicScheme(Part, ABC):
         """Levels of shape (frame, slot, y, x), dark in slots >= coded_slots."""
 
     def init(self, calibration: Calibration, rng: np.random.Generator) -> PeriodicCode:
-        """Choose the tiles once; all randomness of the scheme is here.
-
-        Parameters
-        ----------
-        calibration : Calibration
-            Gives the panel's size and the number of slots.
-        rng : numpy.random.Generator
-            The scheme's own stream.
-        """
+        """Choose the tiles once; all randomness of the scheme is here."""
         tiles = self.tiles(calibration.slots_per_frame, calibration.coded_slots, rng)
         return PeriodicCode(tiles, calibration.shape)
 
@@ -93,17 +85,7 @@ def even_starts(n: int, length: int, coded_slots: int) -> Ints:
 
 
 def turns(n: int, slots: int, coded_slots: int, length: int | None = None) -> Bytes:
-    """Levels of n pixels that open one after the other: array of shape (pixel, slot).
-
-    Parameters
-    ----------
-    n : int
-        Number of pixels.
-    slots, coded_slots : int
-        Slots of a frame, and how many of them are coded.
-    length : int, optional
-        Slots for which each is open; by default the least that leave no coded slot without a pixel.
-    """
+    """Levels of n pixels that open one after the other: array of shape (pixel, slot)."""
     length = length or -(-coded_slots // n)
     return bumps(slots, even_starts(n, length, coded_slots), np.full(n, length))
 
@@ -115,12 +97,6 @@ def square(levels: Bytes) -> Bytes:
 
 
 def check_fits(key: str, length: int, coded_slots: int) -> None:
-    """Refuse an exposure longer than the coded slots.
-
-    Raises
-    ------
-    ConfigError
-        Naming the key that says how long it is.
-    """
+    """Refuse an exposure longer than the coded slots."""
     if length > coded_slots:
         raise ConfigError(f"{key}: got {length}, expected at most the {coded_slots} coded slots; lower it")

@@ -12,15 +12,7 @@ _ROLE = re.compile(r":\w+:`~?([^`]*)`")
 
 
 def describe(part: type, key: str) -> str:
-    """Say what a key of a part means, and its unit.
-
-    Parameters
-    ----------
-    part : type
-        A class with a ``Parameters`` section in its docstring, or in that of a class that it inherits from.
-    key : str
-        One of its fields; ``kind`` is described by the first line about the class.
-    """
+    """Say what a key of a part means, and its unit."""
     if key == "kind":
         return inspect.cleandoc(part.__doc__ or "").partition("\n")[0]
     texts = [entries[key] for each in part.__mro__ if key in (entries := _entries(each))]

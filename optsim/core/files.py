@@ -294,13 +294,7 @@ def write_png8(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def read_png16(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit greyscale PNG as (y, x) uint16.
-
-    Raises
-    ------
-    StorageError, ValueCheckError
-        When the file is missing or unreadable, or of another kind.
-    """
+    """Read a 16-bit greyscale PNG as (y, x) uint16."""
     head = png_head(path)
     if (head.channels, head.bits) != (1, 16):
         colour = "grey" if head.channels == 1 else "RGB"
@@ -321,13 +315,7 @@ def write_tiff16(path: Path, image: NDArray[np.uint16]) -> None:
 
 
 def read_tiff16(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit greyscale TIFF of one page as (y, x) uint16.
-
-    Raises
-    ------
-    StorageError, ValueCheckError
-        When the file is missing or unreadable, or of another kind.
-    """
+    """Read a 16-bit greyscale TIFF of one page as (y, x) uint16."""
     pixels = grey_pixels(path)
     if pixels.dtype != np.uint16:
         raise ValueCheckError(f"{path}: got pixels of {pixels.dtype}, expected 16-bit greyscale (uint16)")

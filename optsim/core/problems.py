@@ -25,17 +25,7 @@ _WORDS = {
 
 
 def problems(part: type[BaseModel], table: Mapping[str, object], error: ValidationError) -> list[str]:
-    """List the problems of a table, one line each.
-
-    Parameters
-    ----------
-    part : type
-        Part that the table was to become.
-    table : Mapping
-        The table as read.
-    error : pydantic.ValidationError
-        Result of its validation.
-    """
+    """List the problems of a table, one line each."""
     items = cast("list[dict[str, Any]]", error.errors())
     # Pydantic also calls a list of wrong items too short: that is not a second problem.
     inside = {tuple(item["loc"][:depth]) for item in items for depth in range(len(item["loc"]))}

@@ -27,13 +27,7 @@ _QUOTAS = ("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")
 
 
 def usable_cores(groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """Count the cores that this process may use: ``$OPTSIM_THREADS``, else by affinity and container quota.
-
-    Parameters
-    ----------
-    groups : Path
-        Where Linux states the quota.
-    """
+    """Cores that this process may use: ``$OPTSIM_THREADS``, else by affinity and container quota."""
     if chosen := os.environ.get("OPTSIM_THREADS", "").strip():
         if not chosen.isdecimal() or int(chosen) == 0:
             raise ConfigError(f"OPTSIM_THREADS: got {chosen!r}, expected a number of threads, for example 2")

@@ -28,21 +28,7 @@ _RADIANCE = "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radia
 def write_light(
     folder: Path, camera: CodedCamera, truth: IrradianceVideo, n_frames: int, *, half: bool
 ) -> None:
-    """Write what all coded frames of a sequence see: each slot's light, and its mean over each panel pixel.
-
-    Parameters
-    ----------
-    folder : Path
-        The sequence's folder; ``operator.npz`` is written last and marks the rest as complete.
-    camera : CodedCamera
-        The true camera, behind its neutral density.
-    truth : IrradianceVideo
-        Light on the modulator.
-    n_frames : int
-        Coded frames.
-    half : bool
-        16-bit floats.
-    """
+    """Write what all coded frames of a sequence see: each slot's light, and its mean a panel pixel."""
     if (folder / OPERATOR).is_file():
         return
     per_radiance = camera.irradiance_per_radiance
@@ -75,21 +61,7 @@ def write_explained(
     calibration: Calibration,
     frames: tuple[CodedFrame, ...],
 ) -> None:
-    """Write each frame of a method without noise, its noise, and what the panel let through in each slot.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the seed.
-    method : str
-        Its name.
-    camera, truth
-        As for :func:`write_light`.
-    calibration : Calibration
-        The method's.
-    frames : tuple of CodedFrame
-        All coded frames from the first.
-    """
+    """Write each frame of a method without noise, its noise, and what the panel let through in each slot."""
     sensor = camera.sensor
     before: PanelState | None = None
     known: PanelState | None = None

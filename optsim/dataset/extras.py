@@ -147,23 +147,7 @@ def band_channels(scene: Scene) -> dict[str, str]:
 
 
 class ExtraChannels:
-    """Renderer of the extra channels of many slots.
-
-    Parameters
-    ----------
-    extras : Extras
-        The channels.
-    experiment : Experiment
-        Scene, view, slots, and render settings.
-    slots : sequence of int
-        Slots that will be asked for, in this order.
-    shared : bool
-        Whether slots may share the noise of what stands still.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    progress : Progress
-        Stage "bands".
-    """
+    """Renderer of the extra channels of many slots."""
 
     def __init__(
         self,
@@ -200,26 +184,7 @@ class ExtraChannels:
     def of(
         self, slot: int, passes: Passes, radiance: Floats, half: Floats | None
     ) -> tuple[dict[str, Floats], Record]:
-        """Render the extra channels of a slot.
-
-        Parameters
-        ----------
-        slot : int
-            Index of the slot.
-        passes : Passes
-            Passes of the middle of the slot.
-        radiance : ndarray of shape (y, x), float32
-            Mean over the slot, W m^-2 sr^-1.
-        half : ndarray of shape (y, x), float32, or None
-            Half the difference of its two halves.
-
-        Returns
-        -------
-        channels : dict
-            Name -> array of shape (y, x), float32.
-        attributes : dict
-            Their meaning, with units, samples and signs.
-        """
+        """Render the extra channels of a slot."""
         channels: dict[str, Floats] = {}
         said: Record = {}
         for found, meaning in (

@@ -92,13 +92,7 @@ class Filter(Part):
 
 
 def content(truth: Path) -> dict[str, float]:
-    """Measure what the slots of an export show: motion, speed, range and noise.
-
-    Parameters
-    ----------
-    truth : Path
-        Folder of :func:`optsim.dataset.export_passes`.
-    """
+    """Measure what the slots of an export show: motion, speed, range and noise."""
     shares, speeds, stops, noise = list[float](), list[float](), list[float](), list[float]()
     for path in sorted(truth.glob("slot*.exr")):
         channels, said = read_exr(path)

@@ -209,15 +209,7 @@ class Samples(Sequence[Sample]):
         return len(self.samples)
 
     def torch(self, *names: str, transform: Callable[[dict[str, Any]], Any] | None = None) -> Any:
-        """Return a PyTorch ``Dataset`` of dicts of tensors.
-
-        Parameters
-        ----------
-        *names : str
-            Arrays to read; all by default.
-        transform : callable, optional
-            Called with each dict.
-        """
+        """Return a PyTorch ``Dataset`` of dicts of tensors."""
         try:
             import torch  # pyright: ignore
         except ImportError:

@@ -35,15 +35,7 @@ from optsim.tasks import tell
 
 
 def make_sequence(folder: Path, spec: Table, sequence: Table) -> None:
-    """Fill a sequence's folder; results of an earlier attempt are kept.
-
-    Parameters
-    ----------
-    folder : Path
-        The sequence's folder.
-    spec, sequence : dict
-        The :class:`DatasetSpec` and the :class:`SequencePlan` as tables, since workers get them by pickle.
-    """
+    """Fill a sequence's folder; results of an earlier attempt are kept."""
     chosen = build(DatasetSpec, spec, where="data set")
     plan = SequencePlan(**sequence)
     first, noise = chosen.experiment_of(plan, chosen.seeds[0]), chosen.noise.of(plan.split)

@@ -43,17 +43,7 @@ def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
 
 
 class SlotLight:
-    """Radiance of a slot by groups of lamps, by plain path tracing with equal samples everywhere.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene; loaded once for each group.
-    experiment : Experiment
-        View, slots, and render settings: seed, instants a slot and bound on the error of motion blur.
-    samples : int
-        Least samples of a fine sample and slot; shared by the poses whose mean is the slot.
-    """
+    """Radiance of a slot by groups of lamps, by plain path tracing with equal samples everywhere."""
 
     def __init__(self, scene: Scene, experiment: Experiment, samples: int) -> None:
         from optsim.render.plan import Plan

@@ -50,13 +50,7 @@ class Share(Part):
         return self
 
     def of(self, scene: str, variation: str) -> Split:
-        """Return the split of a scene and variation.
-
-        Raises
-        ------
-        ConfigError
-            When patterns put it into both.
-        """
+        """Return the split of a scene and variation."""
         name = f"{scene}/{variation}"
         patterns: dict[Split, float | tuple[str, ...]] = {"val": self.val, "test": self.test}
         held: list[Split] = [split for split, listed in patterns.items() if _names(listed, name)]

@@ -159,23 +159,7 @@ class CodedBlur:
 def coded_blur(
     light: Floats, variance: Floats, known: Bools, code: Doubles, margin: int, model_error: float
 ) -> CodedBlur:
-    """Place a coded image on a canvas.
-
-    Parameters
-    ----------
-    light : ndarray of shape (v, u), float32
-        Mean light while open, relative to its mean; a guess where it isn't measured.
-    variance : ndarray of shape (v, u), float32
-        Variance of its noise.
-    known : ndarray of shape (v, u), bool
-        Pixels with a measurement; at least one.
-    code : ndarray of shape (slot,)
-        Weights of the coded slots.
-    margin : int
-        Least margin on each side, pixels, for light that moves in.
-    model_error : float
-        Standard deviation of the model error, relative to the light.
-    """
+    """Place a coded image on a canvas."""
     rows, cols = (cast("int", fft.next_fast_len(n + 2 * margin, real=True)) for n in light.shape)
     sides = [(margin, n - side - margin) for n, side in zip((rows, cols), light.shape, strict=True)]
     typical = float(np.median(variance[known]))

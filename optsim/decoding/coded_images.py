@@ -101,17 +101,6 @@ def covered(
 
     Negative and near-zero values are replaced by their :func:`positive_mean`, with the error that negative
     light nearby implies.
-
-    Parameters
-    ----------
-    frame, image
-        From :func:`coded_images`.
-    total : ndarray of shape (v, u, slot), float32
-        Sum of all patches over each pixel; overwritten.
-    count, full : ndarray of shape (v, u), float32
-        Number of patches over each pixel, and their number on the whole grid.
-    variance : ndarray of shape (v, u, slot), float32, optional
-        Mean of the variances of the patches over each pixel; overwritten.
     """
     total /= np.maximum(count, 1)[:, :, None]
     spread = None

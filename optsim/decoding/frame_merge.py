@@ -65,21 +65,7 @@ def merged(
     least: Floats,
     crosstalk: Crosstalk,
 ) -> Merged:
-    """Merge the frames in which a pixel was static.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Calibration of the camera.
-    samples : sequence of Sample
-        Newest first.
-    alive : sequence of ndarray of shape (v, u), bool
-        Pixels of each frame that have not changed since.
-    least : ndarray of shape (v, u), float32
-        Lower bound from saturated samples, W m^-2.
-    crosstalk : {"undone", "row_summed"}
-        How the samples were demixed.
-    """
+    """Merge the frames in which a pixel was static."""
     usable = [
         ok & s.valid & ~s.saturated & (s.exposure > LEAST_EXPOSURE)
         for s, ok in zip(samples, alive, strict=True)

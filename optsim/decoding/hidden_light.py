@@ -48,29 +48,6 @@ def told_by_glare(
     linear unknown beside the irradiance of every pixel: weighted least squares over all pixels and frames.
     (M. Rouf and others, "Glare encoding of high dynamic range images", CVPR 2011, recover highlights from the
     glare of a star filter.)
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Calibration with the glare.
-    samples, alive, usable
-        As in :func:`~optsim.decoding.joint_merge.solved_together`; demixed with the assumed light.
-    mean : ndarray of shape (v, u), float32
-        Merged irradiance, W m^-2.
-    light : ndarray of shape (v, u), float32
-        Assumed light of the hidden pixels, W m^-2.
-    hidden : ndarray of shape (v, u), bool
-        Pixels that saturate in every frame.
-    apart : bool
-        Whether each region has its own factor; otherwise all share one.
-
-    Returns
-    -------
-    factor : ndarray of shape (v, u), float32
-        Factor on that light; 1 where the glare gives nothing better.
-    error : ndarray of shape (v, u), float64
-        Standard deviation of the merged irradiance by the glare of the assumed light, W m^-2: a tenth of the
-        glare's contribution.
     """
     # Estimates beside saturation haven't converged yet and would dominate the fit.
     bright = np.logical_or.reduce([ok & s.valid & s.saturated for s, ok in zip(samples, alive, strict=True)])

@@ -43,29 +43,6 @@ def solved_together(
     variances of noise and attribution, and stays near uniform light where the frames have no information. It
     is the maximum of the posterior for a Gaussian prior. Uniform light is the mean of the measured samples,
     but no less than the bound of the saturated ones.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Calibration with the kernel.
-    samples : sequence of Sample
-        The frames.
-    alive : sequence of ndarray of shape (v, u), bool
-        Pixels of each frame with the same light as in the newest.
-    usable : sequence of ndarray of shape (v, u), bool
-        Pixels of each frame that measured that light.
-    irradiance : ndarray of shape (v, u), float32
-        W m^-2; correct where not unknown.
-    least : ndarray of shape (v, u), float32
-        From saturated frames (:attr:`~optsim.calibration.demixed.DemixedFrame.least`), W m^-2: the light of
-        pixels that no frame measured, unless their neighbours give a better estimate.
-    unknown : ndarray of shape (v, u), bool
-        Pixels to solve for: measured in a frame, or saturated.
-
-    Returns
-    -------
-    ndarray of shape (v, u), float32
-        Irradiance with the unknown pixels solved, W m^-2, none of them negative.
     """
     even, sigma = _expected(calibration, samples, alive, usable, least)
     number = np.where(unknown, np.cumsum(unknown).reshape(unknown.shape) - 1, -1)

@@ -130,13 +130,7 @@ class MotionDeblurring(PartialDecoder):
 
 
 def shared_code(weights: Floats, moving: Bools) -> tuple[Doubles, Bools]:
-    """Weights that most moving pixels have, (slot,), and which pixels have them, (v, u).
-
-    Raises
-    ------
-    ConfigError
-        When fewer than half of the moving pixels do.
-    """
+    """Weights that most moving pixels have, (slot,), and which pixels have them, (v, u)."""
     code = np.median(weights[moving], axis=0).astype(np.float64)
     apart = np.abs(weights - code.astype(np.float32)).sum(axis=2)
     alike = moving & (apart <= _ALIKE * code.sum())
@@ -158,21 +152,7 @@ def painted(
     slots: int,
     shape: tuple[int, ...],
 ) -> Floats:
-    """Shift sharp images along their motion paths, each over those before it: (slot, v, u), float32.
-
-    Parameters
-    ----------
-    blur : CodedBlur
-        The coded image.
-    velocities : list of tuple
-        Pixels a slot.
-    masks, pictures : ndarray of shape (velocity, rows, cols), float32
-        Region of each at the middle of the code; the first also fills the pixels without any.
-    slots : int
-        Slots of a frame.
-    shape : tuple of int
-        Shape of the image.
-    """
+    """Shift sharp images along their motion paths, each over those before it: (slot, v, u), float32."""
     inside = tuple(slice(blur.margin, blur.margin + n) for n in shape)
     light = np.zeros((slots, *shape), np.float32)
     for place, velocity in enumerate(velocities):

@@ -43,26 +43,6 @@ def pooled(
     An unmeasured pixel is estimated from its neighbours alone. Their differences from it are taken to be
     Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
     doi:10.1016/0167-2789(92)90242-F), so that edges stay.
-
-    Parameters
-    ----------
-    mean : ndarray of shape (v, u), float32
-        Irradiance, W m^-2; below zero by noise. A positive guess where nothing was measured.
-    variance : callable
-        Variance that the mean would have for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
-    measured : ndarray of shape (v, u), bool
-        Measured pixels; the others don't enter the mean of their neighbours.
-    least : ndarray of shape (v, u), float32
-        Lower bound of irradiance from saturated samples; none where it is zero.
-    contrast : float
-        Scale of the differences to an unmeasured pixel, over its light.
-
-    Returns
-    -------
-    light, variance : ndarray of shape (v, u), float32
-        Non-negative irradiance and its variance. The variance is that of the mean, raised where neighbours
-        disagree more than expected (R. T. Birge, Phys. Rev. 40, 1932, doi:10.1103/PhysRev.40.207), but no
-        more than the pixel's own. At ``least`` the standard deviation equals the value.
     """
     means, known = np.pad(mean, 1), np.pad(measured, 1)
     heard = [share * known[around] for share, around in _neighbours(mean.shape)]

@@ -66,14 +66,6 @@ def positive_mean(mean: Floats, variance: Floats) -> Floats:
     """Mean of a Gaussian cut off at zero: the expected light given that it isn't negative.
 
     Noise puts dark pixels below zero as often as above; clipping would bias them.
-
-    Parameters
-    ----------
-    mean, variance : ndarray, float32
-        Estimate and its variance, of shapes that broadcast to the mean's.
-
-    Source: mean of a truncated normal distribution, N. L. Johnson, S. Kotz and N. Balakrishnan, *Continuous
-    Univariate Distributions* 1, 2nd ed. (1994), 13.10.1.
     """
     sigma = np.broadcast_to(np.sqrt(np.maximum(variance, 1e-30)), mean.shape)
     result = mean.copy()
@@ -92,12 +84,6 @@ class PartialDecoder(Part, ABC):
         """Decode frame by frame, with blend weights for the union; a new decoder defines only this."""
 
     def decode(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Reconstruction]:
-        """Decode frame by frame; each uses itself and those before, which give saturated pixels.
-
-        Raises
-        ------
-        ConfigError
-            When a learned prior does not fit the frames.
-        """
+        """Decode frame by frame; each uses itself and those before, which give saturated pixels."""
         for partial in self.partials(frames, calibration):
             yield partial.finished()

@@ -29,20 +29,6 @@ def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
     4, 2379, 1987, doi:10.1364/JOSAA.4.002379), so roughness between pixels gives the roughness within. It is
     the Laplacian's median over 3 x 3, which edges and lamps don't move, minus its noise. Smoothing by a lens
     is ignored, so this is an upper estimate.
-
-    Parameters
-    ----------
-    irradiance : ndarray of shape (v, u), float32
-        W m^-2.
-    variance : ndarray of shape (v, u), float32
-        Variance of its noise, W^2 m^-4.
-    ratio : float
-        Width of a panel pixel over that of its readout window.
-
-    Returns
-    -------
-    ndarray of shape (v, u), float32
-        Rms difference, W m^-2.
     """
     from scipy import ndimage
 

@@ -69,19 +69,6 @@ def shared_weights(
 
     Where the tile excludes many patches, because weights drift over the rows or columns, only
     patches of the same rows, or columns, share.
-
-    Parameters
-    ----------
-    weights : ndarray of shape (v, u, slot), float32
-        Weights of each pixel.
-    mask : ndarray of shape (v, u), bool
-        Pixels with the code and a measurement.
-    corners : ndarray of shape (p, 2), int64
-        First row and column of each patch.
-    patch : int
-        Side of a patch, panel pixels.
-    tolerance : float
-        Relative rms deviation from the tile beyond which a patch keeps its own weights.
     """
     rows, cols = mask.shape
     v, u = code_period(weights, mask, tolerance)
@@ -105,15 +92,6 @@ def code_period(weights: Floats, mask: Bools, tolerance: float) -> tuple[int, in
     At each lag a thousand pixels are compared with those at that distance along the axis. Some pairs differ
     at any lag, because some pixels are just leaving another code. The period is the shortest lag at which no
     more pairs differ than at the best one, within three standard errors.
-
-    Parameters
-    ----------
-    weights : ndarray of shape (v, u, slot), float32
-        Weights of each pixel.
-    mask : ndarray of shape (v, u), bool
-        Pixels to compare.
-    tolerance : float
-        Rms deviation of a pixel's weights from the tile's, relative to the rms over pixels.
     """
     rows, cols = mask.shape
     there = np.flatnonzero(mask)

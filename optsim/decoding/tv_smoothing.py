@@ -15,20 +15,7 @@ _fast = compiled(fastmath={"reassoc", "contract", "nsz", "arcp"})
 
 
 def smoothed(video: Floats, weight: float, steps: int, *, time_weight: float) -> Floats:
-    """Lower the total variation of a video by a number of dual steps.
-
-    Parameters
-    ----------
-    video : ndarray of shape (v, u, slot), float32
-        Any unit.
-    weight : float
-        Weight of the total variation, in the video's unit.
-    steps : int
-        Steps of the dual field; the minimum is reached after hundreds.
-    time_weight : float
-        Weight of a difference from slot to slot against one from pixel to pixel; 0 smooths each slot by
-        itself.
-    """
+    """Lower the total variation of a video by a number of dual steps."""
     rows, cols, slots = video.shape
     # Slots side by side: neighbours in a row are then a fixed distance apart, and loops are long.
     lines = np.ascontiguousarray(video, np.float32).reshape(rows, cols * slots)

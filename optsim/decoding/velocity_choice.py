@@ -37,28 +37,7 @@ def velocity_grid(fastest: float, step: float) -> list[Velocity]:
 def explained(
     blur: CodedBlur, shape: tuple[int, ...], grid: tuple[float, float], around: int, rounds: int
 ) -> tuple[list[Velocity], Floats, Floats]:
-    """Find velocities that explain a coded image, their masks and the sharp images.
-
-    Parameters
-    ----------
-    blur : CodedBlur
-        The coded image.
-    shape : tuple of int
-        Shape of the image without the margin, (v, u).
-    grid : tuple of float
-        Fastest velocity and step, pixels a slot.
-    around : int
-        Side of a neighbourhood, pixels.
-    rounds : int
-        Steps of the conjugate gradients.
-
-    Returns
-    -------
-    velocities : list of tuple
-        The most frequent first, then from slow to fast.
-    masks, pictures : ndarray of shape (velocity, rows, cols), float32
-        On the canvas of ``blur``.
-    """
+    """Find velocities that explain a coded image, their masks and the sharp images."""
     corner = blur.margin
     inside = (slice(corner, corner + shape[0]), slice(corner, corner + shape[1]))
     velocities = likely_velocities(blur, inside, *grid, around)
@@ -88,17 +67,6 @@ def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: in
     generalised mean, and that of the determinant of the deblurring filter. Without the second the blurred
     image itself would be the likeliest. Light is not negative; negative light counts as a gradient of that
     size.
-
-    Parameters
-    ----------
-    picture : ndarray of shape (rows, cols)
-        Sharp image of this velocity.
-    way : Way
-        Its blur.
-    inside : tuple of slice
-        The image on the canvas.
-    around : int
-        Side of a neighbourhood.
     """
     rows, cols = inside
     near = picture[rows.start - 1 : rows.stop, cols.start - 1 : cols.stop]
@@ -166,11 +134,6 @@ def shared_out(costs: Floats) -> Ints:
 
     The share of all pixels that a velocity has is its prior probability, as in a fitted mixture. It decides
     where the costs give little evidence.
-
-    Parameters
-    ----------
-    costs : ndarray of shape (velocity, v, u), float32
-        Nats a pixel.
     """
     shares = np.full(len(costs), 1 / len(costs))
     labels = np.zeros(costs.shape[1:], np.int64)

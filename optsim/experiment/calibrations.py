@@ -24,15 +24,7 @@ def bench_noise(experiment: Experiment) -> Generator:
 
 
 def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) -> Calibration:
-    """Make a calibration: from the bench, the true or ideal operator, or a file.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its camera, as planned, and its seed.
-    known : CalibrationChoice, optional
-        By default the experiment's own.
-    """
+    """Make a calibration: from the bench, the true or ideal operator, or a file."""
     return _calibrations(experiment, (known or experiment.calibration_choice,))[0]
 
 

@@ -186,13 +186,7 @@ def check_names() -> list[str]:
 
 
 def measure(effect: str) -> Evidence:
-    """Run one effect's check, and again on a stage broken on purpose.
-
-    Raises
-    ------
-    ConfigError
-        For an effect without a check.
-    """
+    """Run one effect's check, and again on a stage broken on purpose."""
     if effect not in check_names():
         raise unknown_name("validation", effect, check_names())
     check = load_check(_validation() / effect / "check.py")

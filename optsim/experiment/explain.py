@@ -109,17 +109,7 @@ def too_short(n_frames: int, latency_frames: int) -> str:
 
 
 def scene_effects(probe: Probe, focus: Focus | None, *, polarised: bool) -> list[EffectSize]:
-    """Estimate the effects that act during rendering, as far as they are known before.
-
-    Parameters
-    ----------
-    probe : Probe
-        Probe of the camera.
-    focus : Focus or None
-        Effect of the lens on the scene; None for footage, which already includes a lens.
-    polarised : bool
-        Whether the scene is rendered with its polarisation.
-    """
+    """Estimate the effects that act during rendering, as far as they are known before."""
     from optsim.camera.effect_sizes import EffectSize, size_of_defocus
     from optsim.camera.effects import ALL
 

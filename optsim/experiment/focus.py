@@ -67,19 +67,7 @@ class Focus:
 
 
 def focus_on(scene: Scene, camera: CodedCamera, duration_s: float, tolerance: float) -> Focus:
-    """Compute the effect of a lens on a scene, and whether its depth of field is worth rendering.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    camera : CodedCamera
-        Camera with the objective.
-    duration_s : float
-        Duration of the experiment, s.
-    tolerance : float
-        Tolerance of the plan; with 0 even an invisible blur is modelled.
-    """
+    """Compute the effect of a lens on a scene, and whether its depth of field is worth rendering."""
     view, lens = camera.view, camera.objective
     focus_m = focus_depth_m(scene.camera, view)
     ratio = view.rows / view.cols

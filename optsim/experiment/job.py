@@ -61,18 +61,7 @@ from optsim.report.schema import (
 
 
 def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
-    """Check before any long work for obstacles to a run: backend, scene, disk space.
-
-    Returns
-    -------
-    dict
-        The backend chosen and the disk space needed and free, MB.
-
-    Raises
-    ------
-    BackendError, ConfigError, StorageError
-        With the cure.
-    """
+    """Check before any long work for obstacles to a run: backend, scene, disk space."""
     check_truth(experiment)
     if any(known.operator == "bench" for known in experiment.calibration_choices):
         check_panel(experiment.camera)
@@ -123,33 +112,7 @@ def execute(
     export_truth: bool = False,
     progress: Progress = silent,
 ) -> Results:
-    """Run an experiment into a folder.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    folder : Path
-        New, empty, or of the same experiment; locked for this process.
-    command : str
-        The command line, for the report.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    export_truth : bool
-        Copy the truth (slot means a panel pixel) into the folder.
-    progress : Progress
-        Called after each finished unit.
-
-    Returns
-    -------
-    Results
-        The content of results.json.
-
-    Raises
-    ------
-    StorageError
-        When another process writes into the folder, or it holds other files.
-    """
+    """Run an experiment into a folder."""
     with claimed(folder):
         run_folder(experiment, folder)
         return _execute(experiment, folder, command, backend, export_truth, progress)

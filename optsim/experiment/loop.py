@@ -293,27 +293,7 @@ class Result:
 
 
 def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> Result:
-    """Run an experiment in memory: calibrate, set the light, capture, decode.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    radiance : RadianceVideo
-        The truth, from :func:`optsim.render_truth` or :func:`optsim.footage.made.footage`.
-    progress : Progress
-        Called after each finished frame.
-
-    Returns
-    -------
-    Result
-        Frames, reconstructions and the objects behind them.
-
-    Raises
-    ------
-    ConfigError
-        When the truth is missing, or a method cannot work with the camera.
-    """
+    """Run an experiment in memory: calibrate, set the light, capture, decode."""
     given = cast("object", radiance)
     if not isinstance(given, RadianceVideo):
         raise ConfigError(

@@ -37,13 +37,7 @@ class Method(Part):
     reading_px: ReadingPx | None = None
 
     def check(self, calibration: Calibration) -> None:
-        """Refuse a calibration that this method cannot work with, before there is a frame.
-
-        Raises
-        ------
-        ConfigError, StorageError
-            With the cure; for example for a prior with another number of slots.
-        """
+        """Refuse a calibration that this method cannot work with, before there is a frame."""
         try:
             self.scheme.init(calibration, np.random.default_rng(0))
             # Decoders prepare before they ask for the first frame.

@@ -30,27 +30,6 @@ def object_masks(
 
     A pixel counts if the chief ray through its centre meets a mover first, even one at rest, in the middle
     of any slot; as ``moving`` in an export of passes. Shadows are left out.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its scene, view and timing determine the masks.
-    cache : Cache, optional
-        Cache of the masks; by default that of the truth.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    progress : Progress
-        Called after each slot, as "object masks".
-
-    Returns
-    -------
-    ndarray of shape (frame, v, u), bool, or None
-        None for footage, which has no objects, and for scenes without movers.
-
-    Raises
-    ------
-    BackendError
-        When no renderer backend works.
     """
     if experiment.scene is None:
         return None

@@ -13,18 +13,7 @@ from optsim.metrics.records import Reading
 
 
 def bench_readings(calibration: Calibration) -> list[Reading]:
-    """Read off a calibration what a change of the camera or of its estimation would move.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The calibration that sets the light.
-
-    Returns
-    -------
-    list of Reading
-        Noise, gain, levels, crosstalk, and the pixel map's mean place.
-    """
+    """Read off a calibration what a change of the camera or of its estimation would move."""
     valid, middle = calibration.valid, calibration.crosstalk.shape[-1] // 2
     own = calibration.crosstalk[valid][:, middle, middle]
     values = {

@@ -281,19 +281,7 @@ def no_rivals(experiment: Experiment) -> list[str]:
 
 
 def score(result: Result) -> metrics.Scores:
-    """Score a run in memory.
-
-    Parameters
-    ----------
-    result : Result
-        From :func:`optsim.run`.
-
-    Returns
-    -------
-    Scores
-        A list with one record a method, metric, region and phase; the metric's parameters are in its name.
-        Printed, it is a table.
-    """
+    """Score a run in memory."""
     scorer = scorer_of(result)
     return metrics.Scores(scorer.board.records(scorer.tallies))
 

@@ -45,13 +45,7 @@ ORIGINS: dict[str, str] = {
 
 
 def light_paths(camera: CodedCamera, y: int, x: int, pitch: int) -> Doubles:
-    """Electrons in a CCD pixel per radiant exposure behind each fine cell of the panel, path by path.
-
-    Returns
-    -------
-    ndarray of shape (3, y, x), float64
-        Direct, ghost and veil, electrons per J m^-2; their sum is the row of the relay's operator.
-    """
+    """Electrons in a CCD pixel per radiant exposure behind each fine cell of the panel, path by path."""
     pixel = np.zeros((camera.sensor.rows, camera.sensor.cols))
     pixel[y, x] = 1
     glare, ghost = camera.relay.glare_share, camera.relay.ghost_share
@@ -94,17 +88,7 @@ def count_electrons(
     paths: Doubles,
     own: tuple[int, int],
 ) -> Electrons:
-    """Count the electrons of a CCD pixel by origin.
-
-    Parameters
-    ----------
-    camera, truth, index, code, panel
-        As in :meth:`optsim.camera.camera.CodedCamera.expose`.
-    paths : ndarray of shape (3, y, x), float64
-        From :func:`light_paths`.
-    own : tuple of int
-        Row and column of the own panel pixel.
-    """
+    """Count the electrons of a CCD pixel by origin."""
     n_sub, slots, coded = truth.instants_per_slot, camera.slots_per_frame, camera.coded_slots
     weights, _ = camera.panel_weights(code, panel, n_sub)
     shutter, _ = camera.shutter(code, panel, n_sub, truth.samples_per_pitch)
@@ -145,19 +129,7 @@ def count_electrons(
 
 
 def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> Target:
-    """Find the panel pixel that a CCD pixel belongs to.
-
-    Parameters
-    ----------
-    camera : CodedCamera
-        Camera, with the position of the panel's image on the CCD.
-    y, x : int
-        The CCD pixel.
-    pitch : int
-        Fine cells per panel pixel.
-    even : ndarray of shape (v, u), float64
-        Its light from each panel pixel on the direct path, all open under uniform light.
-    """
+    """Find the panel pixel that a CCD pixel belongs to."""
     geometry = camera.relay_geometry(pitch)
     row, col, on_ccd = geometry.ccd_pixels(pitch)
     picking = on_ccd & (row == y) & (col == x)
@@ -181,13 +153,7 @@ def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> T
 
 
 def seen_per_slot(video: Video, first_slot: int, n_slots: int, seen: Doubles) -> Doubles:
-    """Average the light of each slot under sets of weights on the fine grid, (k, y, x).
-
-    Returns
-    -------
-    ndarray of shape (k, slot), float64
-        NaN for weights that are all 0.
-    """
+    """Average the light of each slot under sets of weights on the fine grid, (k, y, x)."""
     means = np.zeros((len(seen), n_slots))
     for t, light in enumerate(_instants(video, first_slot, n_slots)):
         means[:, t // video.instants_per_slot] += np.tensordot(seen, light, 2)

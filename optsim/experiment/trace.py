@@ -140,21 +140,7 @@ def trace_pixel(
     shot: Shot,
     traced: TracedPixel,
 ) -> Trace:
-    """Trace a pixel of a frame already taken.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its name and fingerprint go into the record.
-    camera : CodedCamera
-        Camera behind its neutral density.
-    radiance, truth : RadianceVideo, IrradianceVideo
-        The scene, and its light on the modulator.
-    shot : Shot
-        The frame, and the panel before it.
-    traced : TracedPixel
-        The CCD pixel and the frame's index and method.
-    """
+    """Trace a pixel of a frame already taken."""
     code, pitch = shot.frame.code, truth.samples_per_pitch
     paths = light_paths(camera, traced.y, traced.x, pitch)
     even = fine_image_adjoint(paths[0], border_shares(camera.modulator.fringing_px, pitch))

@@ -62,20 +62,7 @@ class SceneLight:
 
 
 def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
-    """Decide whether a scene is rendered with its polarisation, by ``camera.splitter.scene_light``.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Its scene's materials decide for ``auto``.
-    preview : bool
-        Whether only the scalar renderer works, which has no polarised light.
-
-    Raises
-    ------
-    BackendError
-        When polarised light is required and no backend has it.
-    """
+    """Decide whether a scene is rendered with its polarisation, by ``camera.splitter.scene_light``."""
     splitter = experiment.camera.splitter
     if experiment.scene is None:
         return SceneLight(None, "unpolarised: of a recording nothing else is known")
@@ -157,13 +144,7 @@ def render_truth(
 
 
 def scene_focus(experiment: Experiment) -> Focus:
-    """Compute the effect of the objective's focus and distortion on an experiment's scene, without rendering.
-
-    Raises
-    ------
-    ConfigError
-        When the truth is footage, which already includes a lens.
-    """
+    """Effect of the objective's focus and distortion on an experiment's scene, without rendering."""
     timing = experiment.timing
     duration_s = timing.n_slots * timing.slot_s
     return focus_on(chosen_scene(experiment), experiment.camera, duration_s, experiment.tolerance)

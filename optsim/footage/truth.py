@@ -27,20 +27,7 @@ _DECIMALS = 9
 
 
 def overlap(start: float, stop: float) -> tuple[int, Doubles]:
-    """Shares of unit samples in the mean over an interval.
-
-    Parameters
-    ----------
-    start, stop : float
-        The interval; sample i lies from i to i + 1.
-
-    Returns
-    -------
-    first : int
-        First sample that the interval touches.
-    First sample that overlaps the interval.
-        Overlap of each sample from there on, over the interval's length; the sum is 1.
-    """
+    """Shares of unit samples in the mean over an interval."""
     low, high = round(start, _DECIMALS), round(stop, _DECIMALS)
     edges = np.arange(int(low), int(np.ceil(high)) + 1)
     lengths = np.diff(np.clip(edges, low, high))
@@ -48,20 +35,7 @@ def overlap(start: float, stop: float) -> tuple[int, Doubles]:
 
 
 def cell_shares(margin: float, step: float, n_cells: int, n_samples: int) -> csr_array:
-    """Share of each sample in each cell of one length, so that ``shares @ samples`` are means over cells.
-
-    Parameters
-    ----------
-    margin, step : float
-        Start of the first cell, and the length of a cell, in samples.
-    n_cells, n_samples : int
-        Number of cells, all inside the samples, and number of samples.
-
-    Returns
-    -------
-    csr_array of shape (n_cells, n_samples), float64
-        Rows sum to 1.
-    """
+    """Share of each sample in each cell of one length, so that ``shares @ samples`` are means over cells."""
     found = [overlap(margin + step * cell, margin + step * (cell + 1)) for cell in range(n_cells)]
     samples = np.concatenate([first + np.arange(len(weights)) for first, weights in found])
     cells = np.repeat(np.arange(n_cells), [len(weights) for _, weights in found])

@@ -23,18 +23,7 @@ _P = (0.353487901, 0.3734658629, 8.277049286e-05, 0.9062562627, 0.09150303166, 0
 
 
 def pu21_encode(luminance_cd_m2: ArrayLike) -> Doubles:
-    """Encode absolute luminance; values outside 0.005 .. 10 000 cd/m^2 are clamped to that range.
-
-    Parameters
-    ----------
-    luminance_cd_m2 : array_like
-        Absolute luminance, cd/m^2.
-
-    Returns
-    -------
-    ndarray of float64
-        Encoded values, 0 to 595.4; about 256 at 100 cd/m^2.
-    """
+    """Encode absolute luminance; values outside 0.005 .. 10 000 cd/m^2 are clamped to that range."""
     power = np.clip(np.asarray(luminance_cd_m2, np.float64), LOWEST_CD_M2, HIGHEST_CD_M2) ** _P[3]
     ratio = (_P[0] + _P[1] * power) / (1.0 + _P[2] * power)
     return np.maximum(_P[6] * (ratio ** _P[4] - _P[5]), 0.0)

@@ -212,21 +212,7 @@ def collect_windows(
     hats_x: Reals,
     found: Reals,
 ) -> None:
-    """Collect light into the centre of windows with the PSFs of nodes, weighted by hat functions.
-
-    Parameters
-    ----------
-    windows : ndarray of shape (n, y + 2 h, x + 2 h), float32 or float64
-        Light in and around the collecting samples.
-    padded : tuple of int
-        Size of the transforms.
-    transfers : sequence (j, i) of ndarray of shape (n or 1, ...)
-        Conjugate transfer function of each node, column by column of nodes, for each window or for all.
-    hats_y, hats_x : ndarray of shape (i, n or 1, y) and (j, n or 1, x), of the same type as the windows
-        Hat functions of the nodes' rows and columns.
-    found : ndarray of shape (n, y, x), of the same type
-        Filled.
-    """
+    """Collect light into the centre of windows with the PSFs of nodes, weighted by hat functions."""
     rows, cols = found.shape[1:]
     spectrum = fft.rfft2(windows, s=padded)
     product = np.empty_like(spectrum)

@@ -51,13 +51,6 @@ def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
     """Cut a PSF in two, if the part around its core is large enough and the core fits a loop over taps.
 
     It also stays whole if it is not smooth enough: if a point's light would be off by more than 2e-4.
-
-    Parameters
-    ----------
-    psf : FieldPsf
-        On fine samples.
-    pitch : int
-        Fine samples to a panel pixel.
     """
     # The varying part stays on fine samples: between nodes, samples and pixels would weigh it differently. A
     # frame would be off by half of its noise for motion before a window a thousand times as bright as the

@@ -28,18 +28,6 @@ def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
     It is the least-squares fit over all positions within a pixel (R. W. Hockney and J. W. Eastwood, *Computer
     Simulation Using Particles*, 1988, chapter 8: the optimal influence function, in closed form). Beyond the
     original kernel it would oscillate slightly about 0; there it is cut at 0.
-
-    Parameters
-    ----------
-    kernel : ndarray of shape (2 h + 1, 2 h + 1), float64
-        Symmetric about its centre, and smooth on the scale of a pixel.
-    pitch : int
-        Fine samples to a pixel.
-
-    Returns
-    -------
-    ndarray of shape (2 m + 1, 2 m + 1), float64
-        Kernel for means under pixels' splines, with the same sum; m is h / pitch and a little more.
     """
     half = len(kernel) // 2
     reach = -(-half // pitch) + _SWINGS
@@ -65,22 +53,7 @@ def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
 
 
 def spread(light: Patch, pitch: int, pixels: Grid) -> Patch:
-    """Spread light of fine samples to pixels.
-
-    Parameters
-    ----------
-    light : Patch
-        On fine samples; where it touches the border of the field, it continues beyond.
-    pitch : int
-        Fine samples to a pixel.
-    pixels : Grid
-        Pixel grid of the field, with a margin around it.
-
-    Returns
-    -------
-    Patch
-        On the grid of pixels.
-    """
+    """Spread light of fine samples to pixels."""
     shares, beyond = splines(pitch).astype(np.float32), pixels.margin * pitch
     n, height, width = light.excess.shape
     corner: list[int] = []
@@ -101,19 +74,7 @@ def spread(light: Patch, pitch: int, pixels: Grid) -> Patch:
 
 
 def draw(pixels: Patch, pitch: int, row: int, col: int, fine: Floats) -> None:
-    """Fill fine samples, (t, y, x), from pixels.
-
-    Parameters
-    ----------
-    pixels : Patch
-        Light on pixels, with its position in the field; dark beyond.
-    pitch : int
-        Fine samples to a pixel.
-    row, col : int
-        First row and column of the fine samples in the field.
-    fine : ndarray of shape (t, y, x), float32
-        Filled.
-    """
+    """Fill fine samples, (t, y, x), from pixels."""
     shares = splines(pitch).astype(np.float32)
     _draw(pixels.excess, shares, row - pixels.row * pitch, col - pixels.col * pitch, fine)
 

@@ -18,21 +18,7 @@ def middles(n: int) -> Doubles:
 
 
 def radau(values: Doubles, density: Doubles, n: int) -> tuple[Doubles, Doubles]:
-    """Nodes and weights for means of smooth functions of values; a further node is at 0.
-
-    Parameters
-    ----------
-    values, density : ndarray of shape (sample,), float64
-        Samples of what the functions depend on, at least 0 and not all 0, and their weights, 1 in the mean.
-    n : int
-        Free nodes.
-
-    Returns
-    -------
-    nodes, weights : ndarray of shape (n,), float64
-        The largest first; what the weights lack of 1 is that of the node at 0. Right for polynomials of up to
-        degree 2 n.
-    """
+    """Nodes and weights for means of smooth functions of values; a further node is at 0."""
     scaled = values / values.max()
     moments = [float((density * scaled ** (k + 1)).mean()) for k in range(2 * n)]
     hankel: Doubles = np.array([moments[k : k + n] for k in range(n)])

@@ -77,27 +77,7 @@ def walk(
     spans: Doubles,
     weights: Floats,
 ) -> None:
-    """Fill the weights of a code's instants, and advance the panel to the end of the last slot.
-
-    Parameters
-    ----------
-    levels : ndarray of shape (slot, v, u), uint8
-        Drive levels.
-    retardance, shown : ndarray of shape (v, u), float32 and uint8
-        Retardance when the first slot begins, rad, and the level shown then; changed in place.
-    targets : ndarray of shape (slot + 1, 256), float64
-        Target retardance of each level in the slot before the first, and in each slot, rad.
-    taus : ndarray of shape (2,), float64
-        Time constants towards larger and towards smaller retardance, s.
-    turn, early_s : ndarray of shape (v,), int64 and float64
-        Instant of a slot in which each row is driven to the slot's level, and the time after its start, s.
-    instant_s : float
-        Duration of an instant, s.
-    leaks, spans : ndarray of shape (u,), float64
-        Weight of a dark pixel, and the increase by a retardance of pi.
-    weights : ndarray of shape (slot * instants_per_slot, v, u), float32
-        Filled.
-    """
+    """Fill the weights of a code's instants, and advance the panel to the end of the last slot."""
     if weights.size < FEW:
         delays_s = np.broadcast_to((turn * instant_s + early_s)[:, None], shown.shape)
         first, alike = _different(levels, retardance, shown, delays_s)
@@ -146,24 +126,7 @@ def _walk_together(
     delays_s: Doubles,
     n_sub: int,
 ) -> tuple[Doubles, Doubles]:
-    """Let pixels relax interval by interval, then average the light of all intervals together.
-
-    Parameters
-    ----------
-    levels, retardance, shown : ndarrays of shape (slot, pixel), (pixel,) and (pixel,)
-        As of :func:`walk`.
-    delays_s : ndarray of shape (pixel,)
-        Time from a slot's start until a pixel is driven to the slot's level.
-    n_sub : int
-        Instants a slot.
-
-    Returns
-    -------
-    light : ndarray of shape (instant, pixel), float64
-        Transmission relative to a retardance of pi.
-    gamma : ndarray of shape (pixel,), float64
-        Retardance afterwards, rad.
-    """
+    """Let pixels relax interval by interval, then average the light of all intervals together."""
     n_slots, n_pixels = levels.shape
     # Lengths of an instant before and after a pixel is driven, (instant of a slot, 2, pixel).
     before_s = (delays_s - np.arange(n_sub)[:, None] * instant_s).clip(0, instant_s)

@@ -22,17 +22,7 @@ _SETTLED_RAD = np.float32(SETTLED_RAD)
 
 
 class Points(NamedTuple):
-    """Where along a pixel its retardance is looked at.
-
-    Parameters
-    ----------
-    shares : ndarray of shape (point, 3), float32
-        Of the pixel before, the pixel itself and the one after in its retardance.
-    means : ndarray of shape (pitch, point), float32
-        Their weights in the mean over each fine cell.
-    borders : ndarray of shape (pitch, 3), float32
-        Whose reflectance the cells have beside a border that stands still, as these points see it.
-    """
+    """Where along a pixel its retardance is looked at."""
 
     shares: Floats
     means: Floats
@@ -47,15 +37,7 @@ class Times(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """Instant of a slot in which each row turns to the slot's level, and how long after its start.
-
-    Parameters
-    ----------
-    instant, early_s : ndarray of shape (v,), int64 and float64
-        The instant, and the time, s.
-    instant_s : float
-        Duration of an instant, s.
-    """
+    """Instant of a slot in which each row turns to the slot's level, and how long after its start."""
 
     instant: Ints
     early_s: Doubles
@@ -70,19 +52,7 @@ class Light(NamedTuple):
 
 
 class Looks(NamedTuple):
-    """Where and when a panel is looked at, and what it makes of light.
-
-    Parameters
-    ----------
-    borders : ndarray of shape (pitch, 3), float32
-        From :func:`optsim.optics.fringing.border_shares`.
-    points : Points
-        Along a pixel.
-    times : Times
-        In an instant, or in the part of one before or after a row's turn; the last is its end.
-    light : Light
-        Of each column.
-    """
+    """Where and when a panel is looked at, and what it makes of light."""
 
     borders: Floats
     points: Points
@@ -91,18 +61,7 @@ class Looks(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What was seen of a band of pixels in an instant, or in several, each with a weight.
-
-    Parameters
-    ----------
-    opened : ndarray of shape (v + 2, u + 2), float32
-        Weights of pixels, one more on every side.
-    alone : ndarray of shape (v + 2, u + 2), float32
-        Mean cosines of their own retardances.
-    blurred : ndarray of shape (v * point * point, u), float32
-        Mean cosines of the blurred retardance at the points of each pixel, across and down. Of an instant
-        only one row of pixels is kept, in the nearest cache: (point * point, u).
-    """
+    """What was seen of a band of pixels in an instant, or in several, each with a weight."""
 
     opened: Floats
     alone: Floats
@@ -124,26 +83,7 @@ def fill_cells(
     sums: Floats,
     cells: Floats,
 ) -> None:
-    """Fill the cells of a band: their sums over time, and those of each instant where something moves.
-
-    Parameters
-    ----------
-    levels, gamma, shown, targets, taus, turns
-        As of :func:`optsim.optics.relaxation.walk`, with a row more at the top and at the bottom of the
-        band; ``gamma`` and ``shown`` are changed in place. Retardances are at most a whole wave.
-    looks : Looks
-        How rims are found.
-    weights : ndarray of shape (t, v, u), float32
-        Of the pixels, these rows too.
-    keys : ndarray of shape (key, t), float32
-        Share of each instant in each sum.
-    moving : ndarray of shape (run, 2), int64
-        Columns, first and after the last, that are wanted in each instant.
-    sums : ndarray of shape (key, y, x), float32
-        Filled.
-    cells : ndarray of shape (t, y, x), float32
-        Filled in these columns.
-    """
+    """Fill the cells of a band: their sums over time, and those of each instant where something moves."""
     n_slots, rows, cols = levels.shape
     points, times, n_instants = looks.points, looks.times, len(weights)
     n_points, n_sub, instant_s = len(points.shares), n_instants // n_slots, turns.instant_s

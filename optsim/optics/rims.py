@@ -156,32 +156,7 @@ def fine_weights(
     panel: PanelState,
     first: int,
 ) -> PanelState:
-    """Find the weights of fine cells, band by band of the panel's rows.
-
-    Parameters
-    ----------
-    rims : Rims
-        Of the exposure.
-    weights : ndarray of shape (t, v, u), float32
-        Of panel pixels, in the instants of some slots.
-    keys : ndarray of shape (key, t), float32
-        Sums over time that are wanted of all cells: share of each instant.
-    moving : ndarray of shape (v, u), bool
-        Pixels whose cells are wanted in each instant, too.
-    add : callable
-        Called with a band's sums, (key, y, x), float32, the weights of its cells in each instant, (t, y, x),
-        float32, right where they are wanted, and the fine row at which both begin; they are overwritten by
-        the next band's. From several threads.
-    panel : PanelState
-        The panel when the first of the slots begins.
-    first : int
-        That slot of the exposure.
-
-    Returns
-    -------
-    PanelState
-        The panel when the last slot ends.
-    """
+    """Find the weights of fine cells, band by band of the panel's rows."""
     n_slots = len(weights) // rims.instants_per_slot
     levels = rims.levels[first : first + n_slots]
     after = PanelState(panel.retardance_rad.copy(), panel.levels.copy(), panel.slots_shown + n_slots)

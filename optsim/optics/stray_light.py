@@ -19,20 +19,6 @@ def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Fl
     The light that a saturated lamp spreads far from it is unknown, and so are its slots. But it adds equally
     to short and long exposures. So it is the intercept of a line through signals against exposures. Texture
     makes the pixels differ; it counts as a difference of a half.
-
-    Parameters
-    ----------
-    signal, exposure, variance : ndarray of shape (v, u), float32
-        As of :func:`optsim.optics.motion.irradiance_interval`.
-    electron : ndarray of shape (v, u), float32
-        Signal of one electron, as there.
-    known : ndarray of shape (v, u), bool
-        Pixels whose signal is measured.
-
-    Returns
-    -------
-    ndarray of shape (v, u)
-        In the unit of the signal.
     """
     around = partial(sum_around, reach_px=_REACH_PX)
     own = np.where(known, signal, 0).astype(np.float64)

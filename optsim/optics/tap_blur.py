@@ -21,15 +21,7 @@ _WHOLE = 32
 
 
 class Grid(NamedTuple):
-    """Samples that light moves on.
-
-    Parameters
-    ----------
-    rows, cols : int
-        How many; beyond them the light of the border goes on.
-    margin : int
-        Of these on every side, around the field over which the PSF varies: there it is as at its edge.
-    """
+    """Samples that light moves on."""
 
     rows: int
     cols: int
@@ -37,15 +29,7 @@ class Grid(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """Light in a rectangle of a grid.
-
-    Parameters
-    ----------
-    excess : ndarray of shape (t, y, x), float32
-        The light.
-    row, col : int
-        Its first row and column.
-    """
+    """Light in a rectangle of a grid."""
 
     excess: Floats
     row: int
@@ -67,23 +51,7 @@ def collect_strip(
     first: int,
     end: int,
 ) -> None:
-    """Add what some rows of a field collect with the kernels of nodes, each by its hats.
-
-    Parameters
-    ----------
-    light : Patch
-        What is collected.
-    grid : Grid
-        Where it lies.
-    nodes : ndarray of shape (i, i, 2 h + 1, taps), float32
-        From :func:`kernels_in_sixes`: at the nodes of an even grid from edge to edge of the field, or one.
-    borders : ndarray of shape (tile + 1,), int64
-        Columns of the field at which tiles begin and end, no node's column within any.
-    target : Patch
-        Added to.
-    first, end : int
-        The grid's rows that collect.
-    """
+    """Add what some rows of a field collect with the kernels of nodes, each by its hats."""
     n, n_nodes, side = len(light.excess), len(nodes), nodes.shape[2]
     half, tall, taps = side // 2, end - first + side - 1, nodes.shape[3]
     widest = np.diff(borders).max()

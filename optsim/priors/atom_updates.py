@@ -21,22 +21,6 @@ def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: 
 
     Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624. A weak ridge keeps rarely used
     atoms.
-
-    Parameters
-    ----------
-    signals : ndarray of shape (n, e), float32
-        Training signals.
-    atoms : ndarray of shape (k, e), float32
-        Atoms of the codes.
-    support : ndarray of shape (n, s), int64
-        Atoms of each code, -1 after the last.
-    amounts : ndarray of shape (n, s), float32
-        Their coefficients.
-
-    Returns
-    -------
-    ndarray of shape (k, e), float32
-        Updated atoms, of any length.
     """
     n_atoms = len(atoms)
     square = np.zeros((n_atoms, n_atoms))
@@ -59,24 +43,6 @@ def k_svd_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) 
     step of the power method. The step goes towards the best rank-one fit of the other atoms' residual, so the
     error never grows. Here the residuals are stored and updated, which takes four passes over the signals of
     an atom and no product with all atoms. Atom 0, the constant, stays.
-
-    Parameters
-    ----------
-    signals : ndarray of shape (n, e), float32
-        Training signals.
-    atoms : ndarray of shape (k, e), float32
-        Atoms of unit length.
-    support : ndarray of shape (n, s), int64
-        Atoms of each code, -1 after the last; none twice.
-    amounts : ndarray of shape (n, s), float32
-        Their coefficients.
-
-    Returns
-    -------
-    atoms : ndarray of shape (k, e), float32
-        Updated atoms, of unit length.
-    amounts : ndarray of shape (n, s), float32
-        New coefficients on the same support.
     """
     rows, places = np.nonzero(support >= 0)
     used = support[rows, places]
@@ -130,24 +96,7 @@ def _one_by_one(residuals: Floats, atoms: Floats, users: Ints, amounts: Floats, 
 
 
 def renewed(atoms: Floats, uses: Ints, signals: Floats, left: Floats) -> Floats:
-    """Restart rarely used atoms from the patches with the largest residuals.
-
-    Parameters
-    ----------
-    atoms : ndarray of shape (k, e), float32
-        Atom 0 is the constant.
-    uses : ndarray of shape (k,), int64
-        Number of codes in which each occurs.
-    signals : ndarray of shape (n, e), float32
-        Training signals.
-    left : ndarray of shape (n,), float32
-        Squared length of each signal's residual.
-
-    Returns
-    -------
-    ndarray of shape (k, e), float32
-        Atoms of any length; atom 0 is the constant again.
-    """
+    """Restart rarely used atoms from the patches with the largest residuals."""
     idle = uses < _FEWEST_USES
     idle[0] = False
     worst = signals[np.argsort(left)[::-1][: int(idle.sum())]]

@@ -32,19 +32,7 @@ def _add(target: Floats, factor: float, source: Floats) -> None:
 
 @compiled()
 def pursue_products(products: Floats, gram: Floats, support: Ints, amounts: Floats) -> None:
-    """Sparse codes of signals from their products with all atoms.
-
-    Parameters
-    ----------
-    products : ndarray of shape (p, k), float32
-        Products of signals and atoms; overwritten.
-    gram : ndarray of shape (k, k), float32
-        Gram matrix of atoms of unit length.
-    support : ndarray of shape (p, s), int64
-        Filled with the atoms in the order of selection, -1 after the last.
-    amounts : ndarray of shape (p, s), float32
-        Filled with their coefficients.
-    """
+    """Sparse codes of signals from their products with all atoms."""
     n, cap = support.shape
     spans = np.empty((cap, products.shape[1]), np.float32)
     for p in range(n):

@@ -23,33 +23,7 @@ def iterate(
     checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Arrays:
-    """Iterate from a state, or continue after the last state in the cache.
-
-    Parameters
-    ----------
-    step : callable
-        Function from a state to the next one.
-    state : dict
-        Initial arrays by name.
-    iterations : int
-        Number of steps.
-    key : str
-        Hash of all that determines the states (:func:`learning_key`).
-    checkpoint : Path, optional
-        Folder of the cache of states; nothing is cached without one.
-    progress : Progress
-        Called after each step.
-
-    Returns
-    -------
-    dict
-        The last state.
-
-    Raises
-    ------
-    StorageError
-        When a state cannot be written.
-    """
+    """Iterate from a state, or continue after the last state in the cache."""
     cache = None if checkpoint is None else Cache(checkpoint)
     keys = [hash_of("iteration", key, number) for number in range(iterations)]
     done = 0 if cache is None else cache.n_first(keys)

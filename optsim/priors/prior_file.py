@@ -53,13 +53,7 @@ def write_prior(path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, 
 
 
 def read_prior(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read the named arrays and the provenance of a file of :func:`write_prior`.
-
-    Raises
-    ------
-    StorageError
-        When the file is missing or is no such prior.
-    """
+    """Read the named arrays and the provenance of a file of :func:`write_prior`."""
     if not path.is_file():
         raise StorageError(f"no such {kind}: {path}; make one with 'optsim train'")
     try:

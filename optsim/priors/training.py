@@ -113,28 +113,7 @@ def learn_atoms(
     checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[Floats, float]:
-    """Alternate sparse codes and updates of the atoms.
-
-    Parameters
-    ----------
-    signals : ndarray of shape (n, e), float32
-        Training signals.
-    atoms : ndarray of shape (k, e), float32
-        First atoms, of unit length; atom 0 stays.
-    cap : int
-        Most atoms of a code.
-    iterations, method, checkpoint, progress
-        As in :func:`train_dictionary`.
-    key : str
-        As in :func:`.iterate`.
-
-    Returns
-    -------
-    atoms : ndarray of shape (k, e), float32
-        Trained atoms, of unit length.
-    error : float
-        Rms residual of the last codes, relative to the signals; 0 without any.
-    """
+    """Alternate sparse codes and updates of the atoms."""
     energy = (signals.astype(np.float64) ** 2).sum()
 
     def alternate(state: Arrays) -> Arrays:

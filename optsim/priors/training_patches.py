@@ -19,29 +19,7 @@ _STILL = 1e-5
 def training_patches(
     clips: Sequence[Floats], rng: np.random.Generator, patch: int, slots: int, n_patches: int
 ) -> Floats:
-    """Draw patches from each clip by its size; normalise, rotate, mirror and reverse them in time.
-
-    Parameters
-    ----------
-    clips : sequence of ndarray of shape (slot, v, u), float32
-        Mean light in each slot, any scale; at least ``slots`` slots and ``patch`` pixels each.
-    rng : numpy.random.Generator
-        Generator of places and rotations.
-    patch, slots : int
-        Size of a patch.
-    n_patches : int
-        Approximate number; fewer where clips are dark.
-
-    Returns
-    -------
-    ndarray of shape (n, v * u * slot), float32
-        Patches of unit mean square.
-
-    Raises
-    ------
-    ValueCheckError
-        When a clip is too small, or no clip has motion.
-    """
+    """Draw patches from each clip by its size; normalise, rotate, mirror and reverse them in time."""
     size = sum(clip.size for clip in clips)
     kept: list[Floats] = []
     most = 0.0

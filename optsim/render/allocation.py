@@ -62,17 +62,7 @@ class Statistics:
 
 
 def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Doubles) -> Statistics:
-    """Sum pixel statistics by tile.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the fine grid.
-    pixels : ndarray of shape (n,)
-        Flat indices.
-    variance, radiance : ndarray of shape (n,)
-        Variance of one sample, and radiance, of each pixel.
-    """
+    """Sum pixel statistics by tile."""
     rows, cols = -(-shape[0] // TILE_PX), -(-shape[1] // TILE_PX)
     tile = pixels // shape[1] // TILE_PX * cols + pixels % shape[1] // TILE_PX
 
@@ -83,13 +73,7 @@ def tally(shape: tuple[int, int], pixels: Ints, variance: Doubles, radiance: Dou
 
 
 def relative_deviation(statistics: Statistics, shape: tuple[int, int], floor_w_m2_sr: float) -> Floats:
-    """Predict the standard deviation of one sample over (radiance + floor), per pixel, from smoothed tiles.
-
-    Returns
-    -------
-    ndarray of shape (y, x), float32
-        Where no nearby tile has statistics, the mean over all.
-    """
+    """Predict the standard deviation of one sample over (radiance + floor) a pixel, from tiles."""
     variance, radiance, count = (
         _blurred(x) for x in (statistics.variance, statistics.radiance, statistics.count)
     )
@@ -124,26 +108,7 @@ def allocate(
     most: Floats | float = MOST,
     cost: Floats | None = None,
 ) -> Floats:
-    """Allocate samples for a root mean square error of ``target`` in the mean of both halves.
-
-    Parameters
-    ----------
-    deviation : ndarray of shape (n,)
-        Standard deviation of one sample, in the unit of ``target`` (for example relative to the radiance).
-    target : float
-        Root mean square error over these pixels, if the limits allow it.
-    least : float
-        Fewest samples a half.
-    most : float or ndarray of shape (n,)
-        Most samples a half.
-    cost : ndarray of shape (n,), optional
-        Relative cost of a sample in each pixel, if it differs.
-
-    Returns
-    -------
-    ndarray of shape (n,), float32
-        Powers of two.
-    """
+    """Allocate samples for a root mean square error of ``target`` in the mean of both halves."""
     if deviation.size == 0:
         return np.zeros(0, np.float32)
     r = np.maximum(deviation.astype(np.float64), 1e-9)

@@ -44,19 +44,7 @@ def three_channels(scene: Scene, backend: str | None = None) -> Generator[None]:
 
 
 class Channels:
-    """A scene on stage in three bands; all calls inside of :func:`three_channels`.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene with all its bands.
-    bands : tuple of three Band
-        Those that are traced; a band may occur twice.
-    view : View
-        Fine grid and field of view.
-    movers, boxes, glow
-        As for :class:`Stage`.
-    """
+    """A scene on stage in three bands; all calls inside of :func:`three_channels`."""
 
     def __init__(
         self,
@@ -84,18 +72,7 @@ class Channels:
             stage.pose(time_s)
 
     def radiance(self, samples: Ints, seeds: Ints, first: Ints) -> Doubles:
-        """Sum of the radiance of random paths, with the same random numbers in all bands.
-
-        Parameters
-        ----------
-        samples, seeds, first : ndarray of shape (n,)
-            Paths of each fine sample, possibly none, their seed, and the number of the first.
-
-        Returns
-        -------
-        ndarray of shape (band, n), float64
-            W m^-2 sr^-1, times the number of paths.
-        """
+        """Sum of the radiance of random paths, with the same random numbers in all bands."""
         total, pixels = np.zeros((3, len(samples))), np.flatnonzero(samples)
         some = pixels, samples[pixels], seeds[pixels], first[pixels]
         if self._at_once:

@@ -32,20 +32,7 @@ class _TracedPaths:
 
 
 class Difference:
-    """The scene with movers, without them, and with boxes around them; caches paths traced without them.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan of the truth.
-    static : ndarray of shape (2, y, x), float32
-        Light without movers.
-
-    Attributes
-    ----------
-    moving : Stage
-        The scene with movers.
-    """
+    """The scene with movers, without them, and with boxes around them; caches paths traced without them."""
 
     def __init__(self, plan: Plan, static: Floats) -> None:
         times_s = np.asarray([plan.time_s(slot) for slot in range(plan.timing.n_slots + 1)])
@@ -73,26 +60,7 @@ class Difference:
         return self.change(time_s, pixels, np.full(len(pixels), _PILOT_SAMPLES, np.float32), "pilot")[1]
 
     def change(self, time_s: float, pixels: Ints, counts: Floats, turn: object) -> tuple[Doubles, Statistics]:
-        """Render the change that movers cause at an instant, in some pixels.
-
-        Parameters
-        ----------
-        time_s : float
-            The instant.
-        pixels : ndarray of shape (n,)
-            Flat indices, each once.
-        counts : ndarray of shape (n,)
-            Samples a half, powers of two.
-        turn : object
-            Key of the set of random numbers.
-
-        Returns
-        -------
-        change : ndarray of shape (2, n), float64
-            Estimate of each half, W m^-2 sr^-1; unbiased, of either sign.
-        statistics : Statistics
-            Statistics for the next call.
-        """
+        """Render the change that movers cause at an instant, in some pixels."""
         all_near = self._boxes is None or not self._boxes.hold(self._plan.scene, time_s)
         self.trace_without(turn, pixels, counts)
         where: list[Ints] = []

@@ -188,38 +188,7 @@ def pilot(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> tuple[Pilot, ...]:
-    """Render a scene coarsely without movers and, if it has any, with them at time 0; flag fireflies.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to render; flickering lamps at their mean.
-    view : View
-        Grid and field of view.
-    samples : int
-        Paths a pixel.
-    bound : float
-        Bound on the variance of one sample over the squared mean; less than ``samples``, the largest possible
-        ratio.
-    seed : int
-        Seed of all random numbers.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    progress : Progress
-        Stage "pilot".
-
-    Returns
-    -------
-    tuple of Pilot
-        Without movers first.
-
-    Raises
-    ------
-    ConfigError
-        When the bound is not below the samples.
-    BackendError
-        When only the scalar fallback works, which cannot trace single paths.
-    """
+    """Render a scene coarsely without movers and, if it has any, with them at time 0; flag fireflies."""
     if not 0 < bound < samples:
         raise ConfigError(
             f"pilot: got a bound of {bound:g} for {samples} samples, expected it below, as no pixel can show "
@@ -244,20 +213,7 @@ def pilot(
 
 
 def relative_variance(values: Floats, floor_w_m2_sr: float = 0.0) -> Doubles:
-    """Variance of one sample over the squared mean, pixel by pixel.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n, sample)
-        Radiance of single paths.
-    floor_w_m2_sr : float
-        Added to the mean.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        0 where no path brought light; at most the number of samples.
-    """
+    """Variance of one sample over the squared mean, pixel by pixel."""
     exact = values.astype(np.float64)
     mean = exact.mean(axis=1)
     lit = mean > 0
@@ -279,24 +235,7 @@ def all_paths(stage: Stage, samples: int, seed: int, step: Callable[[int], None]
 def origins(
     scene: Scene, view: View, pixels: Ints, numbers: Ints, seed: int, *, movers: bool
 ) -> tuple[Doubles, dict[str, Doubles]]:
-    """Trace paths again, cut short and lamp by lamp, to split their radiance by bounces and by lamp.
-
-    Parameters
-    ----------
-    scene, view, movers
-        As in the first tracing.
-    pixels, numbers : ndarray of shape (n,)
-        Flat index and sample number of each path.
-    seed : int
-        Seed of all paths.
-
-    Returns
-    -------
-    by_bounces : ndarray of shape (bounces, n)
-        Radiance by number of surfaces between lamp and camera; the sum is the path's.
-    by_lamp : dict of arrays of shape (n,)
-        Radiance of each lit lamp, and of the sky.
-    """
+    """Trace paths again, cut short and lamp by lamp, to split their radiance by bounces and by lamp."""
 
     def again(changed: Scene) -> Doubles:
         return _single(Stage(changed, view, movers=movers), pixels, numbers, seed)

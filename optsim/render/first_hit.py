@@ -37,17 +37,7 @@ class FirstHit:
 
 
 def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> FirstHit:
-    """Find the first surface of one ray or a wavefront of rays, depending on the variant.
-
-    Parameters
-    ----------
-    mi, loaded
-        Mitsuba and its scene.
-    ray
-        One ray, or a wavefront.
-    matt_only : bool
-        Leave out normals and the reflectance under a coat: evaluating them takes longer than tracing.
-    """
+    """Find the first surface of one ray or a wavefront of rays, depending on the variant."""
     import drjit as dr
 
     first = loaded.ray_intersect_preliminary(ray)

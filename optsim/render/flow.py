@@ -40,37 +40,12 @@ _RIGID = 1e-6
 def render_passes(
     scene: Scene, view: View, time_s: float, step_s: float, *, backend: str | None = None
 ) -> Passes:
-    """Render depth, normals, albedo, ids, flow, masks and poses of one instant.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to render.
-    view : View
-        Fine grid and field of view.
-    time_s : float
-        The instant t, s.
-    step_s : float
-        Flow goes to t + step_s and to t - step_s, s.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-
-    Raises
-    ------
-    BackendError
-        When no renderer backend works.
-    """
+    """Render depth, normals, albedo, ids, flow, masks and poses of one instant."""
     return PassRenderer(scene, view, backend=backend).at(time_s, step_s)
 
 
 class PassRenderer:
-    """A scene loaded once, for the passes of many instants.
-
-    Parameters
-    ----------
-    scene, view, backend
-        As in :func:`render_passes`.
-    """
+    """A scene loaded once, for the passes of many instants."""
 
     def __init__(self, scene: Scene, view: View, *, backend: str | None = None) -> None:
         activate(backend)

@@ -55,22 +55,6 @@ def render_slot(
     Poses are at the centres of equal parts of an instant, so their mean is its motion blur. A pixel with
     fewer samples than poses gets one random pose of each equal group. Its sample numbers continue from pose
     to pose, so they stratify as one set.
-
-    Parameters
-    ----------
-    plan, stage, slot
-        Truth, scene and slot to render.
-    n_poses : int
-        Poses of each instant.
-    before : Statistics
-        Statistics of the slot before, or of another picture of this one.
-    most : float
-        Most samples a half of a pixel.
-
-    Returns
-    -------
-    dict
-        ``light`` (half, t, y, x) in W m^-2 sr^-1, and statistics, as ``tiles``, for the next slot.
     """
     n_instants, pixels = plan.settings.instants_per_slot, plan.pixels
     target = plan.settings.moving_error * np.sqrt(n_instants)
@@ -125,20 +109,6 @@ def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error
 
     Pictures are weighted by their allocated samples. The whole picture's error decides when to stop. Stopping
     by a pixel's own error would favour low estimates, which is a bias.
-
-    Parameters
-    ----------
-    groups : sequence of (Plan, Stage, ndarray of shape (t,))
-        Groups of lamps with the same flicker, and their brightness in each instant.
-    slot : int
-        Which.
-    error : float
-        Target error of the slot's mean, as ``RenderSettings`` defines it, measured by the halves.
-
-    Returns
-    -------
-    dict
-        ``light`` (half, t, y, x), W m^-2 sr^-1.
     """
     pooled, worth, more = np.zeros(1), 0.0, (_COARSE * error) ** -2
     statistics = [
@@ -214,30 +184,7 @@ def render_footage(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Floats:
-    """Slot means of radiance at panel resolution, by a plain loop: training footage for priors.
-
-    Parameters
-    ----------
-    scene : Scene
-        Truth, scene and slot to render.
-    view : View
-        Fine grid; the footage has one sample a panel pixel.
-    timing : Timing
-        Slots.
-    samples : int
-        Samples a panel pixel and slot.
-    poses_per_slot : int
-        Poses whose mean is a slot.
-    seed : int
-        Seed of all random numbers.
-    backend, progress
-        As in ``render_truth``; the stage is called "footage".
-
-    Returns
-    -------
-    ndarray of shape (slot, v, u), float32
-        Mean radiance, W m^-2 sr^-1.
-    """
+    """Slot means of radiance at panel resolution, by a plain loop: training footage for priors."""
     activate(backend)
     n = view.samples_per_pitch
     stage = Stage(scene, replace(view, rows=view.rows // n, cols=view.cols // n, samples_per_pitch=1))

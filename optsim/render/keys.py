@@ -122,22 +122,7 @@ def ends(some: list[Trajectory]) -> Ints:
 def render_keys(
     span: Span, own: Statistics, change: Sequence[Statistics]
 ) -> tuple[dict[int, KeyPose], Statistics]:
-    """Render the key poses of all movers.
-
-    Parameters
-    ----------
-    span : Span
-        The segment.
-    own, change
-        As for :func:`optsim.render.moving.render_segment`.
-
-    Returns
-    -------
-    keys : dict
-        Key poses by pose number.
-    own : Statistics
-        Statistics with these poses included.
-    """
+    """Render the key poses of all movers."""
     poses = [pose for pose in range(span.n_poses + 1) if span.due_keys(pose)]
     counts = _counts_beside(span, change[: len(poses)])
     places: dict[int, dict[str, Doubles]] = {}

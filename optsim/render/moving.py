@@ -83,23 +83,6 @@ def render_segment(
     On a matt mover the light is its reflectance at the pose times the reprojected irradiance. Beside movers
     it is the static light plus the movers' change, interpolated between keys like the irradiance. Light that
     the keys do not give is rendered at the pose.
-
-    Parameters
-    ----------
-    plan, difference, static
-        Plan, difference renderer, and the light without movers (2, y, x).
-    first_slot : int
-        First slot of the segment.
-    before : MoverHistory
-        From earlier segments.
-    change : sequence of Statistics
-        For each set of random numbers: statistics, from other sets, of the movers' change elsewhere.
-
-    Returns
-    -------
-    dict of arrays
-        ``<name>_light`` (half, t, sample), ``<name>_mask`` (y, x), ``<name>_corner`` (row, col), and the
-        arrays of :class:`MoverHistory` for the next segment.
     """
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     bound = plan.settings.interpolation_error
@@ -251,19 +234,7 @@ def _reprojected(
 
 
 def assemble(start: Floats, stop: Floats, movers: dict[str, Any], half: Half, n_instants: int) -> Segment:
-    """Assemble a segment: the base from two key instants, the movers as excess over it.
-
-    Parameters
-    ----------
-    start, stop : ndarray of shape (y, x), float32
-        Base at the ends.
-    movers : dict
-        Result of :func:`render_segment`.
-    half : callable
-        Function that combines the two halves.
-    n_instants : int
-        Instants in the segment.
-    """
+    """Assemble a segment: the base from two key instants, the movers as excess over it."""
     blocks: list[Block] = []
     a = ((np.arange(n_instants, dtype=np.float32) + np.float32(0.5)) / np.float32(n_instants))[:, None]
     for name in [key.removesuffix("_mask") for key in movers if key.endswith("_mask")]:

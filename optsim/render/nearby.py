@@ -62,18 +62,7 @@ class Boxes:
 
 
 def boxes_around(scene: Scene, times_s: Doubles, lens_m: float = 0.0) -> Boxes | None:
-    """Box the movers' pieces over some times, with room for their motion between.
-
-    Parameters
-    ----------
-    lens_m : float
-        Radius of the camera's lens, m: paths start within it.
-
-    Returns
-    -------
-    Boxes or None
-        None without movers, or if the camera may be inside a box: then every path starts near a mover.
-    """
+    """Box the movers' pieces over some times, with room for their motion between."""
     pieces: dict[str, list[np.ndarray]] = {}
     low_m: dict[str, Doubles] = {}
     high_m: dict[str, Doubles] = {}

@@ -38,17 +38,7 @@ def _per_px(bound: float, at_one_px: float, before: float = 0.0) -> float:
 
 
 class Trial:
-    """Light on a trajectory's samples in each instant, and its change with half as many poses or keys.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Trajectory whose poses are added.
-    n_instants : int
-        Instants of the segment.
-    floor_w_m2_sr : float
-        Floor of relative errors, added to the light.
-    """
+    """Light on a trajectory's samples in each instant, and its change with half as many poses or keys."""
 
     def __init__(self, trajectory: Trajectory, n_instants: int, floor_w_m2_sr: float) -> None:
         self._trajectory, self._floor = trajectory, floor_w_m2_sr
@@ -117,13 +107,7 @@ def _certain_sum(products: Doubles) -> float:
 
 
 def hat_means(n_steps: int, n_instants: int) -> Doubles:
-    """Means over equal instants of the linear interpolation between equally spaced poses.
-
-    Returns
-    -------
-    ndarray of shape (n_instants, n_steps + 1), float64
-        Share of each pose in each instant; rows sum to 1.
-    """
+    """Means over equal instants of the linear interpolation between equally spaced poses."""
     place = np.arange(n_instants + 1)[:, None] / n_instants * n_steps - np.arange(n_steps + 1)[None]
     place = np.clip(place, -1, 1)
     integral = np.where(place < 0, (1 + place) ** 2 / 2, 1 - (1 - place) ** 2 / 2)

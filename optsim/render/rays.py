@@ -19,23 +19,7 @@ _MAX_LANES = 4 << 20
 def camera_rays(
     loaded: Any, view: View, pixels: Ints, samples: Ints, seeds: Ints, first: Ints
 ) -> tuple[Any, Any, Any]:
-    """Start random paths.
-
-    Parameters
-    ----------
-    loaded : Any
-        Mitsuba's scene, in the active variant.
-    view : View
-        View of its sensor, through the ideal grid.
-    pixels, samples, seeds, first : ndarray of shape (n,), int64
-        Flat index, number of paths, seed and number of the first path of each. A path does not depend on the
-        others in the same call.
-
-    Returns
-    -------
-    sampler, ray, weight
-        Mitsuba's, with one lane a path, pixel by pixel.
-    """
+    """Start random paths."""
     import drjit as dr
     import mitsuba as mi
 

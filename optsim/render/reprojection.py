@@ -71,11 +71,6 @@ class Key:
 
         The two differ by defocus and distortion. The result has its own grid, which extends a picture's size
         around the picture; other paths are left out.
-
-        Parameters
-        ----------
-        row, col : ndarray of shape (n,)
-            Position of each hit; NaN for paths without usable light.
         """
         with np.errstate(invalid="ignore"):
             kept = np.flatnonzero((abs(row) < 2 * self.size[0]) & (abs(col) < 2 * self.size[1]))
@@ -101,27 +96,7 @@ class Key:
         then: Doubles,
         view: View,
     ) -> Floats:
-        """Look up the irradiance over pi at this pose, for points hit at another one.
-
-        Parameters
-        ----------
-        hits : PrimaryHits
-            Primary hits at the other pose.
-        chosen : ndarray of shape (n,)
-            Indices of the hits, all on one shape.
-        half : ndarray of shape (n,)
-            Half of each of them, 0 or 1.
-        faces : ndarray of shape (m, 3)
-            Its triangles.
-        here, then : ndarray of shape (k, 3)
-            Positions of its vertices in the picture at this pose and at the other one, as from
-            :func:`optsim.render.footprint.project`.
-
-        Returns
-        -------
-        ndarray of shape (n,), float32
-            NaN where no path met the point.
-        """
+        """Look up the irradiance over pi at this pose, for points hit at another one."""
         if not len(chosen):
             return np.zeros(0, np.float32)
         tolerance = _DEPTH_PX * 2 * view.tan_half_width / view.cols
@@ -131,15 +106,7 @@ class Key:
 
 
 def seen_at(hits: PrimaryHits, chosen: Ints, faces: Faces, places: Doubles) -> Doubles:
-    """Positions of hits in the ideal image, and their depth in m: (n, 3).
-
-    Parameters
-    ----------
-    hits, chosen, faces
-        As for :meth:`Key.irradiance`.
-    places : ndarray of shape (k, 3)
-        Positions of the vertices.
-    """
+    """Positions of hits in the ideal image, and their depth in m: (n, 3)."""
     second, third = hits.weights[chosen].T
     corners = places[faces[hits.face[chosen]]]
     a, b, c = corners[:, :, 2].T
@@ -212,22 +179,6 @@ def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
 
     The movers' change of the light beside them varies slowly in time. In space it varies slowly relative to
     the light without movers.
-
-    Parameters
-    ----------
-    behind : ndarray of shape (key, half, n)
-        Radiance, W m^-2 sr^-1.
-    static : ndarray of shape (half, n)
-        Radiance without movers.
-    mask : ndarray of shape (y, x), bool
-        Positions of the n samples.
-    floor : float
-        Added to the radiance in ratios, W m^-2 sr^-1, since estimates may be negative.
-
-    Returns
-    -------
-    ndarray of shape (key, half, n)
-        NaN remains where no sample is known in any key.
     """
     known = np.logical_and(*np.moveaxis(np.isfinite(behind), 1, 0))
     light = np.take_along_axis(behind, _nearest(known)[:, None], axis=0)

@@ -262,13 +262,7 @@ class Stage:
 
 
 def outside_mask(scene: Scene, view: View) -> Bools:
-    """Find samples that see the sky or a lamp with a picture (the bright outside) directly, without movers.
-
-    Returns
-    -------
-    ndarray of shape (y, x), bool
-        From one ray at a random position in each fine sample, through the centre of the lens.
-    """
+    """Find samples that see the sky or a lamp with a picture directly, without movers."""
     pictures = [name for name, lamp in scene.lamps.items() if lamp.picture is not None]
     pictures += [SKY] if scene.sky is not None else []
     if not pictures:

@@ -24,28 +24,12 @@ _PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
 
 
 def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
-    """Sample statistics of plain estimates: the variance of one sample from the difference of the halves.
-
-    Parameters
-    ----------
-    pixels : ndarray of shape (n,)
-        Flat indices.
-    light : ndarray of shape (2, n)
-        Mean radiance of each half.
-    samples : float or ndarray of shape (n,)
-        Samples a half.
-    """
+    """Sample statistics of plain estimates: the variance of one sample from the difference of the halves."""
     return tally(plan.shape, pixels, samples * (light[0] - light[1]) ** 2 / 2, light.mean(axis=0))
 
 
 def static_light(plan: Plan, still: Stage) -> Floats:
-    """Both halves of the radiance without movers.
-
-    Returns
-    -------
-    ndarray of shape (2, y, x), float32
-        W m^-2 sr^-1.
-    """
+    """Both halves of the radiance without movers."""
     pixels, target = plan.pixels, plan.settings.static_error
 
     def pilot() -> dict[str, Floats]:

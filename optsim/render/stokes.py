@@ -36,11 +36,6 @@ def polarised(backend: str | None = None) -> Generator[Any]:
     A scene belongs to the variant that loaded it. Scenes loaded before stay untouched and are valid again
     after the block; those loaded inside must not leave it. The variant applies to the whole process, so no
     other thread may render meanwhile.
-
-    Raises
-    ------
-    BackendError
-        When only the scalar fallback works, which has no polarised counterpart in one band.
     """
     report = activate(backend)
     if report.preview:

@@ -89,13 +89,7 @@ def slots_per_segment(plan: Plan) -> int:
 def trajectories(
     plan: Plan, first_slot: int, last_slot: int, density: Callable[[str], Density]
 ) -> list[Trajectory]:
-    """Find the movers seen in a segment, the one with the most poses first.
-
-    Parameters
-    ----------
-    density : callable
-        Density of a mover's poses and keys, by name.
-    """
+    """Find the movers seen in a segment, the one with the most poses first."""
     names = list(plan.scene.singles())
     ways = {name: way_px(plan, name, first_slot, last_slot) for name in names}
     needed = {name: min(ways[name] * density(name).poses, _STEPS[-1]) for name in names}

@@ -69,46 +69,7 @@ def render_truth(
     slot_error: float | None = None,
     progress: Progress = silent,
 ) -> RadianceVideo:
-    """Render the truth of a scene, or read it from the cache.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene to render.
-    view : View
-        Fine grid and field of view.
-    timing : Timing
-        Slots; a longer experiment reuses the poses of a shorter one.
-    settings : RenderSettings
-        Error targets.
-    cache : Cache
-        Stores each finished pass, key instant and segment: an interrupted render resumes.
-    noise : CameraNoise, optional
-        The camera's noise; needed if ``settings.noise_share`` is set.
-    backend : str, optional
-        Mitsuba variant instead of the probed one.
-    azimuth_rad : float, optional
-        Trace polarised light, and return twice the light that a polariser at this azimuth before the camera
-        passes (``render.analyser``). Unpolarised light keeps its radiance. None: gloss doesn't polarise.
-    slot_error : float, optional
-        Render each slot by itself, when it is read, until its measured error is this. Static parts then share
-        no noise between slots. Only for unpolarised light, and not by the scalar fallback.
-    progress : Progress
-        Stages "pilot", "static light", "key poses" and "movers"; "slots" when the camera moves (the scalar
-        fallback: "preview").
-
-    Returns
-    -------
-    RadianceVideo
-        Lazy, W m^-2 sr^-1; values may be slightly negative, being unbiased.
-
-    Raises
-    ------
-    ConfigError
-        When the segments don't divide the coded frame, or ``noise_share`` lacks the camera's noise.
-    BackendError
-        When no backend works, or only the scalar one and polarised light is wanted.
-    """
+    """Render the truth of a scene, or read it from the cache."""
     if settings.slots_per_segment and timing.slots_per_frame % settings.slots_per_segment:
         raise ConfigError(
             f"render.slots_per_segment: got {settings.slots_per_segment}, expected a divisor of the "

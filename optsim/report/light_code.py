@@ -26,15 +26,7 @@ def floor_of(e_cd_m2: float) -> float:
 
 
 def encode(luminance_cd_m2: Floats, floor_cd_m2: float) -> Words:
-    """Round to steps: ``STEPS_PER_STOP * log2(1 + L / floor)``; light below zero counts as none.
-
-    Parameters
-    ----------
-    luminance_cd_m2 : ndarray of any shape, float32
-        Luminance, cd/m^2.
-    floor_cd_m2 : float
-        From :func:`floor_of`.
-    """
+    """Round to steps: ``STEPS_PER_STOP * log2(1 + L / floor)``; light below zero counts as none."""
     stops = np.log2(1 + np.maximum(luminance_cd_m2, 0) / np.float32(floor_cd_m2))
     return np.rint(np.minimum(stops * STEPS_PER_STOP, _MOST)).astype(np.uint16)
 
@@ -57,24 +49,7 @@ def coarser(codes: Words, steps_per_stop: int) -> Words:
 
 
 def pack(codes: Words, marks: Bytes, levels: Bytes | None) -> str:
-    """Pack a video of one coded frame as text.
-
-    Parameters
-    ----------
-    codes : ndarray of shape (slot, v, u), uint16
-        From :func:`encode`.
-    marks : ndarray of shape (v, u), uint8
-        From :func:`marks_of`.
-    levels : ndarray of shape (slot, v, u), uint8, or None
-        The exposure code; none for the truth.
-
-    Returns
-    -------
-    str
-        Base64 of a zlib stream: low bytes of the differences d between slots, as 2 d, or -2 d - 1 below zero,
-        then their high bytes, the marks, and the exclusive or of each slot's level with that of the slot
-        before.
-    """
+    """Pack a video of one coded frame as text."""
     steps = np.diff(codes.astype(np.int32), axis=0, prepend=0)
     steps = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype(np.uint16)
     parts = [(steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), marks]

@@ -6,13 +6,5 @@ from collections.abc import Iterable, Sequence
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a table in Markdown.
-
-    Parameters
-    ----------
-    heads : sequence of str
-        One a column.
-    rows : iterable of sequence of str
-        Cells, as many a row as there are heads.
-    """
+    """Lines of a table in Markdown."""
     return ["| " + " | ".join(row) + " |" for row in (heads, ["---"] * len(heads), *rows)]

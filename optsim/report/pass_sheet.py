@@ -130,19 +130,7 @@ def _legend(
 
 
 def flow_colours(row: Doubles, col: Doubles, peak: float) -> Bytes:
-    """Colour a flow: hue is its direction, saturation its length up to ``peak``; white for none.
-
-    Parameters
-    ----------
-    row, col : ndarray of shape (y, x)
-        Flow.
-    peak : float
-        Length of full saturation, in the unit of the flow; 0 makes all white.
-
-    Returns
-    -------
-    ndarray of shape (y, x, 3), uint8
-    """
+    """Colour a flow: hue is its direction, saturation its length up to ``peak``; white for none."""
     hue = np.arctan2(row, col) / (2 * np.pi) % 1
     length = np.clip(np.hypot(row, col) / peak, 0, 1) if peak > 0 else np.zeros_like(hue)
     pure = np.clip(np.abs((hue[..., None] * 6 + np.array([0, 4, 2])) % 6 - 3) - 1, 0, 1)

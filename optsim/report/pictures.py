@@ -110,19 +110,7 @@ def enlarge(image: Bytes, factor: int) -> Bytes:
 def error_picture(
     estimate_cd_m2: Floats, reference_cd_m2: Floats, valid: Bools, *, e_cd_m2: float, limit_stops: float
 ) -> Bytes:
-    """Signed error in stops, log2((t + e) / (r + e)), in false colour; a chequer where nothing is valid.
-
-    Parameters
-    ----------
-    estimate_cd_m2, reference_cd_m2 : ndarray of shape (v, u), float32
-        Luminance, cd/m^2.
-    valid : ndarray of shape (v, u), bool
-        False where the decoder has no information.
-    e_cd_m2 : float
-        Luminance below which errors fade out.
-    limit_stops : float
-        Error at the ends of the colour bar.
-    """
+    """Signed error in stops, log2((t + e) / (r + e)), in false colour; a chequer where nothing is valid."""
     ratio = (np.maximum(estimate_cd_m2, 0) + e_cd_m2) / (np.maximum(reference_cd_m2, 0) + e_cd_m2)
     position = np.clip(np.log2(ratio) / (2 * limit_stops) + 0.5, 0, 1)
     return _chequered(ramp(_STOPS, position), valid)

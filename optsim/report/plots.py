@@ -74,25 +74,7 @@ def line_plot(
     whole_x: bool = True,
     ticks: Sequence[tuple[float, str]] = (),
 ) -> Markup:
-    """Draw lines, with a legend in the order of their last values.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-        Lines without any value are left out.
-    title : str
-        Text for screen readers.
-    x_label, y_label : str
-        Axis labels with units.
-    bands : sequence of Band
-        Shaded and labelled intervals.
-    spreads : sequence of Spread, optional
-        Intervals around the lines, in the same order, shaded.
-    whole_x : bool
-        Whether x counts something, so that its ticks are whole numbers.
-    ticks : sequence of (float, str)
-        Places and labels on the horizontal axis.
-    """
+    """Draw lines, with a legend in the order of their last values."""
     figure = _line_figure(lines, x_label, y_label, bands, spreads, whole_x, ticks)
     return _NOTHING if figure is None else _inline(figure, title)
 
@@ -237,21 +219,7 @@ def signed_figure(rows: Sequence[tuple[str, float, str]]) -> Figure:
 
 
 def arrow_plot(places: Doubles, arrows: Doubles, *, shape: tuple[int, int], title: str, label: str) -> Markup:
-    """Draw arrows over a field, with a scale: the longest is as long as the field allows.
-
-    Parameters
-    ----------
-    places : ndarray of shape (n, 2), float64
-        Row and column of each.
-    arrows : ndarray of shape (n, 2), float64
-        Along rows and columns, in the unit of ``label``.
-    shape : tuple of int
-        Rows and columns of the field.
-    title : str
-        Text for screen readers.
-    label : str
-        What the arrow of the scale means: its length and unit are put before it.
-    """
+    """Draw arrows over a field, with a scale: the longest is as long as the field allows."""
     if not len(places):
         return _NOTHING
     height = 44 + (_WIDTH - 68) * shape[0] / shape[1]

@@ -37,17 +37,7 @@ def sky_radiance(
     ground_albedo: float,
     wavelength_nm: float,
 ) -> Doubles:
-    """Radiance of the sky without the sun's disc, in a unit that it shares with :func:`sun_radiance`.
-
-    Parameters
-    ----------
-    cos_zenith, cos_sun : ndarray
-        Cosine of the angles to the zenith, 0 or more, and to the sun.
-    sun_elevation_rad, turbidity, ground_albedo
-        0 to pi/2, 1 to 10 and 0 to 1.
-    wavelength_nm : float
-        Between two tables it is interpolated; beyond 320 to 720 nm the nearest one is taken.
-    """
+    """Radiance of the sky without the sun's disc, in a unit that it shares with :func:`sun_radiance`."""
     low, share = _between(wavelength_nm)
     angle = np.arccos(np.clip(cos_sun, -1, 1))
     total = np.zeros(np.broadcast(cos_zenith, cos_sun).shape)

@@ -86,14 +86,7 @@ class StaticShapes(Part):
 
 
 def read_static(folder: Path, name: str) -> StaticShapes:
-    """Read and check the shapes file of a scene, and hash the files that it refers to.
-
-    Raises
-    ------
-    ConfigError
-        When the file or one that it names is missing or outside the folder, or is not such XML. Also when it
-        has no shape, or has a sensor, an emitter or another element.
-    """
+    """Read and check the shapes file of a scene, and hash the files that it refers to."""
     path = folder / name
     if Path(name).name != name or not path.is_file():
         raise ConfigError(

@@ -222,13 +222,7 @@ def check_texture(name: str) -> str:
 
 
 def photograph(name: str) -> Traversable:
-    """Find the file of a photograph.
-
-    Raises
-    ------
-    ConfigError
-        When the installed scikit-image does not include it.
-    """
+    """Find the file of a photograph."""
     path = files("skimage") / "data" / PHOTOGRAPHS[name]
     if not path.is_file():
         raise ConfigError(

@@ -79,23 +79,7 @@ def number_of(variation: str, aspect: str) -> int:
 
 
 def varied(table: Table, variation: str, where: str) -> Table:
-    """Build the table of a scene in one variation, without ``variations`` and ``ranges``.
-
-    Parameters
-    ----------
-    table : dict
-        The whole ``scene.toml``.
-    variation : str
-        ``main``, a name under ``variations``, or a whole number, maybe with numbers of aspects:
-        ``3,light=7``; aspects are light, camera, motion, textures and objects.
-    where : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    ConfigError
-        For an unknown variation, or a number where the scene has no ranges.
-    """
+    """Build the table of a scene in one variation, without ``variations`` and ``ranges``."""
     named, ranges = named_variations(table), find_ranges(table, where)
     plain = {key: value for key, value in table.items() if key not in ("variations", "ranges")}
     if variation in named:
@@ -130,13 +114,7 @@ def extremes(table: Table, where: str) -> Iterator[Table]:
 
 
 def find_ranges(table: Table, where: str) -> list[Range]:
-    """Ranges of a scene, sorted by key; the table may be nested or have dotted keys in quotes.
-
-    Raises
-    ------
-    ConfigError
-        When a range is neither ``[low, high]`` nor a table of choices, or for an unknown key.
-    """
+    """Ranges of a scene, sorted by key; the table may be nested or have dotted keys in quotes."""
     ranges = table.get("ranges", {})
     if not isinstance(ranges, Mapping):
         raise ConfigError(f"{where}: ranges: got {ranges!r}, expected a table of key = [low, high]")
@@ -226,13 +204,7 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> Table:
 
 
 def named_variations(table: Table) -> dict[str, Table]:
-    """Tables of changes by the variation's name; ``main`` and numbers are no names.
-
-    Raises
-    ------
-    ConfigError
-        For such a name.
-    """
+    """Tables of changes by the variation's name; ``main`` and numbers are no names."""
     named = cast("dict[str, Table]", table.get("variations", {}))
     for name in named:
         if name == "main" or name.isdigit():

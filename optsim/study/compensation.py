@@ -49,31 +49,7 @@ def compensated(
     compensators: tuple[str, ...],
     stream: Callable[[str], Generator],
 ) -> tuple[CodedCamera, Calibrations, Values]:
-    """Let an operator work on a camera that has drifted.
-
-    Parameters
-    ----------
-    camera, now : CodedCamera
-        As calibrated, and as drifted.
-    known : dict
-        Calibrations before the drift.
-    compensators : tuple of str
-        Names out of :data:`COMPENSATORS`, in their order of work.
-    stream : callable
-        Purpose -> generator of the images' noise.
-
-    Returns
-    -------
-    camera, known
-        Camera and calibrations after the work.
-    values : dict
-        What was set.
-
-    Raises
-    ------
-    BenchError
-        When too few dots are seen.
-    """
+    """Let an operator work on a camera that has drifted."""
     values: Values = {}
     for name in compensators:
         now, known, found = COMPENSATORS[name](camera, now, known, stream)
@@ -102,13 +78,7 @@ def _registered(
 
 
 def moved(before: Doubles, after: Doubles, camera: CodedCamera) -> tuple[float, float, float]:
-    """Shift (y, x), CCD pixels, and rotation, rad, of the dots between two images.
-
-    Raises
-    ------
-    BenchError
-        When too few dots are in both images.
-    """
+    """Shift (y, x), CCD pixels, and rotation, rad, of the dots between two images."""
     v, u = (each.ravel() + _SIZE_PX / 2 for each in np.meshgrid(*_places(camera), indexing="ij"))
     step = camera.view.samples_per_pitch
     y, x = camera.relay_geometry(step).place(v * step, u * step)

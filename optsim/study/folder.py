@@ -87,33 +87,7 @@ def compute(
     place: Workplace,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Do all tasks of a study that aren't done yet, and return its record without what is read from it.
-
-    Parameters
-    ----------
-    kind : str
-        Name of the study's kind.
-    base : Experiment
-        The unchanged experiment.
-    plan : dict
-        All settings of the study, ``frames`` among them; another plan's folder is refused.
-    pieces : sequence of Piece
-        Its tasks.
-    place : Workplace
-        Where it is computed.
-    progress : Progress
-        Told of the truth, the bench and each task.
-
-    Returns
-    -------
-    dict
-        The record for study.json, with ``results``: task -> what its result.json holds.
-
-    Raises
-    ------
-    StorageError
-        When the folder holds something else.
-    """
+    """Do all tasks of a study that aren't done yet, and return its record without what is read from it."""
     start = time.perf_counter()
     # What is scored needs no later frames.
     part = scored_part(base, plan["frames"])
@@ -173,13 +147,7 @@ def write_table(folder: Path, record: dict[str, Any], rows: Sequence[dict[str, A
 
 
 def read_study(path: Path, kind: str) -> dict[str, Any]:
-    """Read the record of a finished study of a kind, from its file or its folder.
-
-    Raises
-    ------
-    StorageError
-        When it is missing, or of another kind.
-    """
+    """Read the record of a finished study of a kind, from its file or its folder."""
     file = path / STUDY if path.is_dir() else path
     record = read_record(file)
     if record.get("format") != _FORMAT or record.get("kind") != kind:

@@ -94,13 +94,7 @@ def operators(
 
 
 def rows_of(seeds: Sequence[Sequence[Sequence[Any]]]) -> list[dict[str, Any]]:
-    """Return scores and their differences over the seeds: a row a method, region and name.
-
-    Parameters
-    ----------
-    seeds : sequence
-        For each seed a list of [operator, method, region, dB or None].
-    """
+    """Return scores and their differences over the seeds: a row a method, region and name."""
     tables = [{(o, m, r): db for o, m, r, db in each if db is not None} for each in seeds]
     if not tables:
         return []

@@ -74,17 +74,7 @@ def open_share(frames: Iterable[CodedFrame], calibration: Calibration) -> float:
 
 
 def own_f_number(f_number: float, wanted_transmission: float, share: float) -> float:
-    """Slowest third stop at which a scheme's fullest exposure gets as much light as the rule asks for.
-
-    Parameters
-    ----------
-    f_number : float
-        At which the rule asks for ``wanted_transmission`` under the all-on code; the slowest there is.
-    wanted_transmission : float
-        Of a neutral density; above 1 where there is too little light.
-    share : float
-        Exposure of the scheme's fullest pixel, more than 0, of one that is on for ever.
-    """
+    """Slowest third stop at which a scheme's fullest exposure gets as much light as the rule asks for."""
     most = f_number * math.sqrt(share / wanted_transmission / _ENOUGH)
     if most >= f_number:
         return f_number
@@ -142,22 +132,7 @@ def _take(experiment: Experiment, share: float, radiance: RadianceVideo, progres
 
 
 def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> OwnLight:
-    """Run an experiment's methods each at its own f-number, and score them together.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        At the f-number that all would share.
-    radiance : RadianceVideo
-        The truth, from :func:`optsim.render_truth` or :func:`optsim.footage.made.footage`.
-    progress : Progress
-        Told of each finished frame.
-
-    Raises
-    ------
-    ConfigError
-        When a decoder refuses a camera that is opened so far.
-    """
+    """Run an experiment's methods each at its own f-number, and score them together."""
     shared = _take(experiment, 1.0, radiance, progress)
     f_number, wanted = experiment.camera.objective.f_number, shared.light.wanted_transmission
     shares = shared.open_shares

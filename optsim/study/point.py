@@ -72,13 +72,7 @@ class Axis:
 
 
 def full_key(experiment: Experiment, key: str) -> str:
-    """Find the experiment's key that a user means: ``relay.shift_x_px`` is of the camera.
-
-    Raises
-    ------
-    ConfigError
-        For an unknown key, with the nearest.
-    """
+    """Find the experiment's key that a user means: ``relay.shift_x_px`` is of the camera."""
     table = experiment.model_dump(mode="json")
     first = key.strip().partition(".")[0]
     full = f"{_CAMERA}{key.strip()}" if first in CodedCamera.model_fields else key.strip()
@@ -150,13 +144,7 @@ def changed_only(experiment: Experiment, changes: Mapping[str, Any]) -> tuple[tu
 
 
 def experiment_at(base: Experiment, point: Point) -> Experiment:
-    """Return the experiment of a point: known changes are of the camera, others of its drift.
-
-    Raises
-    ------
-    ConfigError, GeometryError
-        When a value is refused, or a change cannot happen after the calibration.
-    """
+    """Return the experiment of a point: known changes are of the camera, others of its drift."""
     if point.mode != "known" and any(not key.startswith(_CAMERA) for key, _ in point.changes):
         names = ", ".join(key for key, _ in point.changes)
         raise ConfigError(f"{names}: only the camera drifts; cure: --curves known")

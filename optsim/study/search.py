@@ -53,15 +53,6 @@ def largest_change(loss: Loss, wanted: float, first: float, most: float) -> Limi
 
     Between two measurements the square root of the loss is taken to be straight: losses by small changes
     grow with their square.
-
-    Parameters
-    ----------
-    loss : callable
-        Taken to grow with the change.
-    wanted : float
-        Loss, more than 0.
-    first, most : float
-        Change at which the search begins, and the largest one that is tried.
     """
     low, high = (0.0, 0.0), None
     low_half: float | None = None

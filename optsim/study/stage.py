@@ -164,17 +164,7 @@ def stage_of(text: str, frames: int) -> Stage:
 def make_stage(
     base: Experiment, scored: tuple[int, ...], made_radiance: RadianceVideo | None = None
 ) -> Stage:
-    """Render or find the truth, calibrate the unchanged camera, set its light, and make the targets.
-
-    Parameters
-    ----------
-    base : Experiment
-        The unchanged experiment.
-    scored : tuple of int
-        Coded frames to score.
-    made_radiance : RadianceVideo, optional
-        The truth, when it is neither rendered nor read.
-    """
+    """Render or find the truth, calibrate the unchanged camera, set its light, and make the targets."""
     modelled, _ = planned(base)
     known = calibrate_all(modelled)
     modelled.check_methods(known)

@@ -164,17 +164,7 @@ def kept_orders(levels: Levels, orders: Sequence[tuple[str, ...]]) -> list[tuple
 
 
 def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) -> list[dict[str, Any]]:
-    """Return the waterfall's steps and the fair shares, a row a method, region and effect.
-
-    Parameters
-    ----------
-    levels : dict
-        Effects that are off -> their result: ``db``, a list over seeds of [method, region, dB].
-    orders : sequence of tuple of str
-        The first is the waterfall's.
-    n_seeds : int
-        Seeds of each result.
-    """
+    """Return the waterfall's steps and the fair shares, a row a method, region and effect."""
     kept = kept_orders(levels, orders)
     if not kept:
         return []

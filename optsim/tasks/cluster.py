@@ -56,13 +56,7 @@ class Cluster(Part):
 
 
 def read_cluster(path: Path) -> Cluster:
-    """Read the ``[cluster]`` table of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-        For a file without one, or a bad value in it.
-    """
+    """Read the ``[cluster]`` table of a TOML file."""
     table = read_toml(path)
     if not isinstance(table.get("cluster"), dict):
         raise ConfigError(
@@ -73,13 +67,7 @@ def read_cluster(path: Path) -> Cluster:
 
 @contextmanager
 def running(cluster: Cluster, workers: int) -> Generator[Any]:
-    """Start a scheduler here and its jobs, at most one a task; all end with the block.
-
-    Raises
-    ------
-    ConfigError
-        When dask-jobqueue is not installed, refuses an option, or can't submit a job.
-    """
+    """Start a scheduler here and its jobs, at most one a task; all end with the block."""
     module, _, name = f"dask_jobqueue.{_CLASSES[cluster.kind]}".rpartition(".")
     try:
         made = getattr(import_module(module), name)

@@ -124,13 +124,7 @@ def _only(modulator: Modulator, *flaws: str) -> Modulator:
 def check_contrast(
     splitter: Splitter, modulator: Modulator, panel_f_number: float, wavelength_m: float
 ) -> None:
-    """Refuse parts that together pass no light, or more of it from a dark panel than from a bright one.
-
-    Raises
-    ------
-    ValueError
-        With the keys.
-    """
+    """Refuse parts that together pass no light, or more of it from a dark panel than from a bright one."""
     white_rad, at = modulator.white_rad(wavelength_m), (panel_f_number, np.zeros(1), wavelength_m)
     most_waves = white_rad * max(modulator.drives) / (2 * np.pi)
     if most_waves >= 1:

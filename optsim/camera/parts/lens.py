@@ -55,26 +55,7 @@ class LensGroup(Part):
         defocus_m: float = 0.0,
         wavelength_m: float = MONO_WAVELENGTH_M,
     ) -> FieldPsf:
-        """PSF in its image on a grid of square cells.
-
-        Parameters
-        ----------
-        f_number : float
-            f-number of the cone on the image.
-        cell_m : float
-            Side of a cell, m.
-        sides : tuple of int
-            Rows and columns of the used field.
-        defocus_m : float
-            Distance from the sharp image, m.
-        wavelength_m : float
-            Wavelength of the light, m.
-
-        Raises
-        ------
-        ConfigError
-            When its window would not fit into memory.
-        """
+        """PSF in its image on a grid of square cells."""
         self._check_window(f_number, cell_m, defocus_m, wavelength_m)
         wavefront = self.wavefront.in_light_of(wavelength_m)
         numbers = (self.aberration_m, self.tail_share, self.field_error, f_number, cell_m, defocus_m)
@@ -84,15 +65,7 @@ class LensGroup(Part):
     def half_width(
         self, f_number: float, cell_m: float, tail_share: float, wavelength_m: float = MONO_WAVELENGTH_M
     ) -> int:
-        """Half width in cells of a PSF window that misses a share of the light.
-
-        Parameters
-        ----------
-        f_number, cell_m, wavelength_m : float
-            As in :meth:`psf`.
-        tail_share : float
-            Share of the light.
-        """
+        """Half width in cells of a PSF window that misses a share of the light."""
         return kernel_half_width(wavelength_m, f_number, cell_m, tail_share)
 
     def _check_window(self, f_number: float, cell_m: float, defocus_m: float, wavelength_m: float) -> None:

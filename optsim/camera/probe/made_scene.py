@@ -23,17 +23,7 @@ _PARTS = (2, 3, 5, 1)
 
 
 def made_scene(camera: CodedCamera, white_w_m2_sr: float, bright: BrightLight | None) -> RadianceVideo:
-    """Make a scene that lasts for one frame of a camera.
-
-    Parameters
-    ----------
-    camera : CodedCamera
-        Small camera: the cost is that of its frame.
-    white_w_m2_sr : float
-        Radiance of the brightest reflectance.
-    bright : BrightLight or None
-        Brightest light in the picture.
-    """
+    """Make a scene that lasts for one frame of a camera."""
     view, n_slots = camera.view, camera.slots_per_frame
     rng = np.random.default_rng(1288)
     base = white_w_m2_sr * _reflectances(rng, view.rows, view.cols)

@@ -22,15 +22,7 @@ _CHANNELS = {0: 1, 2: 3}
 
 
 class PngHead(NamedTuple):
-    """Properties declared in a file's header.
-
-    Parameters
-    ----------
-    rows, cols, channels, bits : int
-        Size and depth of the picture.
-    curve, primaries : str or None
-        Meaning of its values: "linear", "srgb" or another curve; "BT.709" or others. None: not stated.
-    """
+    """Properties declared in a file's header."""
 
     rows: int
     cols: int

@@ -133,13 +133,7 @@ def _unlike(where: str, tag: str, got: object, expected: str) -> ValueCheckError
 
 
 def grey_pixels(path: Path) -> NDArray[Any]:
-    """Read a file of one grey page: array (y, x) of the numbers as they are stored.
-
-    Raises
-    ------
-    StorageError, ValueCheckError
-        When it is missing or damaged, or holds several pages or colours.
-    """
+    """Read a file of one grey page: array (y, x) of the numbers as they are stored."""
     with opened(path) as tiff:
         if len(tiff.pages) != 1:
             raise ValueCheckError(f"{path}: got {len(tiff.pages)} pages, expected one")

@@ -115,17 +115,7 @@ class Posterior:
 
 
 def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
-    """Compute the posterior of measured patches.
-
-    Parameters
-    ----------
-    seen : Seen
-        The prior seen through the weights.
-    signals : ndarray of shape (p, m), float32
-        Signals divided by their mean light.
-    variance : ndarray of shape (p,), float32
-        Noise variance of each patch's measurements.
-    """
+    """Compute the posterior of measured patches."""
     least = np.maximum(_LEAST_NOISE * seen.powers.max(), _TINY)
     noise = np.maximum(variance[:, None] + seen.rest, least)
     turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]

@@ -60,13 +60,7 @@ class Spread:
         )
 
     def variance(self, known: Posterior) -> Floats:
-        """Posterior variance of each element: array of shape (p, e), float32, nowhere negative.
-
-        Parameters
-        ----------
-        known : Posterior
-            From :func:`~optsim.decoding.mixture.posterior.posterior`.
-        """
+        """Posterior variance of each element: array of shape (p, e), float32, nowhere negative."""
         measured: dict[int, tuple[Floats, Floats, Floats]] = {}
         total = np.empty((len(known.chance), self.basis.shape[1]), np.float32)
         for start in range(0, len(total), _TOGETHER):

@@ -56,19 +56,6 @@ def pursue(matrix: Floats, signals: Floats, stop_energy: Floats, support: Ints, 
 
     Atoms nearer than ``sqrt(1e-5)`` to the span of the selected ones count as copies and are never selected,
     nor are those with less than 1e-12 of a signal's energy: rounding of its float32 numbers.
-
-    Parameters
-    ----------
-    matrix : ndarray of shape (m, k), float32
-        Columns of unit length (or all zero).
-    signals : ndarray of shape (p, m), float32
-        One signal a row.
-    stop_energy : ndarray of shape (p,), float32
-        Squared residual at which a signal's pursuit stops.
-    support : ndarray of shape (p, s), int64
-        Filled with the atoms in the order of selection, -1 after the last.
-    amounts : ndarray of shape (p, s), float32
-        Filled with their coefficients.
     """
     rows, width = matrix.shape
     n, cap = support.shape

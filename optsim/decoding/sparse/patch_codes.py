@@ -64,11 +64,6 @@ class PatchCoder:
 
         Patches that share their weights share one matrix; the others get their own. Blocks run in threads;
         the result does not depend on how many.
-
-        Returns
-        -------
-        support, amounts : ndarray of shape (patch, cap), int64 and float32
-            Atoms and coefficients; -1 after the last.
         """
         patch = self.atoms.shape[1]
         support = np.empty((len(corners), cap), np.int64)
@@ -95,15 +90,7 @@ class PatchCoder:
     def paint(
         self, corners: Ints, support: Ints, amounts: Floats, shape: tuple[int, int]
     ) -> tuple[Floats, Floats]:
-        """Add up the patches where they overlap.
-
-        Returns
-        -------
-        total : ndarray of shape (v, u, slot), float32
-            Sum of all patches over each pixel.
-        count : ndarray of shape (v, u), float32
-            Number of patches over each pixel.
-        """
+        """Add up the patches where they overlap."""
         total = np.zeros((*shape, self.atoms.shape[3]), np.float32)
         count = np.zeros(shape, np.float32)
 

@@ -46,21 +46,7 @@ def make_steps(slots: int, rows: int, pairs: int) -> Steps:
 # The hottest functions take whole arrays and a slot: each slice would cost two atomic counts.
 @compiled(makes_arrays=False)
 def look(slot: int, residual: Doubles, length: float, grid: tuple[float, float], steps: Steps) -> None:
-    """Set a step that computes correlations, first set to zero, from the residual itself.
-
-    Parameters
-    ----------
-    slot : int
-        Index of the slot.
-    residual : ndarray of shape (slot, m), float64
-        Residuals of all slots.
-    length : float
-        Length of the slot's residual.
-    grid : tuple of float
-        Step and error of the matrix, from :func:`.pack`.
-    steps : Steps
-        The slot's step is renewed; ``doubt`` stays.
-    """
+    """Set a step that computes correlations, first set to zero, from the residual itself."""
     for m in range(steps.drift.shape[1]):
         steps.drift[slot, m] = 0
     step, _ = _round_unit(residual, slot, length, 1.0, slot, steps)
@@ -80,27 +66,7 @@ def follow(
     grid: tuple[float, float],
     steps: Steps,
 ) -> None:
-    """Set a step that subtracts a share of a direction from correlations, and its part from distances.
-
-    Parameters
-    ----------
-    slot : int
-        Index of the slot.
-    directions : ndarray of shape (d, m), float64
-        Directions, orthonormal within a slot.
-    which : int
-        Index of the direction.
-    share : float
-        Share that the residual loses.
-    left : float
-        Length of the residual after it.
-    count : int
-        Directions of the slot, this one included.
-    grid : tuple of float
-        Step and error of the matrix, from :func:`.pack`.
-    steps : Steps
-        The slot's step is renewed.
-    """
+    """Set a step that subtracts a share of a direction from correlations, and its part from distances."""
     terms = steps.terms
     step, error = _round_unit(directions, which, 1.0, -share, slot, steps)
     unit = grid[0] * step

@@ -168,13 +168,7 @@ def _other_pixels(images: NDArray[Any], codes: NDArray[Any]) -> str:
 
 
 def numbers(name: str, given: object) -> NDArray[Any]:
-    """Convert to an array of real numbers.
-
-    Raises
-    ------
-    ValueCheckError
-        When it is anything else.
-    """
+    """Convert to an array of real numbers."""
     try:
         found = np.asarray(given)
     except ValueError as error:
@@ -212,13 +206,7 @@ def coded_frames(words: list[Words], levels: Bytes, moving: Bools) -> tuple[Code
 
 
 def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, ...]) -> Bools:
-    """Read masks of moving pixels, (1 or frame, v, u); all pixels by default.
-
-    Raises
-    ------
-    ValueCheckError
-        When they differ in shape from the code, or in number from one or one each.
-    """
+    """Read masks of moving pixels, (1 or frame, v, u); all pixels by default."""
     if moving is None:
         return np.ones((1, *shape), np.bool_)
     found = numbers("moving", moving)
@@ -232,18 +220,7 @@ def moving_masks(moving: NDArray[Any] | None, n_frames: int, shape: tuple[int, .
 
 
 def code_levels(codes: NDArray[Any]) -> tuple[Bytes, float]:
-    """Convert a code's weights to drive levels of an instantaneous panel; also return their rounding error.
-
-    Parameters
-    ----------
-    codes : ndarray
-        Weights from 0 to 1, or whole numbers of 8 bits, 255 being 1.
-
-    Raises
-    ------
-    ValueCheckError
-        For weights outside of 0..1.
-    """
+    """Drive levels of an instantaneous panel for a code's weights, and their rounding error."""
     least, most = float(codes.min(initial=0)), float(codes.max(initial=0))
     whole = codes.dtype == np.uint8 and most > 1
     if not (least >= 0 and (most <= 1 or whole)):

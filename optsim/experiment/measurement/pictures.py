@@ -23,17 +23,7 @@ _GAMMA = 1 / 2.2  # of screens
 
 
 def draw_slots(path: Path, measurement: Measurement, video: Reconstruction) -> None:
-    """Draw the first coded image and some of its slots; below them the truth, where it is known.
-
-    Parameters
-    ----------
-    path : Path
-        The PNG.
-    measurement : Measurement
-        The decoded measurement.
-    video : Reconstruction
-        Reconstruction of its first coded image.
-    """
+    """Draw the first coded image and some of its slots; below them the truth, where it is known."""
     like, factor = _shown(measurement, video), _factor(measurement)
     coded = enlarge(_coded(measurement)[0], factor)
     slots = np.unique(np.linspace(0, len(like) - 1, _SHOWN).astype(int)).tolist()
@@ -47,17 +37,7 @@ def draw_slots(path: Path, measurement: Measurement, video: Reconstruction) -> N
 
 
 def draw_film(path: Path, measurement: Measurement, decoded: Sequence[Reconstruction]) -> None:
-    """Draw each slot beside its coded image and the truth, one after the other, as an animated GIF.
-
-    Parameters
-    ----------
-    path : Path
-        The GIF.
-    measurement : Measurement
-        The decoded measurement.
-    decoded : sequence of Reconstruction
-        Reconstructions of all its coded images.
-    """
+    """Draw each slot beside its coded image and the truth, one after the other, as an animated GIF."""
     like, factor, coded = _shown(measurement, decoded[0]), _factor(measurement), _coded(measurement)
     stacks = [
         [video.irradiance_w_m2 for video in decoded],

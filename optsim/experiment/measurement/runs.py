@@ -93,26 +93,7 @@ def _method_of_run(folder: Path, method: str | None) -> tuple[Experiment, Method
 def read_frames(
     folder: Path, method: str, n_frames: int, ccd: tuple[int, int], code: tuple[int, int, int]
 ) -> list[CodedFrame]:
-    """Read the frames of a method as the run wrote them.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run.
-    method : str
-        Name of the method.
-    n_frames : int
-        Exact number of frames expected.
-    ccd : tuple of int
-        CCD pixels (y, x) of a frame.
-    code : tuple of int
-        Slots and panel pixels (slot, v, u) of a code.
-
-    Raises
-    ------
-    StorageError, ValueCheckError
-        For a file that is missing, damaged, of another size or kind, or changed since the run.
-    """
+    """Read the frames of a method as the run wrote them."""
     files = [frame_files(folder, method, index) for index in range(n_frames)]
     found = sorted((folder / "frames" / method).glob("*.png"))
     if found != [each[0] for each in files]:

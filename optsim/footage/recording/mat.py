@@ -29,15 +29,7 @@ def names(path: Path) -> list[str]:
 
 
 def load(path: Path, name: str) -> Pixels:
-    """Load one variable.
-
-    Raises
-    ------
-    StorageError
-        When the file is missing, damaged, of version 7.3, or declares more data than it can hold.
-    ValueCheckError
-        For a variable that is no full array of real numbers.
-    """
+    """Load one variable."""
     from scipy.io import loadmat
 
     for each, shape, kind in _listed(path):
