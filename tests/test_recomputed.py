@@ -151,16 +151,19 @@ def test_the_columns_of_a_yield_are_those_of_its_raw_table(base, tmp_path, by_fo
     shared = {row["parameter"]: row for row in record["shared"]}
     # A rotation is drawn in mrad.
     for name, most in (("shift_x", 2.0), ("rotation", 2.0)):
-        size = np.abs(changes[name]) / most
+        share = changes[name] / most
         row = shared[name]
-        assert row["failures"] == pytest.approx(size[~good].mean())
-        assert row["good"] == pytest.approx(size[good].mean())
-        t = stats.ttest_ind(size[~good], size[good], equal_var=False).statistic
-        assert row["sigmas"] == pytest.approx(t)
-        assert row["correlation"] == pytest.approx(stats.pearsonr(size, db).statistic)
-    cells = {line[0]: line[1:3] for line in shared_lines(record)}
-    for name, row in shared.items():
-        assert cells[name] == (f"{row['failures']:.2f}", f"{row['good']:.2f}")
+        assert row["failures"] == pytest.approx(share[~good].mean())
+        assert row["good"] == pytest.approx(share[good].mean())
+        assert row["correlation"] == pytest.approx(stats.pearsonr(share, db).statistic)
+        assert row["size_correlation"] == pytest.approx(stats.pearsonr(np.abs(share), db).statistic)
+    strength = [max(abs(row["correlation"]), abs(row["size_correlation"])) for row in record["shared"]]
+    assert strength == sorted(strength, reverse=True)
+    for line, row in zip(shared_lines(record), record["shared"], strict=True):
+        numbers = (row["failures"], row["good"], row["correlation"], row["size_correlation"])
+        written = [float(cell.replace("−", "-")) for cell in line[2:]]
+        assert line[0] == row["parameter"]
+        assert written == pytest.approx(numbers, abs=0.0051)
     write_yield_page(tmp_path, record)
     tenths = statistics.quantiles(db.tolist(), n=10, method="inclusive")
     said = f"Median {statistics.median(db):.2f} dB, the middle 80 % at {tenths[0]:.2f} to {tenths[8]:.2f} dB"

@@ -56,8 +56,6 @@ _REMEDIES: dict[str, tuple[Mode, tuple[str, ...], str]] = {
 # Cameras of each. A hundred of the prototype's would take as long as all else together.
 _DONE = {"demo": {"none": 100, "quick": 100, "bench": 100}, "paper_prototype": {}}
 _WORST = 5
-# Standard errors by which failures differ from good cameras.
-_TOLD = 2.0
 # A bench for each camera of the prototype would take too long.
 _KNOWN = {"demo": [], "paper_prototype": ["calibration=true"]}
 # Of the prototype's: those of the demo's worst that act differently at another ratio, and contrast.
@@ -185,12 +183,12 @@ def _yields_lines(cameras: dict[str, dict[str, Any]]) -> list[str]:
     for remedy, found in cameras.items():
         low, high = found["interval"]
         scores = [row["db"] for row in found["rows"] if row["db"] is not None]
-        shared = [each["parameter"] for each in found["shared"] if (each["sigmas"] or 0) > _TOLD]
+        shared = [f"{each['worse_at']} {each['parameter']}" for each in found["shared"] if each["worse_at"]]
         share = f"{found['good']} of {found['cameras']} ({low:.0%} to {high:.0%})"
         middle = f"{np.median(scores):.2f}, {np.percentile(scores, 10):.2f}"
         refused = str(len(found["rows"]) - len(scores))
         rows.append([_REMEDIES[remedy][2], share, middle, refused, ", ".join(shared) or "–"])
-    heads = ["then done", "good", "median, worst tenth, dB", "refused", "failures share"]
+    heads = ["then done", "good", "median, worst tenth, dB", "refused", "failures lie at"]
     return [said, "", *markdown_table(heads, rows)]
 
 

@@ -22,6 +22,7 @@ from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
+from optsim.metrics.student import CONFIDENCE, quantile
 from optsim.study.comparison import add_work
 from optsim.study.folder import STUDY, Piece, Workplace, compute, read_study, write_result, write_table
 from optsim.study.measurement import Key, measured
@@ -33,7 +34,7 @@ from optsim.study.tolerance_rows import limits_of
 # Two standard deviations of the score of failures against passes: what counts as shared.
 _AGRESTI = 2.0
 _BLOCK = 4
-# Failures and good cameras, each, whose means are compared.
+# Cameras from which on a correlation is told from chance.
 _FEWEST = 5
 MACHINING = "machining"
 """Name of the shipped sheet: a bad specimen's change of every parameter, both ways."""
@@ -221,37 +222,46 @@ def binomial_interval(good: int, of: int) -> tuple[float, float]:
 
 
 def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dict[str, Any]]:
-    """Compare the parameters of failures with those of good cameras, the one most shared first.
+    """Say of each parameter which way it makes cameras worse, the one that explains most first.
 
-    ``failures`` and ``good`` are means of the change's size over the sheet's larger limit; evenly drawn it is
-    0.5. ``sigmas`` is their difference over its standard error, None where that is unknown, and
-    ``correlation`` is that of the size with the score.
+    ``failures`` and ``good`` are mean changes, with their sign, over the sheet's larger limit.
+    ``correlation`` is that of the change with the score, and ``size_correlation`` that of its size.
+    ``worse_at`` follows the stronger of the two. It is empty where that may be chance: one in twenty sheets
+    of parameters that do nothing names any.
     """
+    names = [name for name, ends in sheet.items() if max(ends) > 0]
     found: list[dict[str, Any]] = []
-    for name, ends in sheet.items():
-        limit = ALL[name].shown(max(ends))
-        if limit == 0:
-            continue
-        sizes = {good: [abs(r[name]) / limit for r in rows if r["good"] == good] for good in (True, False)}
-        scored = [(abs(r[name]) / limit, r["db"]) for r in rows if r["db"] is not None]
+    for name in names:
+        limit = ALL[name].shown(max(sheet[name]))
+        sides = {good: [r[name] / limit for r in rows if r["good"] == good] for good in (True, False)}
+        scored = [(r[name], r["db"]) for r in rows if r["db"] is not None]
+        signed, size = _correlation(scored), _correlation([(abs(change), db) for change, db in scored])
+        strongest = max(abs(signed), abs(size))
+        if strongest < _chance(len(scored), 2 * len(names)):
+            worse_at = ""
+        elif abs(signed) == strongest:
+            worse_at = "+" if signed < 0 else "−"
+        else:
+            worse_at = "both ends" if size < 0 else "the middle"
         found.append(
             {
                 "parameter": name,
-                "failures": float(np.mean(sizes[False])) if sizes[False] else None,
-                "good": float(np.mean(sizes[True])) if sizes[True] else None,
-                "sigmas": _sigmas(sizes[False], sizes[True]),
-                "correlation": _correlation(scored),
+                "worse_at": worse_at,
+                "failures": float(np.mean(sides[False])) if sides[False] else None,
+                "good": float(np.mean(sides[True])) if sides[True] else None,
+                "correlation": signed,
+                "size_correlation": size,
             }
         )
-    return sorted(found, key=lambda each: (-(each["sigmas"] or 0.0), each["correlation"]))
+    return sorted(found, key=lambda each: -max(abs(each["correlation"]), abs(each["size_correlation"])))
 
 
-def _sigmas(failures: Sequence[float], good: Sequence[float]) -> float | None:
-    """Difference of two means over its standard error; None where too few cameras know it."""
-    if min(len(failures), len(good)) < _FEWEST:
-        return None
-    error = math.sqrt(sum(float(np.var(each, ddof=1)) / len(each) for each in (failures, good)))
-    return float(np.mean(failures) - np.mean(good)) / error if error else None
+def _chance(cameras: int, trials: int) -> float:
+    """Correlation that one of so many trials exceeds by chance in one of twenty cases (Bonferroni)."""
+    if cameras < _FEWEST:
+        return math.inf
+    t = quantile(cameras - 2, 1 - (1 - CONFIDENCE) / 2 / trials)
+    return t / math.sqrt(cameras - 2 + t * t)
 
 
 def _correlation(pairs: Sequence[tuple[float, float]]) -> float:

@@ -14,10 +14,12 @@ from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
-from optsim.study.words import assumptions, signed, work_done
+from optsim.study.words import REGIONS, assumptions, signed, work_done
 
-SHARED = ("parameter", "failures", "good", "sigmas", "correlation with dB")
+SHARED = ("parameter", "worse at", "failures", "good", "correlation with dB", "of its size")
 _BINS = 12
+# Causes in the headline.
+_NAMED = 3
 Rows = Sequence[dict[str, Any]]
 
 
@@ -28,23 +30,27 @@ def lead(record: dict[str, Any]) -> str:
     low, high = record["interval"]
     share = record["good"] / record["cameras"]
     plan = record["plan"]
+    target = f"{record['target_db']:.2f} dB, PU21-PSNR of {plan['method']}, {REGIONS[plan['region']]}"
     return (
-        f"{share:.0%} ({low:.0%} to {high:.0%}) of built cameras reach {record['target_db']:.2f} dB: "
-        f"{record['good']} of {record['cameras']}, {plan['method']}, {plan['region']}, calibration "
-        f"{plan['mode']}; the unchanged camera has {record['nominal_db']:.2f} dB."
+        f"{share:.0%} ({low:.0%} to {high:.0%}) of built cameras reach {target}: "
+        f"{record['good']} of {record['cameras']}, calibration {plan['mode']}. "
+        f"The unchanged camera has {record['nominal_db']:.2f} dB.{_blamed(record)}"
     )
+
+
+def _blamed(record: dict[str, Any]) -> str:
+    """Say where failures lie, if there are any and that is no chance."""
+    worse = [f"{each['worse_at']} {each['parameter']}" for each in record["shared"] if each["worse_at"]]
+    if not worse or record["good"] == record["cameras"]:
+        return ""
+    return f" Failures lie at {', '.join(worse[:_NAMED])}."
 
 
 def shared_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
     """Return the table of what failures share: see :data:`SHARED`."""
+    numbers = ("failures", "good", "correlation", "size_correlation")
     return [
-        (
-            each["parameter"],
-            "–" if each["failures"] is None else f"{each['failures']:.2f}",
-            "–" if each["good"] is None else f"{each['good']:.2f}",
-            signed(each["sigmas"]),
-            signed(each["correlation"]),
-        )
+        (each["parameter"], each["worse_at"] or "–", *(signed(each[name]) for name in numbers))
         for each in record["shared"]
     ]
 
@@ -59,8 +65,10 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
         Section(
             "What failures share",
             [
-                "Mean size of each change over its limit, of failures and of good cameras. Evenly drawn it "
-                "is 0.5. A difference of more than 2 standard errors, sigmas, is told from chance."
+                "Mean of each change over its larger limit, with its sign, of failures and of good cameras. "
+                "Correlations are of the change and of its size with the score of all cameras that have one. "
+                "The stronger says where cameras are worse. A dash may be chance: one in twenty sheets of "
+                "parameters that do nothing names any."
             ],
             [table(SHARED, shared_lines(record))],
         ),
