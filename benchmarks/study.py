@@ -21,8 +21,9 @@ from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.truth import render_truth
 from optsim.study.folder import Workplace, chosen_methods
 from optsim.study.point import parse_axis
+from optsim.study.sheets import read_sheet
 from optsim.study.sweep import SweepPlan, sweep
-from optsim.study.yields import YieldPlan, read_sheet, yields
+from optsim.study.yields import YieldPlan, yields
 
 _VARY = "relay.rotation_rad=-2e-3:2e-3:9"
 _RUNS = 3

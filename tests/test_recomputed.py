@@ -11,6 +11,7 @@ from small_study import done_here, load, write_experiment
 
 from optsim.study.comparison import Compared, Estimate, pool_scatter, student
 from optsim.study.folder import Workplace
+from optsim.study.sheets import Sheet
 from optsim.study.tolerance import TolerancePlan, tolerance
 from optsim.study.tolerance_page import sheet, won_back
 from optsim.study.yields import YieldPlan, yields
@@ -135,7 +136,7 @@ def test_the_budget_is_that_of_cameras_drawn_between_the_limits(record):
 
 def test_the_columns_of_a_yield_are_those_of_its_raw_table(base, tmp_path, by_formula):
     limits = {"shift_x": (1.0, 2.0), "rotation": (2e-3, 1.5e-3)}
-    plan = YieldPlan(limits, 120, "unknown", (), "hdr_mosaic", "static", None)
+    plan = YieldPlan(Sheet(limits), 120, "unknown", (), "hdr_mosaic", "static", None)
     record = yields(base, plan, Workplace(tmp_path))
     with (tmp_path / "points.csv").open() as stream:
         raw = list(csv.DictReader(stream))

@@ -11,6 +11,7 @@ knows its true operator instead of a bench's, for time.
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from optsim.core.errors import ConfigError
 from optsim.core.files import write_text
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.report.markdown import markdown_table
@@ -26,6 +28,7 @@ from optsim.study.comparison import Seeds
 from optsim.study.folder import Workplace, chosen_methods
 from optsim.study.measurement import measured
 from optsim.study.point import Mode, Point
+from optsim.study.sheets import MACHINING, read_sheet
 from optsim.study.stage import frames_to_score, make_stage, scored_part
 from optsim.study.tolerance import TolerancePlan, tolerance
 from optsim.study.tolerance_page import HEADS, MODES, lead, notes, sheet, won_back, write_tolerance_page
@@ -33,7 +36,8 @@ from optsim.study.waterfall import WaterfallPlan, effects_of, waterfall
 from optsim.study.waterfall_page import HEADS as STEPS
 from optsim.study.waterfall_page import bars_of, lines_of, write_waterfall_page
 from optsim.study.waterfall_page import lead as waterfall_lead
-from optsim.study.yields import MACHINING, YieldPlan, read_sheet, yields
+from optsim.study.words import REGIONS
+from optsim.study.yields import YieldPlan, yields
 from optsim.study.yields_page import write_yield_page
 
 OUT = Path("reports") / "tolerances.md"
@@ -173,11 +177,12 @@ def _lines(
 def _yields_lines(cameras: dict[str, dict[str, Any]]) -> list[str]:
     if not cameras:
         return ["Its yield is not measured, for time."]
+    check_alike(cameras)
     record = cameras["none"]
     said = (
         "Cameras whose parts drifted after the calibration, each somewhere within a bad specimen's change: "
-        f"so many reach {record['target_db']:.2f} dB everywhere (unchanged: {record['nominal_db']:.2f} dB; "
-        "adaptive)."
+        f"so many reach {record['target_db']:.2f} dB, PU21-PSNR of {record['plan']['method']}, "
+        f"{REGIONS[record['plan']['region']]} (unchanged: {record['nominal_db']:.2f} dB)."
     )
     rows: list[list[str]] = []
     for remedy, found in cameras.items():
@@ -190,6 +195,18 @@ def _yields_lines(cameras: dict[str, dict[str, Any]]) -> list[str]:
         rows.append([_REMEDIES[remedy][2], share, middle, refused, ", ".join(shared) or "–"])
     heads = ["then done", "good", "median, worst tenth, dB", "refused", "failures lie at"]
     return [said, "", *markdown_table(heads, rows)]
+
+
+def check_alike(cameras: dict[str, dict[str, Any]]) -> None:
+    """Refuse yields side by side that are of another method, region, sheet or score to reach."""
+    found = {
+        json.dumps(
+            [*(each["plan"][key] for key in ("method", "region", "frames", "sheet")), each["target_db"]]
+        )
+        for each in cameras.values()
+    }
+    if len(found) > 1:
+        raise ConfigError(f"yields: got {' and '.join(sorted(found))}, expected one method, region and score")
 
 
 def _by_stride(name: str) -> str:

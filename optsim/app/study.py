@@ -259,7 +259,8 @@ def yield_(
     from optsim.metrics.records import REGIONS
     from optsim.study.compensation import COMPENSATORS
     from optsim.study.point import MODES
-    from optsim.study.yields import YieldPlan, assignments_of, read_sheet, yields
+    from optsim.study.sheets import read_sheet
+    from optsim.study.yields import YieldPlan, assignments_of, yields
     from optsim.study.yields_page import SHARED, lead, shared_lines, write_yield_page
 
     whole = _base(experiment, assignments, None)

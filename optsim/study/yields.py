@@ -1,45 +1,43 @@
 """Yield: how many of the cameras that a tolerance sheet allows reach a score, and what the others share.
 
-Each camera is drawn within the sheet: every parameter evenly between its two limits, and fixed patterns of
-its own. It is built so and calibrated ("known"), drifts so after its calibration ("unknown"), or drifts and
-is put right by compensators ("compensated"). The draw of a camera depends on the study's seed and its number
-only, so any can be built again.
+Each camera is drawn within the sheet, anew until it can be built, and has fixed patterns of its own. It is
+built so and calibrated ("known"), drifts so after its calibration ("unknown"), or drifts and is put right by
+compensators ("compensated"). The draw of a camera depends on the study's seed and its number only, so any
+can be built again.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from optsim.core.config import Table, read_toml
-from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.errors import ConfigError, GeometryError
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
 from optsim.metrics.student import CONFIDENCE, quantile
 from optsim.study.comparison import add_work
-from optsim.study.folder import STUDY, Piece, Workplace, compute, read_study, write_result, write_table
+from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key, measured
 from optsim.study.parameters import ALL
-from optsim.study.point import Mode, Point, changed_only
+from optsim.study.point import Mode, Point, changed_only, experiment_at
+from optsim.study.sheets import Sheet
 from optsim.study.stage import stage_of
-from optsim.study.tolerance_rows import limits_of
 
 # Two standard deviations of the score of failures against passes: what counts as shared.
 _AGRESTI = 2.0
 _BLOCK = 4
 # Cameras from which on a correlation is told from chance.
 _FEWEST = 5
-MACHINING = "machining"
-"""Name of the shipped sheet: a bad specimen's change of every parameter, both ways."""
-Sheet = dict[str, tuple[float, float]]
-"""Parameter -> largest change down and up, both positive, in the unit of its keys."""
+# Draws of one camera until it can be built.
+_MOST_DRAWS = 50
 
 
 @dataclass(frozen=True)
@@ -77,72 +75,66 @@ class YieldPlan:
     frames: int = 3
 
 
-def read_sheet(name_or_path: str) -> Sheet:
-    """Read a tolerance sheet: the shipped one, a finished tolerance study, or a TOML file.
+@dataclass(frozen=True)
+class Drawn:
+    """A camera of a yield.
 
-    A TOML file has a table a parameter, in the units of ``optsim tolerance``: ``[shift_x] plus = 0.3`` and,
-    unless it is the same, ``minus = 0.2``.
-
-    Raises
-    ------
-    ConfigError, StorageError
-        For an unknown parameter, a limit that is no number or below 0, or a missing file.
+    Parameters
+    ----------
+    changes : dict
+        Parameter -> change, in the unit of its keys.
+    serial_number : int
+        Of its fixed patterns.
+    point : Point or None
+        None where no draw could be built.
+    refused : tuple of str
+        Why earlier draws from its stream could not be built.
     """
-    path = Path(name_or_path).expanduser()
-    if name_or_path == MACHINING:
-        return {name: each.bad_specimen for name, each in ALL.items()}
-    if path.is_dir() or path.name == STUDY:
-        return limits_of(read_study(path, "tolerance")["rows"])
-    sheet: Sheet = {}
-    for name, limits in read_toml(path).items():
-        if name not in ALL:
-            raise unknown_name(f"parameter in {path}", name, ALL)
-        held = cast("Table", limits) if isinstance(limits, dict) else {"plus": limits}
-        ends: list[Any] = [held.get("minus", held.get("plus")), held.get("plus", held.get("minus"))]
-        if set(held) - {"plus", "minus"} or not all(_is_limit(end) for end in ends):
-            raise ConfigError(
-                f"{path}: {name}: got {limits!r}, expected plus and minus in {ALL[name].unit}, 0 or more"
-            )
-        down, up = (float(end) * ALL[name].per_unit for end in ends)
-        sheet[name] = (down, up)
-    if not sheet:
-        raise ConfigError(f"{path}: got no parameter, expected tables such as [shift_x] with plus = 0.3")
-    return sheet
+
+    changes: dict[str, float]
+    serial_number: int
+    point: Point | None
+    refused: tuple[str, ...]
 
 
-def _is_limit(value: object) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return math.isfinite(value) and value >= 0
-
-
-def drawn(base: Experiment, sheet: Sheet, camera: int) -> tuple[dict[str, float], int]:
-    """Return the changes of a camera, in the units of their keys, and its serial number."""
-    rng = stream(base.seed, "yield", camera)
-    changes = {name: float(rng.uniform(-down, up)) for name, (down, up) in sheet.items()}
-    return changes, base.camera.serial_number + camera
-
-
-def point_of(base: Experiment, sheet: Sheet, mode: Mode, compensators: tuple[str, ...], camera: int) -> Point:
-    """Return the point of a drawn camera.
+def drawn(base: Experiment, sheet: Sheet, mode: Mode, compensators: tuple[str, ...], camera: int) -> Drawn:
+    """Draw a camera by its number, anew until it can be built.
 
     Its fixed patterns are known to its calibration, so that only the mode "known" can have its own: a bench
     is needed to learn them.
     """
-    changes, serial_number = drawn(base, sheet, camera)
-    keys: dict[str, Any] = {}
-    for name, change in changes.items():
-        for key, value in ALL[name].changes(base, change).items():
-            # Two parameters may change the same key.
-            keys[key] = keys[key] + value - ALL[name].changes(base, 0.0)[key] if key in keys else value
-    if mode == "known":
-        keys["camera.serial_number"] = serial_number
-    return Point(changed_only(base, keys), mode, compensators, base.seed + camera)
+    rng = stream(base.seed, "yield", camera)
+    serial_number = base.camera.serial_number + (camera if mode == "known" else 0)
+    refused: list[str] = []
+    changes: dict[str, float] = {}
+    while len(refused) < _MOST_DRAWS:
+        changes = sheet.draw(rng)
+        keys: dict[str, Any] = {}
+        for name, change in changes.items():
+            for key, value in ALL[name].changes(base, change).items():
+                # Two parameters may change the same key.
+                keys[key] = keys[key] + value - ALL[name].changes(base, 0.0)[key] if key in keys else value
+        if mode == "known":
+            keys["camera.serial_number"] = serial_number
+        point = Point(changed_only(base, keys), mode, compensators, base.seed + camera)
+        try:
+            experiment_at(base, point)
+        except (ConfigError, GeometryError, ValueError) as error:
+            refused.append(" ".join(str(error).split()))
+            continue
+        return Drawn(changes, serial_number, point, tuple(refused))
+    return Drawn(changes, serial_number, None, tuple(refused))
 
 
 def assignments_of(base: Experiment, plan: YieldPlan, camera: int) -> list[str]:
     """Return the overrides that build a drawn camera again, for ``--set``."""
-    point = point_of(base, plan.sheet, plan.mode, plan.compensators, camera)
+    found = drawn(base, plan.sheet, plan.mode, plan.compensators, camera)
+    point = found.point
+    if point is None:
+        raise ConfigError(
+            f"--sheet: got no camera {camera} that can be built in {_MOST_DRAWS} draws, expected limits of "
+            f"cameras that can; fix: narrow them. The last draw: {found.refused[-1]}"
+        )
     place = "camera." if plan.mode == "known" else "drift."
     changes = [f"{place}{key.removeprefix('camera.')}={value!r}" for key, value in point.changes]
     return [f"seed={point.seed}", *changes]
@@ -172,7 +164,7 @@ def yields(
     said = {**asdict(plan), "seeds": {"least": 1, "most": 1, "wanted_db": 0.0}}
     # What decides a camera's score; the target only says which are good.
     drawing = {
-        "sheet": {name: list(ends) for name, ends in plan.sheet.items()},
+        "sheet": asdict(plan.sheet),
         "mode": plan.mode,
         "compensators": list(plan.compensators),
         "method": plan.method,
@@ -193,8 +185,11 @@ def yields(
     target = plan.target_db
     if target is None:
         target = None if nominal is None else nominal - plan.loss_db
+    unbuilt = [each for result in results for each in result["unbuilt"]]
+    again = [why for row in rows for why in row.pop("drawn_again")]
+    again += [why for each in unbuilt for why in each["drawn_again"]]
     for row in rows:
-        # A camera that cannot be built or calibrated is no good one.
+        # A camera that cannot be calibrated is no good one.
         row["good"] = target is not None and row["db"] is not None and row["db"] >= target
         row["set"] = " ".join(f"--set {each}" for each in assignments_of(base, plan, row["camera"]))
     found = {
@@ -204,7 +199,8 @@ def yields(
         "good": sum(row["good"] for row in rows),
         "cameras": len(rows),
         "interval": binomial_interval(sum(row["good"] for row in rows), len(rows)),
-        "shared": shared_by_failures(rows, plan.sheet),
+        "not_built": {"draws": len(again), "cameras": len(unbuilt), "reasons": dict(Counter(again))},
+        "shared": shared_by_failures(rows, plan.sheet.limits),
     }
     write_table(place.folder, found, rows)
     return {**found, "rows": rows}
@@ -221,7 +217,9 @@ def binomial_interval(good: int, of: int) -> tuple[float, float]:
     return max(0.0, share - half), min(1.0, share + half)
 
 
-def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dict[str, Any]]:
+def shared_by_failures(
+    rows: Sequence[dict[str, Any]], limits: dict[str, tuple[float, float]]
+) -> list[dict[str, Any]]:
     """Say of each parameter which way it makes cameras worse, the one that explains most first.
 
     ``failures`` and ``good`` are mean changes, with their sign, over the sheet's larger limit.
@@ -229,10 +227,10 @@ def shared_by_failures(rows: Sequence[dict[str, Any]], sheet: Sheet) -> list[dic
     ``worse_at`` follows the stronger of the two. It is empty where that may be chance: one in twenty sheets
     of parameters that do nothing names any.
     """
-    names = [name for name, ends in sheet.items() if max(ends) > 0]
+    names = [name for name, ends in limits.items() if max(ends) > 0]
     found: list[dict[str, Any]] = []
     for name in names:
-        limit = ALL[name].shown(max(sheet[name]))
+        limit = ALL[name].shown(max(limits[name]))
         sides = {good: [r[name] / limit for r in rows if r["good"] == good] for good in (True, False)}
         scored = [(r[name], r["db"]) for r in rows if r["db"] is not None]
         signed, size = _correlation(scored), _correlation([(abs(change), db) for change, db in scored])
@@ -278,25 +276,28 @@ def _measure_cameras(
 ) -> None:
     """Measure some cameras, in a worker."""
     stage = stage_of(text, frames)
-    sheet: Sheet = {name: (ends[0], ends[1]) for name, ends in drawing["sheet"].items()}
-    mode: Mode = drawing["mode"]
-    compensators = tuple(drawing["compensators"])
+    sheet, mode, compensators = Sheet(**drawing["sheet"]), drawing["mode"], tuple(drawing["compensators"])
     key: Key = drawing["method"], drawing["region"]
     nominal = measured(stage, Point(seed=stage.base.seed))
     work = dict(nominal.work)
     rows: list[dict[str, Any]] = []
+    unbuilt: list[dict[str, Any]] = []
     for camera in range(first, end):
-        changes, serial_number = drawn(stage.base, sheet, camera)
-        found = measured(stage, point_of(stage.base, sheet, mode, compensators, camera))
+        made = drawn(stage.base, sheet, mode, compensators, camera)
+        if made.point is None:
+            unbuilt.append({"camera": camera, "drawn_again": made.refused})
+            continue
+        found = measured(stage, made.point)
         add_work(work, found.work)
         rows.append(
             {
                 "camera": camera,
                 "db": found.db.get(key),
                 "map_residual_px": found.map_residual_px,
-                "serial_number": serial_number if mode == "known" else stage.base.camera.serial_number,
-                **{name: ALL[name].shown(change) for name, change in changes.items()},
+                "serial_number": made.serial_number,
+                **{name: ALL[name].shown(change) for name, change in made.changes.items()},
                 "refused": found.refused,
+                "drawn_again": made.refused,
             }
         )
-    write_result(folder, work, rows=rows, nominal_db=nominal.db.get(key))
+    write_result(folder, work, rows=rows, unbuilt=unbuilt, nominal_db=nominal.db.get(key))

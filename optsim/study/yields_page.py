@@ -25,8 +25,8 @@ Rows = Sequence[dict[str, Any]]
 
 def lead(record: dict[str, Any]) -> str:
     """Say the yield in a sentence."""
-    if record["target_db"] is None:
-        return "No camera could be measured."
+    if record["target_db"] is None or not record["cameras"]:
+        return f"No camera could be measured.{_not_built(record)}"
     low, high = record["interval"]
     share = record["good"] / record["cameras"]
     plan = record["plan"]
@@ -34,7 +34,7 @@ def lead(record: dict[str, Any]) -> str:
     return (
         f"{share:.0%} ({low:.0%} to {high:.0%}) of built cameras reach {target}: "
         f"{record['good']} of {record['cameras']}, calibration {plan['mode']}. "
-        f"The unchanged camera has {record['nominal_db']:.2f} dB.{_blamed(record)}"
+        f"The unchanged camera has {record['nominal_db']:.2f} dB.{_blamed(record)}{_not_built(record)}"
     )
 
 
@@ -44,6 +44,13 @@ def _blamed(record: dict[str, Any]) -> str:
     if not worse or record["good"] == record["cameras"]:
         return ""
     return f" Failures lie at {', '.join(worse[:_NAMED])}."
+
+
+def _not_built(record: dict[str, Any]) -> str:
+    """Say how many draws could not be built, if any."""
+    draws, cameras = record["not_built"]["draws"], record["not_built"]["cameras"]
+    left_out = f", in vain for {cameras} cameras, which are left out" if cameras else ""
+    return f" {draws} draws could not be built and were drawn again{left_out}." if draws else ""
 
 
 def shared_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
@@ -72,7 +79,7 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
             ],
             [table(SHARED, shared_lines(record))],
         ),
-        Section("Sheet", ["Cameras are drawn evenly between these limits."], [_sheet(record)]),
+        Section("Sheet", _drawn_how(record["plan"]["sheet"]), [_sheet(record["plan"]["sheet"])]),
         Section(
             "All cameras",
             ["The last column builds a camera again: optsim run with these overrides."],
@@ -81,12 +88,16 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
     ]
     refused = [f"camera {row['camera']}: {row['refused']}" for row in rows if row["refused"]]
     if refused:
-        text = [f"{len(refused)} of {len(rows)} cameras; they count as failures."]
+        text = [f"{len(refused)} of {len(rows)} cameras cannot be calibrated or decoded: they are failures."]
         sections.append(Section("Refused", text, [folded("Cameras", listed(refused))]))
+    if reasons := record["not_built"]["reasons"]:
+        said = listed([f"{count} x {why}" for why, count in reasons.items()])
+        text = [f"{_not_built(record).strip()} The yield is of cameras that can be built."]
+        sections.append(Section("Not built", text, [folded("Reasons", said)]))
     about = [
         "The interval is that of a share by Agresti and Coull, 95 %.",
         "A camera has one seed of codes and photons, its own.",
-        *(f"{name}: {ALL[name].about}." for name in record["plan"]["sheet"] if ALL[name].about),
+        *(f"{name}: {ALL[name].about}." for name in record["plan"]["sheet"]["limits"] if ALL[name].about),
     ]
     # A yield has no pairs of seeds.
     rests = Section(
@@ -117,12 +128,32 @@ def _spread(scores: Sequence[float]) -> Markup:
     return side_by_side([("Cameras by their score", plots.bar_plot(rows, title="Cameras by their score"))])
 
 
-def _sheet(record: dict[str, Any]) -> Markup:
+def _drawn_how(sheet: dict[str, Any]) -> list[str]:
+    """Say how cameras are drawn between the limits, and what these are of."""
+    said = ["Cameras are drawn between these limits, about their middle."]
+    if "normal" in sheet["distributions"].values():
+        said.append("The limits of a normal one are two standard deviations away.")
+    if "truncated" in sheet["distributions"].values():
+        said.append("A truncated one is such a normal one, cut at the limits.")
+    if sheet["mounts"]:
+        said.append("Parameters of one mount lie at the same share of their limits.")
+    return [*said, f"The limits are of {sheet['of']}."] if sheet["of"] else said
+
+
+def _sheet(sheet: dict[str, Any]) -> Markup:
+    mounts = {name: mount for mount, names in sheet["mounts"].items() for name in names}
     rows = [
-        (name, f"−{ALL[name].shown(ends[0]):.3g}", f"+{ALL[name].shown(ends[1]):.3g}", ALL[name].unit)
-        for name, ends in record["plan"]["sheet"].items()
+        (
+            name,
+            f"−{ALL[name].shown(ends[0]):.3g}",
+            f"+{ALL[name].shown(ends[1]):.3g}",
+            ALL[name].unit,
+            sheet["distributions"].get(name, "uniform"),
+            mounts.get(name, "–"),
+        )
+        for name, ends in sheet["limits"].items()
     ]
-    return table(("parameter", "down", "up", "unit"), rows)
+    return table(("parameter", "down", "up", "unit", "drawn", "mount"), rows)
 
 
 def _cameras(rows: Rows) -> Markup:
