@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
+import numpy as np
 from pydantic import Field
 from scipy import sparse
+from scipy.optimize import minimize_scalar
 
 from optsim.camera.parts.lens import LensGroup
+from optsim.optics.aberrations import Wavefront
 from optsim.optics.field_blur import FieldPsf, make_field_blur
 from optsim.optics.psf import SomeBlur
 from optsim.optics.psf_tails import near_half, with_tails
@@ -33,9 +37,12 @@ class Relay(LensGroup):
         f-number of the fastest cone that it passes onto the CCD.
     transmission : float
         Share of the light that passes its lenses, all passes together.
+    focus : {"paraxial", "centre", "field"}
+        Where the CCD stands if ``defocus_m`` is 0: in the sharp image without aberrations, or where pixels
+        in the middle of the panel, or all of them on average, spill least light onto others.
     defocus_m : float
-        Distance of the CCD from the sharp image; positive has a positive wavefront term, like positive field
-        curvature. Without diffraction it blurs by the disc of geometrical optics.
+        Distance of the CCD from there; positive has a positive wavefront term, like positive field curvature.
+        Without diffraction it blurs by the disc of geometrical optics.
     ghost_share : float
         Share of the light reflected back from a face, mirrored through the axis and out of focus.
     ghost_blur_px : float
@@ -61,6 +68,7 @@ class Relay(LensGroup):
     magnification: float = Field(gt=0)
     f_number: float = Field(gt=0.5)
     transmission: float = Field(gt=0, le=1)
+    focus: Literal["paraxial", "centre", "field"] = "paraxial"
     defocus_m: float = 0.0
     ghost_share: float = Field(default=0.0, ge=0, lt=1)
     ghost_blur_px: float = Field(default=20.0, gt=0, le=200)
@@ -80,6 +88,26 @@ class Relay(LensGroup):
     def accepted_share(self, panel_f_number: float) -> float:
         """Share of the panel's cone that passes the relay's stop, in a uniformly filled cone."""
         return min(1.0, (panel_f_number * self.magnification / self.f_number) ** 2)
+
+    def ccd_defocus_m(
+        self, f_number: float, cell_m: float, sides: tuple[int, int], samples_per_pitch: int
+    ) -> float:
+        """Distance of the CCD from the sharp image without aberrations, m; grid as for the PSF."""
+        wavefront = self.wavefront
+        if self.focus == "paraxial" or wavefront == Wavefront() or not self.diffraction:
+            return self.defocus_m
+        if self.focus == "centre":
+            wavefront = Wavefront(spherical_waves=wavefront.spherical_waves)
+        lens = LensGroup(
+            aberration_m=self.aberration_m,
+            wavefront=wavefront,
+            glare_share=0.0,
+            tail_share=self.tail_share,
+            field_error=1.0,
+        )
+        # A frozen model is hashable, but its type does not declare it.
+        best_m = _least_spill_m(lens, f_number, cell_m, sides, samples_per_pitch)  # pyright: ignore[reportArgumentType]
+        return best_m + self.defocus_m
 
     def geometry(
         self,
@@ -134,7 +162,9 @@ class Relay(LensGroup):
         """
         f_number = self.image_f_number(panel_f_number)
         shape = (geometry.rows, geometry.cols)
-        psf = self.psf(f_number, cell_m * self.magnification, shape, self.defocus_m, wavelength_m)
+        image_m = cell_m * self.magnification
+        defocus_m = self.ccd_defocus_m(f_number, image_m, shape, samples_per_pitch)
+        psf = self.psf(f_number, image_m, shape, defocus_m, wavelength_m)
         ghost = None
         if self.ghost_share:
             ghost = Ghost(self.ghost_share, self.ghost_blur_px, samples_per_pitch)
@@ -145,6 +175,26 @@ class Relay(LensGroup):
             (geometry.ccd_rows, geometry.ccd_cols),
             ghost,
         )
+
+
+@lru_cache(maxsize=16)
+def _least_spill_m(
+    lens: LensGroup, f_number: float, cell_m: float, sides: tuple[int, int], pitch: int
+) -> float:
+    """Defocus at which a panel pixel spills least light onto others, by its mean PSF over the field.
+
+    CCD pixels as large as a fine cell lie anywhere on the panel's image.
+    """
+    # A wave at the pupil's rim.
+    wave_m = 8 * f_number**2 * MONO_WAVELENGTH_M
+
+    def spill(waves: float) -> float:
+        kernel = lens.psf(f_number, cell_m, sides, waves * wave_m).kernel
+        apart = np.abs(np.arange(len(kernel)) - len(kernel) // 2)
+        inside = np.clip((pitch / 2 + 1 - apart) / 2, 0, 1)
+        return 1 - float(inside @ kernel @ inside)
+
+    return float(minimize_scalar(spill, bounds=(-2, 2), method="bounded", options={"xatol": 0.01}).x) * wave_m
 
 
 # Cached separately, so that a change of shift, rotation or focus recomputes only its own part.

@@ -173,6 +173,7 @@ def _gate(camera: CodedCamera) -> tuple[object, bytes]:
 def _image_of(camera: CodedCamera, part: str) -> tuple[str, int]:
     """Key of the image of objective or relay; field errors with the same number of nodes share one."""
     lens, view = getattr(camera, part), camera.view
-    defocus_m = camera.relay.defocus_m if part == "relay" else 0.0
-    psf = lens.psf(*cone_and_sample(camera, part), (view.rows, view.cols), defocus_m, camera.wavelength_m)
+    grid = *cone_and_sample(camera, part), (view.rows, view.cols)
+    defocus_m = camera.relay.ccd_defocus_m(*grid, SAMPLES_PER_PITCH) if part == "relay" else 0.0
+    psf = lens.psf(*grid, defocus_m, camera.wavelength_m)
     return lens.model_dump_json(exclude={"field_error"}), len(psf.cores)
