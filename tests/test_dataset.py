@@ -443,9 +443,9 @@ def test_the_noise_asked_for_is_reached(tmp_path, independent):
     sample = dataset.test[0]
     share = sample["radiance_sigma"] / (np.maximum(sample["radiance"], 0) + 0.01 * white)
     # Sigma of a sample is known to 14 %, the mean over some hundred of them to a few percent.
-    if not independent:
-        assert 0.05 < np.sqrt(np.mean(share**2)) < 0.15 * 1.15
-        assert said["worst"] < 0.15 * 1.15
+    # Sigma is smoothed: dark samples beside bright ones get too much of it where noise is their own.
+    assert 0.05 < np.sqrt(np.mean(share**2)) < 0.15 * (1.5 if independent else 1.15)
+    assert said["worst"] < 0.15 * 1.15
     slots = sample["radiance"]
     still = (sample["moving"].max(axis=0) == 0) & (sample["id"].min(axis=0) == sample["id"].max(axis=0))
     alike = (slots[1:, still] == slots[:-1, still]).mean()

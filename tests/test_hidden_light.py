@@ -107,6 +107,21 @@ def test_a_camera_that_drifted_does_not_pass_crosstalk_off_as_glare():
     assert stops(inside.mean(), 60.0) == pytest.approx(0, abs=0.15)
 
 
+@pytest.mark.parametrize("more", [0.05, 0.1])
+def test_bars_that_moved_in_one_place_are_no_glare(more):
+    """A corner window with little glare: residuals of the bars resemble it, but only where they stand."""
+    shifted = KERNEL.copy()
+    shifted[1, 0] += more
+    shifted[1, 1] -= more
+    image = room(np.random.default_rng(8))
+    for left in range(2, 20, 4):
+        image[20:56, left : left + 2] = 3
+    image[:6, -8:] = 60
+    weak = Glare(GLARE.veil / 5, GLARE.ghost / 5, 18.0, tuple(each / 5 for each in GLARE.wings))
+    inside = merged(image, weak, weak, kernel=shifted).irradiance_w_m2[0][1:5, -7:-1]
+    assert stops(inside.mean(), 60.0) == pytest.approx(0, abs=0.1)
+
+
 def test_without_glare_nobody_knows_better():
     """What saturated alone stays as it was: bright as if through its own code alone, here a third of it."""
     image = room(np.random.default_rng(4), (np.s_[12:33], np.s_[14:35], 180.0))

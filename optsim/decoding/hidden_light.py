@@ -19,8 +19,9 @@ from optsim.core.quantities import Bools, Doubles, Floats
 # Most regions with separate factors, and their least pixels: glare of smaller ones is lost in errors of the
 # rest. Standard deviation between their factors. Sensible defaults, no source.
 _REGIONS, _LEAST_PX, _UNLIKE = 4, 16, 0.5
-# Least explained signal for glare to be accepted, standard deviations of noise.
-_SIGMAS = 4.0
+# Least explained signal for glare to be accepted, standard deviations: of noise, and of errors that are alike
+# within blocks of so many pixels.
+_SIGMAS, _SIGMAS_OF_BLOCKS, _BLOCK_PX = 4.0, 3.0, 16
 # Residual relative error of the glare: calibrations leave up to 8 % (tests/test_laboratory.py).
 _ERROR = 0.1
 # Share of its neighbours' light that a pixel may get unknown to the calibration, one standard deviation. So
@@ -91,11 +92,23 @@ def told_by_glare(
     gain = terms.T @ unexplained
     change = np.linalg.lstsq(terms.T @ terms + np.diag(precision), gain)[0]
     factor = np.ones(mean.shape, np.float32)
-    if change @ gain > _SIGMAS**2:
+    votes = _by_block(terms @ change * (unexplained - terms @ change), mean.shape)
+    if change @ gain > max(_SIGMAS**2, _SIGMAS_OF_BLOCKS * float(np.sqrt((votes**2).sum()))):
         for part, more in zip(parts, change, strict=True):
             factor[part] += np.float32(more)
     factor = np.where(hidden, np.maximum(factor, _darkest(samples, alive, light)), 1)
     return factor, _ERROR * merged(all_hidden)
+
+
+def _by_block(values: Doubles, shape: tuple[int, ...]) -> Doubles:
+    """Sum values of all frames, (frame x v x u,), over blocks of the panel.
+
+    Edges off their place leave residuals that resemble glare, in a few places. The error is that of sums over
+    blocks (K.-Y. Liang and S. L. Zeger, Biometrika 73, 13, 1986).
+    """
+    image = values.reshape(-1, *shape).sum(axis=0)
+    rows, cols = (np.arange(0, side, _BLOCK_PX) for side in shape)
+    return np.add.reduceat(np.add.reduceat(image, rows, axis=0), cols, axis=1)
 
 
 def _regions(light: Floats) -> list[Bools]:
