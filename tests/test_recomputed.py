@@ -22,8 +22,12 @@ WON = {"unknown": 1.0, "compensated": 0.5, "known": 0.1}
 """Share of the loss that is left, by mode."""
 LIMITS = {"shift_x": {-1: 1.0, 1: 2.0}, "rotation": {-1: 2e-3, 1: 1e-3}}
 """Change that costs 1 dB, by parameter and sign, in the keys' units: each costs by its square."""
+
 TOGETHER = 300.0
 """dB that a pixel and a radian cost together, beside what each costs."""
+
+
+MEASURED = {"seeds": 4}
 
 
 def loss_db(shift: float, turn: float, mode: str = "unknown") -> float:
@@ -46,7 +50,7 @@ def by_formula(base):
     def compared(stage, point, seeds, decides=list):
         changes = dict(point.changes)
         loss = loss_db(changes.get(SHIFT, 0.0), changes.get(TURN, 0.0), point.mode)
-        change = {("hdr_mosaic", "static"): Estimate(-loss, 0.05, 4)}
+        change = {("hdr_mosaic", "static"): Estimate(-loss, 0.05, MEASURED["seeds"])}
         return Compared(point, change, change, {}, SimpleNamespace(values={}), "", {})
 
     def measured(stage, point):
@@ -82,9 +86,23 @@ def test_limits_and_db_a_unit_are_those_of_the_formula(record):
         drawn = {"CCD px": limit, "mrad": 1e3 * limit}[row["unit"]]
         assert row["value"] == pytest.approx(drawn, rel=0.01)
         assert row["db_per_unit"] == pytest.approx(2 / drawn, rel=0.02)
-        assert row["value_half"] == pytest.approx(0.05 * drawn / 2, rel=0.02)
+        # Where 1.05 and 0.95 times the square cost 1 dB: the losses' own interval is 0.05 dB.
+        ends = drawn * np.sqrt([1 / 1.05, 1 / 0.95])
+        assert (row["value_least"], row["value_most"]) == pytest.approx(tuple(ends), rel=0.01)
+        assert (row["loss_half"], row["capped"]) == (0.05, False)
     steepest = {name: float(slope) for name, *_, slope, _ in sheet(record["rows"], "unknown")}
     assert steepest == pytest.approx({"shift_x": 2.0, "rotation": 2.0}, rel=0.02)
+
+
+def test_fewer_than_four_seeds_have_no_interval(base, by_formula, tmp_path, monkeypatch):
+    monkeypatch.setitem(MEASURED, "seeds", 2)
+    plan = TolerancePlan(1.0, ("shift_x", "rotation"), ("static",), known=False, draws=0)
+    found = tolerance(base, plan, Workplace(tmp_path))
+    for row in found["rows"]:
+        assert (row["value_least"], row["value_most"], row["loss_half"], row["capped"]) == (*[None] * 3, True)
+    assert {row["before_half"] for row in found["compensators"]} == {None}
+    assert {row["after_half"] for row in found["compensators"]} == {None}
+    assert [pair["half"] for pair in found["interactions"]] == [None]
 
 
 def test_each_remedy_is_measured_in_its_own_mode(record):

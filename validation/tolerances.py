@@ -48,7 +48,7 @@ STRIDE = "methods.adaptive.decoder.moving.stride_px=2"
 LOSS_DB = 1.0
 FRAMES = 1
 # The most that is measured of each preset.
-_SEEDS = {"demo": Seeds(2, 3, LOSS_DB / 10), "paper_prototype": Seeds(2, 2, LOSS_DB / 10)}
+_SEEDS = {name: Seeds(4, 4, LOSS_DB / 10) for name in PRESETS}
 _STEP_SEEDS = {"demo": Seeds(8, 8), "paper_prototype": Seeds(3, 3)}
 _BUDGET = {"demo": 8, "paper_prototype": 2}
 # What is done after a camera has drifted: what its calibration knows, and compensators.

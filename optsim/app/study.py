@@ -147,7 +147,7 @@ def tolerance(
     assignments: Set = None,
     methods: Methods = None,
     frames: Frames = 3,
-    seeds: SeedRange = "2:4",
+    seeds: SeedRange = "4:6",
     out: Out = None,
     workers: Workers = None,
     scheduler: Scheduler = None,

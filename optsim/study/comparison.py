@@ -34,6 +34,8 @@ class Seeds:
 
 FEW = Seeds()
 """Seeds by default."""
+LIMITS = Seeds(4, 6)
+"""Seeds of a limit: from four on it has an interval."""
 PAIR = Seeds(2, 2)
 """Seeds of a point whose curve knows the scatter, see :func:`pool_scatter`."""
 
@@ -50,6 +52,11 @@ class Estimate:
     def ends(self) -> tuple[float | None, float | None]:
         """Both ends of the interval."""
         return (None, None) if self.half is None else (self.mean - self.half, self.mean + self.half)
+
+    @property
+    def told(self) -> float | None:
+        """Half of the interval if four seeds or more know it: that of two is nine standard deviations."""
+        return self.half if self.n >= LIMITS.least else None
 
     @property
     def below_noise(self) -> bool:

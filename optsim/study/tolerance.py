@@ -14,13 +14,13 @@ from optsim.core.progress import Progress, silent
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
 from optsim.metrics.records import REGIONS
-from optsim.study.comparison import FEW, Compared, Estimate, Seeds, add_work, compare
+from optsim.study.comparison import LIMITS, Compared, Estimate, Seeds, add_work, compare
 from optsim.study.compensation import COMPENSATORS
 from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
 from optsim.study.parameters import ALL, Tolerated
 from optsim.study.point import Mode, Point, changed_only
-from optsim.study.search import Limit, Loss, largest_change
+from optsim.study.search import COSTS, Limit, Loss, largest_change
 from optsim.study.stage import Stage, stage_of
 from optsim.study.tolerance_rows import budget, limits_of, sorted_rows
 
@@ -65,7 +65,7 @@ class TolerancePlan:
     interactions: bool = True
     compensators: tuple[str, ...] = REMEDIES
     frames: int = 3
-    seeds: Seeds = FEW
+    seeds: Seeds = LIMITS
 
 
 def tolerance(
@@ -219,10 +219,10 @@ def _find_limit(
             return None
         seen[change] = found
         worst = worst_loss(found, regions)
-        return (0.0, None) if worst is None else (-worst[1].mean, worst[1].half)
+        return (0.0, None) if worst is None else (-worst[1].mean, worst[1].told)
 
     limit = search_limit(loss, loss_db, parameter, mode)
-    rows = [_row(name, mode, sign, limit, seen, regions)]
+    rows = [_row(name, mode, sign, limit, seen, regions, Seeds(**seeds))]
     won: list[dict[str, Any]] = []
     if mode == "unknown" and limit.value > 0:
         drift = {name: sign * limit.value}
@@ -240,27 +240,41 @@ def search_limit(loss: Loss, loss_db: float, parameter: Tolerated, mode: Mode) -
     # Whole periods cost nothing, so the loss is largest at half of one.
     half = parameter.period / 2
     limit = largest_change(loss, loss_db, half / 2, half)
-    return replace(limit, value=min(limit.value, half) if limit.status == "found" else most)
+    return replace(limit, value=min(limit.value, half) if limit.status in COSTS else most)
 
 
 def _row(
-    name: str, mode: str, sign: int, limit: Limit, seen: dict[float, Compared], regions: Sequence[str]
+    name: str,
+    mode: str,
+    sign: int,
+    limit: Limit,
+    seen: dict[float, Compared],
+    regions: Sequence[str],
+    seeds: Seeds,
 ) -> dict[str, Any]:
     parameter = ALL[name]
     nearest = min(seen, key=lambda change: abs(change - limit.value), default=None)
     worst = None if nearest is None else worst_loss(seen[nearest], regions)
+    ends = [None if end is None else parameter.shown(end) for end in limit.ends or (None, None)]
+    half = worst[1].told if worst else None
     return {
         "parameter": name,
         "mode": mode,
         "sign": sign,
         "value": parameter.shown(limit.value),
-        "value_half": None if limit.half is None else parameter.shown(limit.half),
+        "value_least": ends[0],
+        "value_most": ends[1],
         "unit": parameter.unit,
         "status": limit.status,
         "loss_db": limit.loss,
+        "loss_half": half,
+        "above": parameter.shown(limit.above[0]) if limit.above else None,
+        "above_db": limit.above[1] if limit.above else None,
         "method": worst[0][0] if worst else "",
         "region": worst[0][1] if worst else "",
         "seeds": worst[1].n if worst else 0,
+        # More seeds than the cap would be needed for the precision asked for.
+        "capped": bool(worst) and (half is None or half > seeds.wanted_db),
         "below_noise": worst[1].below_noise if worst else True,
         "db_per_unit": None if limit.slope is None else limit.slope * parameter.per_unit,
         "room": limit.value / parameter.usual,
@@ -305,9 +319,9 @@ def _compensate(
                 "method": worst[0][0],
                 "region": worst[0][1],
                 "before_db": worst[1].mean,
-                "before_half": worst[1].half,
+                "before_half": worst[1].told,
                 "after_db": left.mean if left else None,
-                "after_half": left.half if left else None,
+                "after_half": left.told if left else None,
                 "refused": after.refused,
             }
         )
@@ -340,7 +354,7 @@ def _measure_pair(
             "region": worst[0][1],
             "alone_db": alone,
             "together_db": -worst[1].mean,
-            "half": worst[1].half,
+            "half": worst[1].told,
             "interaction_db": -worst[1].mean - sum(alone),
         }
     write_result(folder, work, rows=[], pair=pair)

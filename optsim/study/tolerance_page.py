@@ -13,6 +13,7 @@ from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL
+from optsim.study.search import COSTS
 from optsim.study.tolerance import WHOLE_BENCH
 from optsim.study.tolerance_rows import least_room
 from optsim.study.words import assumptions, shown, signed, work_done
@@ -39,7 +40,7 @@ def sheet(rows: Rows, mode: str) -> list[tuple[str, ...]]:
                 _end(ends.get(-1), "−"),
                 _end(ends.get(1), "+"),
                 ALL[name].unit,
-                f"{least['method']}, {least['region']}" if least["status"] == "found" else "–",
+                f"{least['method']}, {least['region']}" if least["status"] in COSTS else "–",
                 f"{max(slopes):.3g}" if slopes else "–",
                 f"{_STATUS.get(least['status'], '')}{least['room']:.2f}",
             )
@@ -55,6 +56,16 @@ def notes(rows: Rows) -> list[str]:
         found.append("≥: the largest change tried; it costs less than the loss.")
     if "refused beyond" in said:
         found.append("≥ may also mean that more cannot be built, such as an image that leaves the CCD.")
+    if "step" in said:
+        found.append("step: the loss jumps between the two changes; each stands with its measured loss.")
+    if "not converged" in said:
+        found.append("between: the search ended between the two changes; each stands with its measured loss.")
+    if any(row["value_least"] is not None for row in rows):
+        found.append("In brackets: where the loss's own 95 % interval reaches the loss asked for; ?: never.")
+    if any(row["capped"] for row in rows):
+        found.append(
+            "*: the cap on seeds came before the precision asked for. Fewer than four have no interval."
+        )
     found.append(
         "Room is the smaller end over a bad specimen's change, the pessimistic camera of 'optsim list "
         "effects'. Below 1 a bad specimen fails. The worst offender stands first."
@@ -72,7 +83,7 @@ def lead(record: dict[str, Any]) -> str:
     if costs == "–":
         said = f"{loss} is reached by no drift alone"
     else:
-        ends = " to ".join(end for end in (down, up) if end != "–")
+        ends = " and ".join(end for end in (down, up) if end != "–")
         said = f"{loss} is reached first by a drift of {name}: {ends} {unit}"
     together = record["budget"]
     if together["mean_db"] is not None:
@@ -90,7 +101,7 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
     for mode, title in MODES.items():
         lines = sheet(rows, mode)
         if lines:
-            loss = f"Largest change that costs at most {record['plan']['loss_db']:g} dB, alone, ± 95 %."
+            loss = f"Largest change that costs at most {record['plan']['loss_db']:g} dB, alone."
             sections.append(Section(title, [loss], [table(HEADS, lines), listed(notes(rows))]))
     if record["compensators"]:
         sections.append(
@@ -129,8 +140,16 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
 def _end(row: dict[str, Any] | None, sign: str) -> str:
     if row is None:
         return "–"
-    half = "" if row["value_half"] is None else f" ± {row['value_half']:.2g}"
-    return f"{_STATUS.get(row['status'], '')}{sign}{row['value']:.3g}{half}"
+    value, capped = f"{sign}{row['value']:.3g}", " *" if row["capped"] else ""
+    if row["above"] is not None:
+        word = "step" if row["status"] == "step" else "between"
+        above = f"{sign}{row['above']:.3g} ({row['above_db']:.2f} dB)"
+        return f"{word} {value} ({row['loss_db']:.2f} dB) and {above}{capped}"
+    ends = ""
+    if row["value_least"] is not None:
+        most = "?" if row["value_most"] is None else f"{row['value_most']:.3g}"
+        ends = f" ({row['value_least']:.3g} to {most})"
+    return f"{_STATUS.get(row['status'], '')}{value}{ends}{capped}"
 
 
 def won_back(compensators: Rows) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

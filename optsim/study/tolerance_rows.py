@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from optsim.study.search import COSTS
+
 
 def limits_of(rows: Sequence[dict[str, Any]], mode: str = "unknown") -> dict[str, tuple[float, float]]:
     """Return the largest changes downwards and upwards by parameter, of one mode, in the keys' units."""
@@ -34,7 +36,7 @@ def least_room(ends: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def room_of(row: dict[str, Any]) -> tuple[bool, float]:
     """Sort by this: ends that cost the loss come before those that do not."""
-    return row["status"] != "found", row["room"]
+    return row["status"] not in COSTS, row["room"]
 
 
 def budget(rows: Sequence[dict[str, Any]], results: dict[str, Any], loss_db: float) -> dict[str, Any]:
