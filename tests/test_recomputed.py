@@ -11,9 +11,10 @@ from small_study import done_here, load, write_experiment
 
 from optsim.study.comparison import Compared, Estimate, pool_scatter, student
 from optsim.study.folder import Workplace
+from optsim.study.parameters import ALL
 from optsim.study.sheets import Sheet
 from optsim.study.tolerance import TolerancePlan, tolerance
-from optsim.study.tolerance_page import sheet, won_back
+from optsim.study.tolerance_page import sheet, won_back, write_tolerance_page
 from optsim.study.yields import YieldPlan, yields
 from optsim.study.yields_page import shared_lines, write_yield_page
 
@@ -150,6 +151,43 @@ def test_the_budget_is_that_of_cameras_drawn_between_the_limits(record):
     assert budget["within_loss"] == len([loss for loss in losses if loss <= 1])
     squares = [ends[name, sign]["loss_db"] ** 2 for name in LIMITS for sign in (-1, 1)]
     assert budget["rss_db"] == pytest.approx(np.sqrt(sum(squares) / 2))
+
+
+def test_limits_that_hold_together_are_put_to_the_test(record):
+    """Two drifts share 1 dB by root sum of squares; each limit shrinks by the root of its share."""
+    ends, share = ends_of(record), np.sqrt(1 / 2)
+    within = record["allocation"]
+    assert within["share_db"] == pytest.approx(share)
+    for (name, sign), row in ends.items():
+        assert row["together"] == pytest.approx(LIMITS[name][sign] * np.sqrt(share), rel=0.02)
+    drawn = [r for name, r in record["results"].items() if name.startswith("allocation/")]
+    assert len(drawn) == within["draws"] == 200
+    for name in LIMITS:
+        values = np.array([each["drawn"][name] for each in drawn])
+        low, high = (sign * ALL[name].shown(ends[name, sign]["together"]) for sign in (-1, 1))
+        assert low <= values.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < values.max() <= high
+    losses = [loss_db(each["drawn"]["shift_x"], 1e-3 * each["drawn"]["rotation"]) for each in drawn]
+    assert within["mean_db"] == pytest.approx(np.mean(losses))
+    half = stats.t.ppf(0.975, 199) * stats.sem(losses)
+    assert within["mean_half"] == pytest.approx(half)
+
+
+def test_limits_that_hold_together_go_on_a_drawing(base, by_formula, tmp_path):
+    plan = TolerancePlan(1.0, ("shift_x", "rotation"), ("static",), known=False, draws=2, compensators=())
+    found = tolerance(base, plan, Workplace(tmp_path))
+    write_tolerance_page(tmp_path, found)
+    page = (tmp_path / "study.html").read_text()
+    assert "gives each drift 0.71 dB, 1 dB by that sum. 2 cameras drawn within them lose " in page
+    with (tmp_path / "allocation.csv").open() as stream:
+        lines = {line["operand"]: line for line in csv.DictReader(stream)}
+    assert set(lines) == {"shift_x", "rotation"}
+    for name, unit in (("shift_x", "CCD px"), ("rotation", "mrad")):
+        low, high = (sign * ALL[name].shown(LIMITS[name][sign]) * 0.5**0.25 for sign in (-1, 1))
+        assert set(lines[name]) == {"operand", "min", "max", "unit"}
+        assert float(lines[name]["min"]) == pytest.approx(low, rel=0.02)
+        assert float(lines[name]["max"]) == pytest.approx(high, rel=0.02)
+        assert lines[name]["unit"] == unit
 
 
 def test_the_columns_of_a_yield_are_those_of_its_raw_table(base, tmp_path, by_formula):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import optimize
 from small_study import load, without_workers, write_experiment  # noqa: F401  a fixture
 from test_cli import cli  # noqa: F401  a fixture
 
@@ -22,7 +23,7 @@ from optsim.study.tolerance import (
     worst_loss,
 )
 from optsim.study.tolerance_page import lead, notes, sheet, write_tolerance_page
-from optsim.study.tolerance_rows import budget, sorted_rows
+from optsim.study.tolerance_rows import allocate, of_drawn, rss_db, sorted_rows
 
 
 @pytest.mark.parametrize("power", [1, 2, 3])
@@ -136,10 +137,42 @@ def test_all_together_by_root_sum_of_squares():
             ("b", "known", 9.0),
         )
     ]
+    assert rss_db(rows) == pytest.approx(math.sqrt((9 + 1) / 2 + 4))
     drawn = {f"budget/{n}": {"loss_db": loss, "refused": ""} for n, loss in enumerate((0.5, 1.5))}
-    found = budget(rows, drawn, 1.0)
-    assert found["rss_db"] == pytest.approx(math.sqrt((9 + 1) / 2 + 4))
+    drawn["allocation/0"] = {"loss_db": 7.0, "refused": ""}
+    found = of_drawn(drawn, "budget", 1.0)
     assert (found["mean_db"], found["within_loss"], found["draws"]) == (1.0, 1, 2)
+    # Student's 97.5 % quantile with one degree of freedom.
+    assert found["mean_half"] == pytest.approx(12.706 * 0.5, rel=1e-3)
+
+
+def test_limits_hold_together_in_equal_shares():
+    """A drift that never costs its share keeps its limit; the others share what it leaves."""
+    drifts = [
+        # Parameter, sign, limit, its loss, its power.
+        ("shift_x", -1, 0.3, 1.0, 2.0),
+        ("shift_x", 1, 0.2, 1.0, 2.0),
+        ("rotation", -1, 2e-3, 1.0, 1.0),
+        ("rotation", 1, 2e-3, 0.1, None),
+        ("temperature", -1, 40.0, 0.2, None),
+        ("temperature", 1, 40.0, -0.1, None),
+    ]
+    rows = [
+        {"parameter": name, "mode": "unknown", "sign": sign, "change": limit, "loss_db": loss}
+        | {"value": ALL[name].shown(limit), "db_per_unit": None}
+        | ({"db_per_unit": power * loss / ALL[name].shown(limit)} if power else {})
+        for name, sign, limit, loss, power in drifts
+    ]
+    share = allocate(rows, 1.0)
+    # Of shift both ends cost the share s, of rotation one, of temperature none.
+    by_scipy = optimize.brentq(lambda s: s**2 + (s**2 + 0.1**2) / 2 + 0.2**2 / 2 - 1, 0, 1)
+    assert share == pytest.approx(by_scipy)
+    for row, (_, _, limit, loss, power) in zip(rows, drifts, strict=True):
+        expected = limit * (share / loss) ** (1 / power) if power else limit
+        assert row["together"] == pytest.approx(expected)
+    few = [row for row in rows if row["parameter"] == "temperature"]
+    assert allocate(few, 1.0) == 1.0
+    assert [row["together"] for row in few] == [40, 40]
 
 
 def test_an_end_that_costs_no_loss_makes_no_offender():
@@ -170,18 +203,18 @@ def test_an_end_that_costs_no_loss_makes_no_offender():
             row("contrast", 1, "found", 0.5),
         ]
     )
-    lines = [(name, down, up, costs, room) for name, down, up, _, costs, _, room in sheet(rows, "unknown")]
+    lines = [(name, down, up, costs, room) for name, down, up, _, _, costs, _, room in sheet(rows, "unknown")]
     assert lines == [
         ("contrast", "–", "+0.5", "hdr_mosaic, static", "0.50"),
         ("shift_x", "≥ −0.2", "+0.8", "hdr_mosaic, static", "0.80"),
         ("tilt", "≥ −2", "≥ +0.1", "–", "≥ 0.10"),
     ]
     jumps = {"status": "step", "above": 0.6, "above_db": 4.5}
-    told = {"value_least": 0.4, "capped": True}
+    jumps["together"], told = 0.25, {"value_least": 0.4, "capped": True, "together": 0.2}
     marked = [row("shift_x", 1, "found", 0.5) | told, row("shift_x", -1, "found", 0.5) | jumps]
     (line,) = sheet(marked, "unknown")
     assert line[1:3] == ("step −0.5 (0.25 dB) and −0.6 (4.50 dB)", "+0.5 (0.4 to ?) *")
-    assert line[4] == "hdr_mosaic, static"
+    assert line[3:6] == ("−0.25 to +0.2", "CCD px", "hdr_mosaic, static")
     said = " ".join(notes(marked))
     assert "step: the loss jumps" in said
     assert "*: the cap on seeds came before the precision asked for" in said
@@ -235,7 +268,7 @@ def test_a_tolerance_put_back_in_costs_the_stated_loss(base, tmp_path):
     assert record["budget"]["draws"] == 1
     (line,) = sheet(record["rows"], "unknown")
     assert line[0] == "shift_x"
-    assert line[3] == "CCD px"
+    assert line[4] == "CCD px"
     assert "shift_x" in lead(record)
     assert "whole bench" in (tmp_path / "study.html").read_text()
 

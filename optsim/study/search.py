@@ -31,13 +31,12 @@ class Limit:
     Parameters
     ----------
     value : float
-        The largest change, positive; of a step, or where the search did not converge, the last measured
-        change below.
+        The largest change, positive; with ``above``, the last measured one below.
     ends : (float, float or None) or None
-        Its 95 % interval: where the interval of the loss reaches the loss asked for. The upper end is None
-        where that is nowhere. All is None where a loss has no interval, or there is no limit.
+        Its 95 % interval: where that of the loss reaches the loss asked for. None where that is nowhere, or
+        a loss has no interval.
     status : {"found", "step", "not converged", "not reached", "refused beyond"}
-        Whether the loss is reached there; jumped over; between two changes that are not yet near; not
+        Whether the loss is reached there; jumps; lies between two changes that are not yet near; isn't
         reached up to the largest change tried; or larger ones cannot be built.
     loss : float
         Loss at the value: of "found" as asked for, else as measured.

@@ -79,8 +79,7 @@ def read_sheet(name_or_path: str) -> Sheet:
     Raises
     ------
     ConfigError, StorageError
-        For an unknown name, a limit that is no number, below 0 or of a way that its parameter doesn't go,
-        a parameter on two mounts, or a missing file.
+        For what the sheet says wrongly, or a missing file.
     """
     path = Path(name_or_path).expanduser()
     if name_or_path == MACHINING:
@@ -104,14 +103,7 @@ def read_sheet(name_or_path: str) -> Sheet:
         limits[name] = _limits(f"{path}: {name}", name, held)
     if not limits:
         raise ConfigError(f"{path}: got no parameter, expected tables such as [shift_x] with plus = 0.3")
-    found = _mounts(f"{path}: mounts", mounts, limits, distributions)
-    one_way = [name for name, each in distributions.items() if each == "normal" and len(ALL[name].signs) == 1]
-    if one_way:
-        raise ConfigError(
-            f"{path}: {one_way[0]}.distribution: got 'normal', which goes beyond 0, expected uniform or "
-            "truncated of a parameter that goes one way; fix: write truncated"
-        )
-    return Sheet(limits, distributions, found)
+    return Sheet(limits, distributions, _mounts(f"{path}: mounts", mounts, limits, distributions))
 
 
 def _limits(where: str, name: str, held: Table) -> tuple[float, float]:
@@ -119,6 +111,11 @@ def _limits(where: str, name: str, held: Table) -> tuple[float, float]:
     unit, signs = ALL[name].unit, ALL[name].signs
     for end, value in held.items():
         if end == "distribution":
+            if value == "normal" and len(signs) == 1:
+                raise ConfigError(
+                    f"{where}.distribution: got 'normal', which goes beyond 0, expected uniform or truncated "
+                    f"of {name}, which goes one way; fix: write truncated"
+                )
             continue
         if end not in _ENDS:
             raise unknown_name(f"key of {where}", end, (*_ENDS, "distribution"))

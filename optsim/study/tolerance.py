@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.files import write_text
 from optsim.core.progress import Progress, silent
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
@@ -22,8 +23,10 @@ from optsim.study.parameters import ALL, Tolerated
 from optsim.study.point import Mode, Point, changed_only
 from optsim.study.search import COSTS, Limit, Loss, largest_change
 from optsim.study.stage import Stage, stage_of
-from optsim.study.tolerance_rows import budget, limits_of, sorted_rows
+from optsim.study.tolerance_rows import allocate, limits_of, of_drawn, rss_db, sorted_rows
 
+ALLOCATION = "allocation.csv"
+"""Limits that together lose the loss, for a drawing: operand, min, max, unit."""
 WHOLE_BENCH = "whole bench"
 REMEDIES = (*COMPENSATORS, WHOLE_BENCH)
 """What is tried against a drift."""
@@ -48,7 +51,7 @@ class TolerancePlan:
     known : bool
         Whether cameras built with a change and then calibrated are searched too; each needs a bench.
     draws : int
-        Cameras of the Monte-Carlo budget.
+        Cameras drawn within the limits, and as many within those that hold together.
     interactions : bool
         Whether the worst five are measured in pairs.
     compensators : tuple of str
@@ -120,8 +123,8 @@ def tolerance(
     ]
     alone = record = compute("tolerance", base, said, pieces, place, progress)
     rows = sorted_rows([row for result in record["results"].values() for row in result["rows"]])
-    drifts = limits_of(rows)
-    pieces += _together(base, plan, rows, drifts, common)
+    share = allocate(rows, plan.loss_db)
+    pieces += _together(base, plan, rows, common)
     record = compute("tolerance", base, said, pieces, place, progress)
     # The second call found the tasks of the first.
     work = {**record["work"], "tasks_done_before": alone["work"]["tasks_done_before"]}
@@ -134,9 +137,15 @@ def tolerance(
         "interactions": [
             result["pair"] for result in record["results"].values() if result.get("pair") is not None
         ],
-        "budget": budget(rows, record["results"], plan.loss_db),
+        "budget": {"rss_db": rss_db(rows), **of_drawn(record["results"], "budget", plan.loss_db)},
+        "allocation": {"share_db": share, **of_drawn(record["results"], "allocation", plan.loss_db)},
         "refusals": [row for result in record["results"].values() for row in result.get("refusals", ())],
     }
+    lines = ["operand,min,max,unit"]
+    for name, (down, up) in limits_of(rows, "together").items():
+        least, most = ALL[name].shown(0.0 - down), ALL[name].shown(up)
+        lines.append(f"{name},{least:.4g},{most:.4g},{ALL[name].unit}")
+    write_text(place.folder / ALLOCATION, "\n".join([*lines, ""]))
     write_table(place.folder, found, rows)
     return {**found, "rows": rows}
 
@@ -161,11 +170,11 @@ def _together(
     base: Experiment,
     plan: TolerancePlan,
     rows: Sequence[dict[str, Any]],
-    drifts: dict[str, tuple[float, float]],
     common: tuple[Any, ...],
 ) -> list[Piece]:
     """List the tasks of several parameters at once: pairs of the worst, and cameras of the budget."""
     frames, _, regions, seeds = common
+    drifts = limits_of(rows)
     pieces: list[Piece] = []
     worst = list(dict.fromkeys(row["parameter"] for row in rows if row["mode"] == "unknown"))[:_WORST]
     if plan.interactions:
@@ -173,10 +182,11 @@ def _together(
             # Each towards the side with less room.
             at = {name: _nearer(drifts[name]) for name in (one, two)}
             pieces.append(Piece(f"pairs/{one}-{two}", _measure_pair, (frames, regions, seeds, at)))
-    rng = stream(base.seed, "budget")
-    for number in range(plan.draws):
-        drawn = {name: float(rng.uniform(-down, up)) for name, (down, up) in drifts.items()}
-        pieces.append(Piece(f"budget/{number:03d}", _measure_draw, (frames, regions, drawn)))
+    for word, limits in (("budget", drifts), ("allocation", limits_of(rows, "together"))):
+        rng = stream(base.seed, word)
+        for number in range(plan.draws):
+            drawn = {name: float(rng.uniform(-down, up)) for name, (down, up) in limits.items()}
+            pieces.append(Piece(f"{word}/{number:03d}", _measure_draw, (frames, regions, drawn)))
     return pieces
 
 

@@ -12,13 +12,13 @@ from optsim.report import plots
 from optsim.report.page import Section, folded, listed, table, write_page
 from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
-from optsim.study.parameters import ALL
+from optsim.study.parameters import ALL, Tolerated
 from optsim.study.search import COSTS
 from optsim.study.tolerance import WHOLE_BENCH
 from optsim.study.tolerance_rows import least_room
-from optsim.study.words import assumptions, shown, signed, work_done
+from optsim.study.words import assumptions, level, shown, signed, work_done
 
-HEADS = ("parameter", "down", "up", "unit", "costs first", "dB a unit", "room")
+HEADS = ("parameter", "down", "up", "together", "unit", "costs first", "dB a unit", "room")
 MODES = {
     "unknown": "Drift after the calibration",
     "known": "Built so, then calibrated",
@@ -39,6 +39,7 @@ def sheet(rows: Rows, mode: str) -> list[tuple[str, ...]]:
                 name,
                 _end(ends.get(-1), "−"),
                 _end(ends.get(1), "+"),
+                _within(ALL[name], ends),
                 ALL[name].unit,
                 f"{least['method']}, {least['region']}" if least["status"] in COSTS else "–",
                 f"{max(slopes):.3g}" if slopes else "–",
@@ -78,7 +79,7 @@ def lead(record: dict[str, Any]) -> str:
     lines = sheet(record["rows"], "unknown")
     if not lines:
         return "No drift could be measured."
-    name, down, up, unit, costs, *_ = lines[0]
+    name, down, up, _, unit, costs, *_ = lines[0]
     loss = f"A loss of {record['plan']['loss_db']:g} dB"
     if costs == "–":
         said = f"{loss} is reached by no drift alone"
@@ -152,6 +153,12 @@ def _end(row: dict[str, Any] | None, sign: str) -> str:
     return f"{_STATUS.get(row['status'], '')}{value}{ends}{capped}"
 
 
+def _within(parameter: Tolerated, ends: dict[int, dict[str, Any]]) -> str:
+    """Write the limits that hold together; only those of drifts are known."""
+    limits = [sign * parameter.shown(row["together"]) for sign, row in ends.items() if "together" in row]
+    return " to ".join(f"{limit:+.3g}".replace("-", "−") for limit in sorted(limits)) or "–"
+
+
 def won_back(compensators: Rows) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return heads and lines of what each compensator wins back: changes of the score, dB."""
     names = list(dict.fromkeys(row["compensator"] for row in compensators))
@@ -195,5 +202,14 @@ def _budget(record: dict[str, Any]) -> Section:
         text.append(
             f"{together['within_loss']} of {together['draws']} drawn cameras lose at most {shown(loss)} dB."
         )
+    within = record["allocation"]
+    held = (
+        f"The column 'together' gives each drift {within['share_db']:.2f} dB, {shown(loss)} dB by that sum."
+    )
+    measured = "No camera was drawn within them: their loss is not measured."
+    if within["mean_db"] is not None:
+        mean = level(within["mean_db"], within["mean_half"])
+        measured = f"{within['draws']} cameras drawn within them lose {mean} dB on average."
+    text.append(f"{held} {measured}")
     drawn = plots.bar_plot(rows, title="Loss of all tolerances together")
     return Section("All together", text, [side_by_side([("Loss of all tolerances together", drawn)])])

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from optsim.metrics.student import half_width
 from optsim.study.search import COSTS
 
 
-def limits_of(rows: Sequence[dict[str, Any]], mode: str = "unknown") -> dict[str, tuple[float, float]]:
-    """Return the largest changes downwards and upwards by parameter, of one mode, in the keys' units."""
+def limits_of(rows: Sequence[dict[str, Any]], key: str = "change") -> dict[str, tuple[float, float]]:
+    """Return the largest changes downwards and upwards by parameter, of drifts, in the keys' units."""
     found: dict[str, dict[int, float]] = {}
     for row in rows:
-        if row["mode"] == mode:
-            found.setdefault(row["parameter"], {})[row["sign"]] = row["change"]
+        if row["mode"] == "unknown":
+            found.setdefault(row["parameter"], {})[row["sign"]] = row[key]
     return {name: (ends.get(-1, 0.0), ends.get(1, 0.0)) for name, ends in found.items()}
 
 
@@ -39,23 +40,43 @@ def room_of(row: dict[str, Any]) -> tuple[bool, float]:
     return row["status"] not in COSTS, row["room"]
 
 
-def budget(rows: Sequence[dict[str, Any]], results: dict[str, Any], loss_db: float) -> dict[str, Any]:
-    """Return the loss of all tolerances at once: by root sum of squares, and by Monte Carlo.
+def allocate(rows: Sequence[dict[str, Any]], loss_db: float) -> float:
+    """Set in rows of drifts the change, ``together``, of limits that lose so much by root sum of squares.
 
-    The first is that of OpticStudio: squares of both ends are averaged, and summed over the tolerances.
+    Every end gets the share that is returned, but none more than it costs at its limit. The loss grows by the
+    power that its slope has at the limit, or else by the square.
     """
+    drifts = [row for row in rows if row["mode"] == "unknown"]
+    low, share = 0.0, loss_db
+    if rss_db(drifts) > loss_db:
+        for _ in range(60):
+            middle = (low + share) / 2
+            under = rss_db([{**row, "loss_db": min(row["loss_db"], middle)} for row in drifts]) < loss_db
+            low, share = (middle, share) if under else (low, middle)
+    for row in drifts:
+        power = row["db_per_unit"] * row["value"] / row["loss_db"] if row["db_per_unit"] else 2.0
+        row["together"] = row["change"] * min(1.0, share / max(row["loss_db"], share)) ** (1 / power)
+    return share
+
+
+def rss_db(rows: Sequence[dict[str, Any]]) -> float:
+    """Loss of all drifts at their limits by root sum of squares, as OpticStudio's: both ends are averaged."""
     ends: dict[str, list[float]] = {}
     for row in rows:
         if row["mode"] == "unknown":
             ends.setdefault(row["parameter"], []).append(max(row["loss_db"], 0.0))
-    squares = [float(np.mean(np.square(losses))) for losses in ends.values()]
-    drawn = [r for name, r in results.items() if name.startswith("budget/")]
+    return math.sqrt(sum(float(np.mean(np.square(losses))) for losses in ends.values()))
+
+
+def of_drawn(results: dict[str, Any], name: str, loss_db: float) -> dict[str, Any]:
+    """Return the losses of cameras drawn within limits, by the name of their tasks."""
+    drawn = [r for task, r in results.items() if task.startswith(f"{name}/")]
     losses = sorted(r["loss_db"] for r in drawn if r["loss_db"] is not None)
     return {
-        "rss_db": math.sqrt(sum(squares)),
         "draws": len(losses),
         "refused": sum(1 for r in drawn if r["refused"]),
         "mean_db": float(np.mean(losses)) if losses else None,
+        "mean_half": half_width(losses),
         "p90_db": float(np.percentile(losses, 90)) if losses else None,
         "worst_db": losses[-1] if losses else None,
         "within_loss": sum(loss <= loss_db for loss in losses),

@@ -34,8 +34,6 @@ from optsim.study.stage import stage_of
 # Two standard deviations of the score of failures against passes: what counts as shared.
 _AGRESTI = 2.0
 _BLOCK = 4
-# Cameras from which on a correlation is told from chance.
-_FEWEST = 5
 # Draws of one camera until it can be built.
 _MOST_DRAWS = 50
 
@@ -77,22 +75,11 @@ class YieldPlan:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A camera of a yield.
-
-    Parameters
-    ----------
-    changes : dict
-        Parameter -> change, in the unit of its keys.
-    serial_number : int
-        Of its fixed patterns.
-    point : Point or None
-        None where no draw could be built.
-    refused : tuple of str
-        Why earlier draws from its stream could not be built.
-    """
+    """A camera of a yield: changes in the units of their keys, and why earlier draws were refused."""
 
     changes: dict[str, float]
     serial_number: int
+    # None where no draw could be built.
     point: Point | None
     refused: tuple[str, ...]
 
@@ -256,7 +243,7 @@ def shared_by_failures(
 
 def _chance(cameras: int, trials: int) -> float:
     """Correlation that one of so many trials exceeds by chance in one of twenty cases (Bonferroni)."""
-    if cameras < _FEWEST:
+    if cameras < 3:
         return math.inf
     t = quantile(cameras - 2, 1 - (1 - CONFIDENCE) / 2 / trials)
     return t / math.sqrt(cameras - 2 + t * t)
