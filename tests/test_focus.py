@@ -5,6 +5,7 @@ import pytest
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import prototype
+from optsim.camera.parts.relay import Mount
 from optsim.optics.aberrations import Wavefront
 
 SIDES, PITCH, SPACING = (48, 64), 3, 6
@@ -64,3 +65,23 @@ def test_more_field_curvature_moves_the_best_focus_of_the_field_alone():
     third_m = -0.139 / 3 * 2 * np.sqrt(3) * 8 * 3.9**2 * 550e-9
     moved = found["field", 0.139] - found["field", 0.0]
     assert moved == pytest.approx(third_m, rel=0.35)
+
+
+def test_a_warm_mount_moves_focus_shift_and_scale_as_its_lengths_grow():
+    """100 mm of aluminium grow 2.3 um a kelvin, half a CCD pixel of 4.54 um."""
+    mount = {"temperature_c": 35.0, "along_m": 0.1, "across_x_m": 0.05, "scale_per_k": 2e-6}
+    cold, warm = camera(), camera(mount=Mount(**mount))
+    was, now = (each.relay_geometry(PITCH).place(np.zeros(1), np.zeros(1)) for each in (cold, warm))
+    middle = [each.relay_geometry(PITCH).place(np.array([72.0]), np.array([96.0])) for each in (cold, warm)]
+    y, x = (float(middle[1][axis][0] - middle[0][axis][0]) for axis in (0, 1))
+    assert (y, x) == pytest.approx((0.0, 10 * 23.1e-6 * 0.05 / 4.54e-6))
+    half_px = float(middle[0][1][0] - was[1][0])
+    assert float(now[1][0] - was[1][0]) - x == pytest.approx(-20e-6 * half_px)
+    defocus_m = [each.relay.ccd_defocus_m(3.9, 4.54e-6, (144, 192), PITCH) for each in (cold, warm)]
+    assert defocus_m[1] - defocus_m[0] == pytest.approx(10 * 2.31e-6)
+
+
+def test_lengths_alone_move_nothing_and_temperature_alone_neither():
+    for mount in (Mount(along_m=0.3, across_y_m=0.3), Mount(temperature_c=60.0)):
+        assert camera(mount=mount).relay_geometry(PITCH) == camera().relay_geometry(PITCH)
+        assert camera(mount=mount).relay.ccd_defocus_m(3.9, 4.54e-6, (144, 192), PITCH) == 0

@@ -200,7 +200,7 @@ def test_what_a_panel_pixel_sends_through_the_relay_has_its_whole_psf_wings_and_
     """In panel pixels, on which the wings work: each mean is that of the pixel's own cells' PSFs."""
     relay = prototype_relay().model_copy(update={"field_error": field_error, "ghost_share": 0.0})
     rows, cols, pitch, cell_m = 240, 300, 3, 20e-6 / 3
-    geometry = relay.geometry((rows, cols), (240, 300), 0.96)
+    geometry = relay.geometry((rows, cols), (240, 300), 0.96, 4.54e-6)
     blur = relay.operator(geometry, 6.0, cell_m, 0.9, pitch).blur
     psf = relay.psf(relay.image_f_number(6.0), cell_m * relay.magnification, (rows, cols), 0.0)
     assert psf.half > 8 * pitch
@@ -227,7 +227,9 @@ def test_a_relay_far_out_of_focus_keeps_its_disc_out_of_the_wings():
     """Without diffraction there is one kernel, a wide one: at most 0.5 % of it works on panel pixels."""
     relay = prototype_relay().model_copy(update={"diffraction": False, "defocus_m": 2e-3, "ghost_share": 0.0})
     rows, cols, pitch, cell_m = 300, 360, 3, 20e-6 / 3
-    operator = relay.operator(relay.geometry((rows, cols), (300, 360), 0.96), 6.0, cell_m, 0.9, pitch)
+    operator = relay.operator(
+        relay.geometry((rows, cols), (300, 360), 0.96, 4.54e-6), 6.0, cell_m, 0.9, pitch
+    )
     psf = relay.psf(relay.image_f_number(6.0), cell_m * relay.magnification, (rows, cols), relay.defocus_m)
     assert psf.half > 24
     assert 1 - psf.middle(24).kernel.sum() > 0.5

@@ -395,5 +395,6 @@ class CodedCamera(Part):
             cells=(self.panel_rows * samples_per_pitch, self.panel_cols * samples_per_pitch),
             ccd=(self.sensor.rows, self.sensor.cols),
             cell_px=self.ratio / samples_per_pitch,
+            ccd_pitch_m=self.sensor.pitch_m,
             wavelength_m=self.wavelength_m,
         )

@@ -122,12 +122,12 @@ ALL: dict[str, Tolerated] = {
             "temperature",
             "K",
             1.0,
-            _panel("temperature_c"),
+            _panel("temperature_c") + _relay("mount.temperature_c"),
             "add",
             5.0,
             40.0,
             5.0,
-            "of the panel: its response alone follows in the model",
+            "of panel and mount: response, and what the lengths in camera.relay.mount move; 0 m by default",
         ),
     )
 }

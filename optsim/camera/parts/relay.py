@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.optimize import minimize_scalar
 
 from optsim.camera.parts.lens import LensGroup
+from optsim.core.config import Part
 from optsim.optics.aberrations import Wavefront
 from optsim.optics.field_blur import FieldPsf, make_field_blur
 from optsim.optics.psf import SomeBlur
@@ -24,6 +25,43 @@ from optsim.optics.relay import Ghost, RelayGeometry, RelayOperator, overlap_ope
 # cells.
 _NEAR_PIXELS, _TAILS_SHARE = 8, 5e-3
 _COLOURS_M = 200e-9  # range of lateral colour
+
+
+class Mount(Part):
+    """What holds panel, relay and CCD, and grows with its temperature; without lengths nothing moves.
+
+    Parameters
+    ----------
+    temperature_c, aligned_c : float
+        Temperature, and that at which the camera was aligned.
+    expansion_per_k : float
+        Linear expansion; by default that of aluminium (CRC Handbook of Chemistry and Physics: 23.1e-6 at 25
+        degrees).
+    along_m : float
+        Length along the axis whose growth moves the CCD away from the sharp image; what the rest of the mount
+        undo is not in it. Negative moves it towards the relay.
+    across_y_m, across_x_m : float
+        Length across the axis whose growth shifts the panel's image on the CCD.
+    scale_per_k : float
+        Relative growth of the image, by lenses and distances.
+    """
+
+    temperature_c: float = Field(default=25.0, ge=-60, le=100)
+    aligned_c: float = Field(default=25.0, ge=-60, le=100)
+    expansion_per_k: float = Field(default=23.1e-6, ge=-1e-4, le=1e-4)
+    along_m: float = Field(default=0.0, ge=-2, le=2)
+    across_y_m: float = Field(default=0.0, ge=-2, le=2)
+    across_x_m: float = Field(default=0.0, ge=-2, le=2)
+    scale_per_k: float = Field(default=0.0, ge=-1e-3, le=1e-3)
+
+    @property
+    def warmer_k(self) -> float:
+        """Temperature above that of its alignment."""
+        return self.temperature_c - self.aligned_c
+
+    def growth_m(self, length_m: float) -> float:
+        """Growth of a length since its alignment."""
+        return self.warmer_k * self.expansion_per_k * length_m
 
 
 class Relay(LensGroup):
@@ -63,6 +101,8 @@ class Relay(LensGroup):
     lateral_colour : float
         Relative growth of the image about its centre from 450 nm to 650 nm, linear in wavelength; negative
         shrinks. At 550 nm the scale is ``magnification``.
+    mount : Mount
+        Its temperature adds to focus, shift and scale.
     """
 
     magnification: float = Field(gt=0)
@@ -80,6 +120,7 @@ class Relay(LensGroup):
     keystone_x: float = Field(default=0.0, ge=-0.2, le=0.2)
     distortion: float = Field(default=0.0, ge=-0.2, le=0.2)
     lateral_colour: float = Field(default=0.0, ge=-0.02, le=0.02)
+    mount: Mount = Mount()
 
     def image_f_number(self, panel_f_number: float) -> float:
         """f-number of the cone on the CCD: the panel's, demagnified, or the relay's own if that is slower."""
@@ -93,9 +134,9 @@ class Relay(LensGroup):
         self, f_number: float, cell_m: float, sides: tuple[int, int], samples_per_pitch: int
     ) -> float:
         """Distance of the CCD from the sharp image without aberrations, m; grid as for the PSF."""
-        wavefront = self.wavefront
+        wavefront, from_focus_m = self.wavefront, self.defocus_m + self.mount.growth_m(self.mount.along_m)
         if self.focus == "paraxial" or wavefront == Wavefront() or not self.diffraction:
-            return self.defocus_m
+            return from_focus_m
         if self.focus == "centre":
             wavefront = Wavefront(spherical_waves=wavefront.spherical_waves)
         lens = LensGroup(
@@ -107,18 +148,20 @@ class Relay(LensGroup):
         )
         # A frozen model is hashable, but its type does not declare it.
         best_m = _least_spill_m(lens, f_number, cell_m, sides, samples_per_pitch)  # pyright: ignore[reportArgumentType]
-        return best_m + self.defocus_m
+        return best_m + from_focus_m
 
     def geometry(
         self,
         cells: tuple[int, int],
         ccd: tuple[int, int],
         cell_px: float,
+        ccd_pitch_m: float,
         wavelength_m: float = MONO_WAVELENGTH_M,
     ) -> RelayGeometry:
         """Image of (y, x) panel cells, each ``cell_px`` CCD pixels wide at 550 nm, on a CCD of (y, x)."""
+        mount = self.mount
         larger = 1 + self.lateral_colour * (wavelength_m - MONO_WAVELENGTH_M) / _COLOURS_M
-        larger *= 1 + self.magnification_error
+        larger *= (1 + self.magnification_error) * (1 + mount.warmer_k * mount.scale_per_k)
         return RelayGeometry(
             rows=cells[0],
             cols=cells[1],
@@ -126,8 +169,8 @@ class Relay(LensGroup):
             ccd_cols=ccd[1],
             cell_px=cell_px * larger,
             magnification=self.magnification * larger,
-            shift_y_px=self.shift_y_px,
-            shift_x_px=self.shift_x_px,
+            shift_y_px=self.shift_y_px + mount.growth_m(mount.across_y_m) / ccd_pitch_m,
+            shift_x_px=self.shift_x_px + mount.growth_m(mount.across_x_m) / ccd_pitch_m,
             rotation_rad=self.rotation_rad,
             keystone_y=self.keystone_y,
             keystone_x=self.keystone_x,
