@@ -179,6 +179,11 @@ def test_limits_that_hold_together_go_on_a_drawing(base, by_formula, tmp_path):
     write_tolerance_page(tmp_path, found)
     page = (tmp_path / "study.html").read_text()
     assert "gives each drift 0.71 dB, 1 dB by that sum. 2 cameras drawn within them lose " in page
+    for mean, told in ((0.4, True), (0.6, False)):
+        within = {**found["allocation"], "mean_db": mean, "mean_half": 0.5}
+        write_tolerance_page(tmp_path, {**found, "allocation": within})
+        page = (tmp_path / "study.html").read_text()
+        assert ("That is not 1 dB: the sum does not hold for this camera." in page) == told
     with (tmp_path / "allocation.csv").open() as stream:
         lines = {line["operand"]: line for line in csv.DictReader(stream)}
     assert set(lines) == {"shift_x", "rotation"}

@@ -215,6 +215,10 @@ def test_an_end_that_costs_no_loss_makes_no_offender():
     (line,) = sheet(marked, "unknown")
     assert line[1:3] == ("step −0.5 (0.25 dB) and −0.6 (4.50 dB)", "+0.5 (0.4 to ?) *")
     assert line[3:6] == ("−0.25 to +0.2", "CCD px", "hdr_mosaic, static")
+    costs = {"plan": {"loss_db": 1.0}, "budget": {"mean_db": None}}
+    assert "step −0.5 (0.25 dB) and −0.6 (4.50 dB) and +0.5 (0.4 to ?) CCD px." in lead(
+        {"rows": marked} | costs
+    )
     said = " ".join(notes(marked))
     assert "step: the loss jumps" in said
     assert "*: the cap on seeds came before the precision asked for" in said

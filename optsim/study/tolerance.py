@@ -283,7 +283,6 @@ def _row(
         "method": worst[0][0] if worst else "",
         "region": worst[0][1] if worst else "",
         "seeds": worst[1].n if worst else 0,
-        # More seeds than the cap would be needed for the precision asked for.
         "capped": bool(worst) and (half is None or half > seeds.wanted_db),
         "below_noise": worst[1].below_noise if worst else True,
         "db_per_unit": None if limit.slope is None else limit.slope * parameter.per_unit,

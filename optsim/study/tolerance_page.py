@@ -84,7 +84,7 @@ def lead(record: dict[str, Any]) -> str:
     if costs == "–":
         said = f"{loss} is reached by no drift alone"
     else:
-        ends = " and ".join(end for end in (down, up) if end != "–")
+        ends = " and ".join(end.removesuffix(" *") for end in (down, up) if end != "–")
         said = f"{loss} is reached first by a drift of {name}: {ends} {unit}"
     together = record["budget"]
     if together["mean_db"] is not None:
@@ -145,7 +145,8 @@ def _end(row: dict[str, Any] | None, sign: str) -> str:
     if row["above"] is not None:
         word = "step" if row["status"] == "step" else "between"
         above = f"{sign}{row['above']:.3g} ({row['above_db']:.2f} dB)"
-        return f"{word} {value} ({row['loss_db']:.2f} dB) and {above}{capped}"
+        below = f"{value} ({row['loss_db']:.2f} dB)".replace("-", "−")
+        return f"{word} {below} and {above}{capped}"
     ends = ""
     if row["value_least"] is not None:
         most = "?" if row["value_most"] is None else f"{row['value_most']:.3g}"
@@ -210,6 +211,8 @@ def _budget(record: dict[str, Any]) -> Section:
     if within["mean_db"] is not None:
         mean = level(within["mean_db"], within["mean_half"])
         measured = f"{within['draws']} cameras drawn within them lose {mean} dB on average."
+        if within["mean_half"] is not None and abs(within["mean_db"] - loss) > within["mean_half"]:
+            measured += f" That is not {shown(loss)} dB: the sum does not hold for this camera."
     text.append(f"{held} {measured}")
     drawn = plots.bar_plot(rows, title="Loss of all tolerances together")
     return Section("All together", text, [side_by_side([("Loss of all tolerances together", drawn)])])

@@ -18,7 +18,6 @@ from optsim.study.words import REGIONS, assumptions, signed, work_done
 
 SHARED = ("parameter", "worse at", "failures", "good", "correlation with dB", "of its size")
 _BINS = 12
-# Causes in the headline.
 _NAMED = 3
 Rows = Sequence[dict[str, Any]]
 
@@ -131,10 +130,8 @@ def _spread(scores: Sequence[float]) -> Markup:
 def _drawn_how(sheet: dict[str, Any]) -> list[str]:
     """Say how cameras are drawn between the limits, and what these are of."""
     said = ["Cameras are drawn between these limits, about their middle."]
-    if "normal" in sheet["distributions"].values():
-        said.append("The limits of a normal one are two standard deviations away.")
-    if "truncated" in sheet["distributions"].values():
-        said.append("A truncated one is such a normal one, cut at the limits.")
+    if {"normal", "truncated"} & set(sheet["distributions"].values()):
+        said.append("Limits of a normal one are two standard deviations away; a truncated one is cut there.")
     if sheet["mounts"]:
         said.append("Parameters of one mount lie at the same share of their limits.")
     return [*said, f"The limits are of {sheet['of']}."] if sheet["of"] else said
