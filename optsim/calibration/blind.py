@@ -8,6 +8,7 @@ them back until they agree best. Frames that took no part in it decide whether t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -32,14 +33,25 @@ _MODEL_ERROR = 0.1
 _BOUND_SIGMAS = 3.0
 # A pixel tells where it is if the exposures beside it differ by this share of its own.
 _LEAST_CONTRAST = 0.2
-# The search begins on a lattice of shifts up to a panel pixel away, so far apart; panel pixels.
-_REACH, _STEP = 1.0, 0.5
-# Its first step from there, panel pixels, and what ends it, CCD pixels and residual.
-_FIRST_STEP, _LAST_STEP_PX, _LAST_GAIN, _MOST_TRIALS = 0.1, 0.02, 1e-4, 100
+# The search begins on a lattice of shifts so far away, and so far apart, panel pixels; on so many frames.
+_REACH, _STEP, _FEW_FRAMES = 2.0, 0.5, 3
+# Shifts of the lattice so far from the best one are others, panel pixels. Frames that agree no better than
+# this are not understood; where they were moved back rightly, the demo's were at 0.04 to 0.15.
+_ELSEWHERE, _MOST_LEFT = 1.0, 0.25
+# A line at the panel's edge is dark below this share of that so many lines inside; sensible defaults.
+_DARK, _INSIDE = 0.2, 3
+# Share of a panel pixel's light that each one beside it gains, over f (1 - f), where frames are read a
+# fraction f between CCD pixels: of the virtual camera, whose image is made of cells as large as these.
+_BLUR = 0.055
+# The first steps of its two rounds from there, panel pixels, and what ends them, CCD pixels and residual.
+_FIRST_STEPS, _LAST_STEP_PX, _LAST_GAIN, _MOST_TRIALS = (0.1, 0.03), 0.01, 1e-5, 100
 # Held-out frames are compared in squares of the panel, panel pixels. Few squares or pixels tell nothing.
 _SQUARE_PX, _FEWEST_SQUARES, _FEWEST_PIXELS = 6, 8, 5
 # Standard errors over the squares by which the residual must fall.
 _SIGMAS = 3.0
+# Those of a rotation beside a believed shift, and of a shift against the best one elsewhere: a rotation taken
+# for real by chance, once in 15, is as small as its error.
+_MORE_SIGMAS = 1.5
 _FEWEST_FRAMES = 4
 
 
@@ -127,21 +139,54 @@ def registered_blind(frames: Sequence[CodedFrame], calibration: Calibration) -> 
     outcome = Blind(before=_mean(start), after=_mean(start))
     lattice = np.arange(-_REACH, _REACH + _STEP / 2, _STEP) * calibration.ratio
     trials = [Registration(float(y), float(x)) for y in lattice for x in lattice]
-    best = min(trials, key=lambda at: searched(at).residual)
+    few = slice(1, 2 * _FEW_FRAMES, 2)
+    coarse = [_agreement(frames[few], samples[few], calibration, at).residual for at in trials]
+    best = trials[int(np.argmin(coarse))]
+    apart_px = [math.hypot(at.shift_y_px - best.shift_y_px, at.shift_x_px - best.shift_x_px) for at in trials]
+    elsewhere = [k for k, apart in enumerate(apart_px) if apart > _ELSEWHERE * calibration.ratio]
+    rival = trials[min(elsewhere, key=lambda k: coarse[k])]
     for n_free in (2, 3):
         best = _refined(lambda at: searched(at).residual, best, n_free, calibration)
         old, new = held_out(outcome.registration), held_out(best)
-        gains = np.array([old[place] - new[place] for place in old if place in new])
-        if len(gains) < _FEWEST_SQUARES:
-            continue
-        sigmas = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-12))
-        if sigmas > _SIGMAS:
+        sigmas = _fallen_sigmas(old, new)
+        if sigmas > (_SIGMAS if n_free == 2 or outcome.registration == NOT_MOVED else _MORE_SIGMAS):
             outcome = replace(outcome, registration=best, after=_mean(new), sigmas=sigmas)
         elif outcome.registration == NOT_MOVED:
             outcome = replace(outcome, sigmas=sigmas)
-    if outcome.registration == NOT_MOVED:
-        return replace(outcome, why="no movement explains the held-out frames better than none")
-    return outcome
+    found = outcome.registration
+    if found == NOT_MOVED:
+        disagree = "" if outcome.before < _MOST_LEFT else ", and they disagree: not found"
+        return replace(outcome, why=f"no movement explains the held-out frames better than none{disagree}")
+    reach_px = (_REACH + _STEP) * calibration.ratio
+    rival = _refined(lambda at: searched(at).residual, rival, 2, calibration)
+    why = ""
+    if outcome.after > _MOST_LEFT:
+        why = f"not found: moved back, the held-out frames still disagree by {outcome.after:.2f}"
+    elif max(abs(found.shift_y_px), abs(found.shift_x_px)) > reach_px:
+        why = f"not found: the best shift is beyond the {reach_px:g} CCD pixels that were searched"
+    elif _dark_side(frames, calibration, found):
+        why = "not found: moved back, a side of the panel is dark: the code repeats, and it lies farther away"
+    elif _fallen_sigmas(held_out(rival), held_out(found)) < _MORE_SIGMAS:
+        why = (
+            f"not found: a shift by {rival.shift_y_px:+.1f} rows and {rival.shift_x_px:+.1f} columns of the "
+            f"CCD explains the frames as well as {found.shift_y_px:+.1f} and {found.shift_x_px:+.1f}"
+        )
+    return replace(outcome, registration=NOT_MOVED, after=outcome.before, why=why) if why else outcome
+
+
+def _dark_side(frames: Sequence[CodedFrame], calibration: Calibration, at: Registration) -> bool:
+    """Whether one of the panel's outermost lines has hardly any light beside that farther in."""
+    light = sum(calibration.observe(frame).signal for frame in moved_back(frames, calibration, at))
+    sides = [np.swapaxes(np.asarray(light), 0, axis)[::way] for axis in (0, 1) for way in (1, -1)]
+    return any(side[0].mean() < _DARK * side[_INSIDE].mean() for side in sides)
+
+
+def _fallen_sigmas(old: dict[tuple[int, int], float], new: dict[tuple[int, int], float]) -> float:
+    """Give by how many standard errors over the squares the residual fell; 0 with too few of them."""
+    gains = np.array([old[place] - new[place] for place in old if place in new])
+    if len(gains) < _FEWEST_SQUARES:
+        return 0.0
+    return float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-12))
 
 
 def moved_back(
@@ -237,7 +282,9 @@ def _agreement(
     measured: list[Floats] = []
     usable: list[Bools] = []
     unknown = SaturationPrior.unknown(calibration.shape)
-    for frame, sample in zip(moved_back(frames, calibration, at), samples, strict=True):
+    back = moved_back(frames, calibration, at)
+    calibration = _blurred(calibration, at)
+    for frame, sample in zip(back, samples, strict=True):
         # The weights, which take longest, do not depend on where the frame is read.
         seen = calibration.observe(frame)
         moved = replace(sample, measured=seen.signal, signal=seen.signal, saturated=seen.saturated)
@@ -263,6 +310,23 @@ def _agreement(
     return _Agreement(squared / (squared + _BOUND_SIGMAS**2), use & (apart > _LEAST_CONTRAST / 2 * exposure))
 
 
+def _blurred(calibration: Calibration, at: Registration) -> Calibration:
+    """Return the calibration with what reading between CCD pixels adds to its crosstalk."""
+    reach, picked = calibration.reach, (calibration.pick_row, calibration.pick_col)
+    if at == NOT_MOVED or not reach:
+        return calibration
+    now = at.now(picked[0].astype(np.float64), picked[1].astype(np.float64), calibration.ccd_shape)
+    kernels = calibration.crosstalk.copy()
+    for axis, (new, old) in enumerate(zip(now, picked, strict=True)):
+        between = np.abs(new - old - np.rint(new - old))
+        gain = (_BLUR * between * (1 - between)).astype(np.float32)
+        along = np.moveaxis(kernels, 2 + axis, 2)[:, :, :, reach]
+        along[:, :, reach] -= 2 * gain
+        along[:, :, reach - 1] += gain
+        along[:, :, reach + 1] += gain
+    return replace(calibration, crosstalk=kernels)
+
+
 def _refined(
     residual: Callable[[Registration], float], begin: Registration, n_free: int, calibration: Calibration
 ) -> Registration:
@@ -277,18 +341,16 @@ def _refined(
         shift_y, shift_x, *turned = (float(each) for each in place)
         return Registration(shift_y, shift_x, *(each / reach for each in turned))
 
-    options = {
-        "initial_simplex": np.array(start)
-        + np.concatenate([np.zeros((1, n_free)), _FIRST_STEP * calibration.ratio * np.eye(n_free)]),
-        "xatol": _LAST_STEP_PX,
-        "fatol": _LAST_GAIN,
-        "maxfev": _MOST_TRIALS,
-    }
-
     def trial(place: Sequence[float]) -> float:
         return residual(of(place))
 
-    return of(cast("Any", minimize)(trial, start, method="Nelder-Mead", options=options).x)
+    ends = {"xatol": _LAST_STEP_PX, "fatol": _LAST_GAIN, "maxfev": _MOST_TRIALS}
+    # The residual has edges at whole pixels, where a simplex gets stuck: a second one starts from its end.
+    for step in _FIRST_STEPS:
+        corners = np.concatenate([np.zeros((1, n_free)), step * calibration.ratio * np.eye(n_free)])
+        options = {**ends, "initial_simplex": np.array(start) + corners}
+        start = cast("Any", minimize)(trial, start, method="Nelder-Mead", options=options).x
+    return of(start)
 
 
 def _mean(squares: dict[tuple[int, int], float]) -> float:
