@@ -4,6 +4,7 @@ from optsim.calibration.bench import Bench, Flat, Patches, Step
 from optsim.calibration.calibration import Calibration, Observation
 from optsim.calibration.estimate import calibrate_from
 from optsim.calibration.glare import Glare
+from optsim.calibration.grey_curve import read_grey_curve
 from optsim.calibration.stored import read_calibration, write_calibration
 
 __all__ = [
@@ -16,5 +17,6 @@ __all__ = [
     "Step",
     "calibrate_from",
     "read_calibration",
+    "read_grey_curve",
     "write_calibration",
 ]

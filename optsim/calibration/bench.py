@@ -39,6 +39,7 @@ from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
+from pydantic import ValidationError
 
 from optsim.calibration.bench_images import (
     Flat,
@@ -51,12 +52,14 @@ from optsim.calibration.bench_images import (
     write_group,
     write_images,
 )
+from optsim.calibration.grey_curve import read_grey_curve
 from optsim.calibration.orientation import DIRECTIONS, Orientation
 from optsim.calibration.record import RECORD, Table, read_record
-from optsim.core.errors import BenchError
+from optsim.core.errors import BenchError, ConfigError
 from optsim.core.files import write_json
 from optsim.core.folder_claims import claimed
 from optsim.core.quantities import Words, checked
+from optsim.optics.panel import GreyCurve, PanelResponse
 
 FORMAT = "optsim bench 3"
 # What the numbers of the images are. A manifest that says something else is refused.
@@ -89,6 +92,8 @@ class Bench:
         upright, ("down", "left") if mirrored, ("right", "down") if transposed. None: unknown, any is taken.
     ccd_pitch_m, ccd_per_panel_px : float or None
         Pitch of the CCD, m, and the nominal CCD pixels a panel pixel: the units of misalignments.
+    grey_curve : tuple of (float, float)
+        Level and reflectance of the panel as measured elsewhere, instead of an exponent by ``greys``.
     about : mapping
         Whatever the laboratory notes: who, when, with which program.
     files : mapping
@@ -124,6 +129,7 @@ class Bench:
     orientation: Orientation | None = None
     ccd_pitch_m: float | None = None
     ccd_per_panel_px: float | None = None
+    grey_curve: GreyCurve = ()
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
@@ -194,6 +200,7 @@ class Bench:
             "orientation": self.orientation,
             "ccd_pitch_m": self.ccd_pitch_m,
             "ccd_per_panel_px": self.ccd_per_panel_px,
+            "grey_curve": self.grey_curve,
             "about": self.about,
         }
 
@@ -251,6 +258,7 @@ class Bench:
             white_rad=table.positive("white_rad"),
             orientation=_orientation(table),
             **{key: table.positive(key) for key in ("ccd_pitch_m", "ccd_per_panel_px") if key in table.items},
+            grey_curve=_grey_curve(table),
             about=table.table("about").items if "about" in table.items else {},
             files=_files(table, cls.SETS),
         )
@@ -261,6 +269,18 @@ def manifest(settings: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str
     said = {key: value for key, value in settings.items() if value is not None}
     exposure_s = settings["slot_s"] * settings["coded_slots"]
     return {"format": FORMAT, **_FIXED, **said, "exposure_s": exposure_s, **tables}
+
+
+def _grey_curve(table: Table) -> GreyCurve:
+    said: object = table.items.get("grey_curve", ())
+    try:
+        found = read_grey_curve(table.path.parent / said) if isinstance(said, str) else said
+        return PanelResponse.model_validate({"grey_curve": found}).grey_curve
+    except ConfigError as error:
+        raise BenchError(str(error)) from None
+    except ValidationError as error:
+        why = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise BenchError(f"{table.path}: grey_curve: {why}") from None
 
 
 def _orientation(table: Table) -> Orientation | None:

@@ -137,24 +137,24 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
     done()
     kernels = crosstalk(bench.dots, reader, flat, pixel_map.offsets_px(row, col), glare.glare)
     done()
-    response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad)
+    response = PanelResponse(leak=flat.leak, white_rad=bench.white_rad, grey_curve=bench.grey_curve)
     errors = {
         "read_noise_dn": noise.read_noise_error_dn,
         "dn_per_e": noise.dn_per_e_error,
         "leak": flat.leak_error,
     }
     errors |= {"glare_veil": glare.veil_error, "glare_ghost": glare.ghost_error} if bench.glare else {}
-    misfit = 0.0
+    misfit, drive_covariance = 0.0, None
     # These estimates depend on each other; fields that differ by 5 % converge after two rounds.
     for _ in range(2 if bench.fields else 1):
-        grey = drive_exponent(bench, reader, flat, response)
+        grey = None if bench.grey_curve else drive_exponent(bench, reader, flat, response)
         if grey is not None:
             response = response.model_copy(update={"drive_exponent": grey[0]})
             errors["drive_exponent"] = grey[1]
-        steps_fit = response_times(bench, reader, flat, response, glare.glare, kernels)
+        steps_fit = response_times(bench, reader, flat, response, glare.glare, kernels, drive_covariance)
         response, misfit = steps_fit.response, steps_fit.misfit
         errors |= steps_fit.errors_s
-        response = field_drive(bench.fields, reader, valid, bench.slot_s, response)
+        response, drive_covariance = field_drive(bench.fields, reader, valid, bench.slot_s, response)
     seen = pixel_map.on_ccd(pixel_map.dots_px) + pixel_map.off_ccd_px
     aligned, aligned_errors = misalignment(
         pixel_map.dots_px, seen, pixel_map, (height, width), bench.ccd_per_panel_px

@@ -26,6 +26,8 @@ _GHOST_BLURS_PX, _BLUR_STEP = (4.0, 100.0), 0.02
 _WIDEST_RING = 1 / 2
 # A larger share cannot be distinguished from direct light.
 _MOST = 0.5
+# Veil and ghost have an error where the fit has none of them, too.
+_TINY = 1e-9
 # A patch is where the bench says if it is this many times as bright as the rest.
 _BRIGHTER = 2.0
 # Share of the light with the panel off that dark places have at least: they have its leak, and glare.
@@ -88,12 +90,21 @@ def measured_glare(bench: Bench, reader: PixelReader, flat: Shading) -> GlareFit
         veil, tails, ghost, blur_px = veil_with, tails_with, ghost_with, float(np.exp(log_blur))
     tails += [0.0] * (len(RINGS_PX) - 1 - n_rings)
     found = Glare(veil, ghost, blur_px, tuple(tails))
-    terms = [*plain, *([term(partial(mirrored, sigma_px=blur_px))] if ghost else [])]
-    shares = np.array([veil, *found.wings[:n_rings], *([ghost] if ghost else [])])
-    errors = _share_errors(np.stack(terms, axis=1), shares, excess / sigma, [far.sum() for far in places])
-    if ghost:
-        return GlareFit(found, errors[0], errors[-1])
-    return GlareFit(found, float(np.hypot(errors[0], veil_with - veil)), ghost_with)
+
+    def errors(at: float) -> list[float]:
+        """Errors of veil and ghost by a fit with a ghost of a blur, noise and what it changes."""
+        _, (veil_with, *_, ghost_with) = with_ghost(at)
+        terms = np.stack([*plain, term(partial(mirrored, sigma_px=float(np.exp(at))))], axis=1)
+        shares = np.array([max(veil_with, _TINY), *found.wings[:n_rings], max(ghost_with, _TINY)])
+        scatter = _share_errors(terms, shares, excess / sigma, [far.sum() for far in places])
+        return [
+            float(np.hypot(scatter[0], veil_with - veil)),
+            float(np.hypot(scatter[-1], ghost_with - ghost)),
+        ]
+
+    # A ghost that is not found may have any blur, and on a small panel a wide one looks like veiling glare.
+    tried = [errors(at) for at in ((log_blur,) if ghost else (log_blur, np.log(Glare.ghost_blur_px)))]
+    return GlareFit(found, *np.max(tried, axis=0).tolist())
 
 
 def _share_errors(terms: Doubles, shares: Doubles, seen: Doubles, counts: Sequence[int]) -> list[float]:

@@ -24,8 +24,7 @@ NAMES = {
 }
 """The numbers of :func:`misalignment`; the last only where the bench says the nominal scale."""
 _SCALE, _FITTED = 3, 7  # place of the scale among the numbers fitted, and their count
-# Light of coma leaves the windows of dots: so many times the usual error, on the demo's bench.
-_COMA = 6.0
+_TERMS = 10  # of the map along an axis: its systematic error is shared out over them
 
 
 def misalignment(
@@ -53,7 +52,7 @@ def misalignment(
     variance = float(np.sum(fit.fun**2)) / (len(fit.fun) - _FITTED)
     scatter = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)) * variance)
     # A systematic error of the dots' places, as a shift or at the ends of the shorter side.
-    model = MODEL_PX / side_px * np.array([scale * side_px] * 2 + [1, _COMA * scale, 1, 1, _COMA])
+    model = MODEL_PX / np.sqrt(_TERMS) / side_px * np.array([scale * side_px] * 2 + [1, scale, 1, 1, 1])
     values = dict(zip(NAMES, fit.x.tolist(), strict=False))
     errors = dict(zip(NAMES, np.hypot(scatter, model).tolist(), strict=False))
     if nominal is not None:

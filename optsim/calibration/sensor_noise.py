@@ -8,6 +8,7 @@ changes twelve times as much as the signal. So the flats stay below half of full
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ _SATURATION_SIGMAS = 4.0
 # No source, a sensible default: bench frames that fill the wells several times have more smear than later
 # frames. So the clip level is lowered by this share.
 _SMEAR_MARGIN = 1e-3
+# What a bend takes from the gain of flats below half of full well, relative: on benches of the demo's CCD.
+_BEND = 3e-3
 
 
 @dataclass(frozen=True)
@@ -79,11 +82,15 @@ def photon_transfer(bench: Bench, black_dn: Floats, lit: tuple[slice, slice]) ->
         )
     gain = excess / signal
     by_noise = float(np.hypot(np.linalg.norm(errors), len(errors) * read_error)) / signal
-    in_dim_light = towards_zero(np.array(signals), np.array(excesses) / np.array(signals))
+    light, gains = np.array(signals), np.array(excesses) / np.array(signals)
+    # Its change with the light, beyond what noise makes of it: dim flats, whose gain is noisy, weigh most.
+    change = towards_zero(light, gains) - gain
+    weights = np.array([towards_zero(light, flat) for flat in np.eye(len(light))]) - light / signal
+    by_light = max(change**2 - float(np.sum((weights * np.array(errors) / light) ** 2)), 0.0) ** 0.5
     # Identical darks still have rounding noise.
     read_noise = float(np.sqrt(max(read_variance, 1 / 12)))
     return SensorNoise(
-        read_noise, gain, read_error / (2 * read_noise), float(np.hypot(by_noise, in_dim_light - gain))
+        read_noise, gain, read_error / (2 * read_noise), math.hypot(by_noise, by_light, _BEND * gain)
     )
 
 

@@ -38,7 +38,8 @@ _LEAST_SPAN = 0.25
 _INSTANTLY_S = 1e-12
 # What the model leaves out, slots: light of rows beside that turn earlier or later. On benches of another
 # program times were found 0.5 us too long (validation/calibration_intervals).
-_MODEL_SLOTS = 1.5e-4
+_MODEL_SLOTS = 1e-4
+_DRIVE_STEP = 1e-4
 # Of full light: a flash that is farther off the fit is another one than the bench says.
 _MOST_OFF = 0.1
 
@@ -92,6 +93,7 @@ def response_times(
     known: PanelResponse,
     glare: Glare,
     kernels: Floats,
+    drive_covariance: Doubles | None = None,
 ) -> StepFit:
     """Fit time constants and row delays to the signals of bands of rows, by least squares.
 
@@ -122,12 +124,12 @@ def response_times(
     # A few rows do not determine the scan of the others.
     tells_scan = float(np.ptp(places) > _LEAST_SPAN)
 
-    def response(guess: Doubles) -> PanelResponse:
+    def response(guess: Doubles, held: PanelResponse = known) -> PanelResponse:
         on, off, delay, scan = (float(value) for value in guess * slot_s * [1, 1, 1, tells_scan])
-        return known.model_copy(update={"tau_on_s": on, "tau_off_s": off, "delay_s": delay, "scan_s": scan})
+        return held.model_copy(update={"tau_on_s": on, "tau_off_s": off, "delay_s": delay, "scan_s": scan})
 
-    def misfit(guess: Doubles) -> Doubles:
-        panel = response(guess)
+    def misfit(guess: Doubles, held: PanelResponse = known) -> Doubles:
+        panel = response(guess, held)
         weights = step_weights(steps, panel, panel.delay_s + panel.scan_s * places, slot_s)
 
         def fitted(light: Doubles) -> Doubles:
@@ -148,7 +150,16 @@ def response_times(
     # Beside the parameters, each band's energy is fitted.
     freedom = max(fit.fun.size - sigma.shape[1] - len(start), 1)
     scatter = float(np.sqrt(np.sum(fit.fun**2) / freedom))
-    by_scatter = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))) * max(scatter, 1.0)
+    inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
+    covariance = inverse * max(scatter, 1.0) ** 2
+    if drive_covariance is not None:
+        # An error of a field's drive looks like another time constant.
+        drive = np.array(known.field_drive)
+        steps_off = [drive + _DRIVE_STEP * unit for unit in np.eye(len(drive))]
+        tried = [misfit(fit.x, known.model_copy(update={"field_drive": tuple(each)})) for each in steps_off]
+        change = inverse @ fit.jac.T @ (np.stack(tried, axis=1) - fit.fun[:, None]) / _DRIVE_STEP
+        covariance = covariance + change @ drive_covariance @ change.T
+    by_scatter = np.sqrt(np.diag(covariance))
     errors = np.hypot(by_scatter, _MODEL_SLOTS * (by_scatter > 0)) * slot_s
     names = ("tau_on_s", "tau_off_s", "delay_s", "scan_s")
     return StepFit(response(fit.x), dict(zip(names, errors.tolist(), strict=True)), scatter)
@@ -156,10 +167,13 @@ def response_times(
 
 def field_drive(
     fields: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, response: PanelResponse
-) -> PanelResponse:
-    """Relative retardance of successive slots, from flashes as long as a slot with the panel held."""
+) -> tuple[PanelResponse, Doubles | None]:
+    """Relative retardance of successive slots, from flashes as long as a slot with the panel held.
+
+    Also returned is the covariance of these, by noise; None without flashes.
+    """
     if not fields:
-        return response
+        return response, None
     from scipy.optimize import least_squares
 
     level = min(s.before for s in fields)
@@ -190,7 +204,11 @@ def field_drive(
     # Steps near the square root of float32's precision, since weights are float32.
     fit = least_squares(misfit, np.ones(n), diff_step=1e-3)
     drives = fit.x / fit.x.mean()
-    return response.model_copy(update={"field_drive": tuple(float(d) for d in drives)})
+    noise, ratio = reader.noise, dark / bright
+    variance = sum((noise.dn_per_e * s + noise.read_noise_dn**2) / len(every) / s**2 for s in (dark, bright))
+    scaled = np.linalg.pinv(fit.jac)[:, :-1] * (ratio / ratio.mean() * np.sqrt(variance))
+    found = response.model_copy(update={"field_drive": tuple(float(d) for d in drives)})
+    return found, scaled @ scaled.T
 
 
 def _lit(steps: tuple[Step, ...], reader: PixelReader, valid: Bools) -> Bools:

@@ -32,6 +32,7 @@ _FORMAT = "optsim calibration 1"
 _CURE = f"name a {CALIBRATION_FILE} that 'optsim run' wrote, whole, or the folder that holds it"
 _GLARE = "glare_"
 _ABOUT = "about"
+_GREYS = "grey_curve"
 
 # Axes, unit and meaning of every array of the file.
 _MEANING: dict[str, tuple[str, str, str]] = {
@@ -62,6 +63,11 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "leak": ("", "1", "light through the panel fully off over fully on: 1 / contrast"),
     "white_rad": ("", "rad", "retardance of level 255"),
     "drive_exponent": ("", "1", "of retardance against level"),
+    "grey_curve": (
+        "pair, column",
+        "1",
+        "level and reflectance as measured, in place of the exponent; or none",
+    ),
     "field_drive": ("field", "1", "relative retardance of successive slots, repeated"),
     "delay_s": ("", "s", "when the panel's first row turns to a slot's level, after the slot began"),
     "scan_s": ("", "s", "how much later the row after the last one would"),
@@ -102,6 +108,7 @@ def calibration_arrays(calibration: Calibration) -> dict[str, NDArray[Any]]:
         "slot_weight": _slot_weights(calibration),
         "direct_share": calibration.direct_share,
     }
+    held[_GREYS] = np.reshape(held[_GREYS], (-1, 2))
     return {_ABOUT: np.array(json.dumps(about)), **{name: np.asarray(held[name]) for name in _MEANING}}
 
 
@@ -121,6 +128,7 @@ def calibration_of(arrays: Mapping[str, NDArray[Any]], where: object) -> Calibra
         When an array is missing or wrong, or the format is another.
     """
     about = _said(arrays, where)
+    arrays = {_GREYS: np.empty((0, 2)), **arrays}  # files of before it
     if missing := sorted(_MEANING.keys() - arrays.keys()):
         raise StorageError(f"{where}: got no {', '.join(missing)}, expected {_FORMAT}; cure: {_CURE}")
     for name, (axes, _, _) in _MEANING.items():

@@ -129,6 +129,7 @@ def bench_settings(camera: CodedCamera) -> dict[str, Any]:
         "orientation": UPRIGHT,
         "ccd_pitch_m": camera.sensor.pitch_m,
         "ccd_per_panel_px": camera.ratio,
+        "grey_curve": camera.modulator.grey_curve,
     }
 
 

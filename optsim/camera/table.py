@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import cast
 
 from pydantic import BaseModel
 
+from optsim.calibration import read_grey_curve
 from optsim.camera import hardware
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import ITSELF, switched
@@ -63,10 +65,31 @@ def _check_more(at: str, table: Table, part: type[BaseModel], more: Sequence[str
             raise ConfigError(f"{where}: {at}.{key}: unknown key; did you mean {near!r}?")
 
 
+def find_files(table: Table, folder: Path) -> None:
+    """Resolve relative paths of data sheets and grey tables from the experiment's own folder."""
+    camera: object = table.get("camera")
+    if not isinstance(camera, dict):
+        return
+    parts = cast("Table", camera)
+    for part, key in (("sensor", "hardware"), ("modulator", "grey_curve")):
+        held: object = parts.get(part)
+        at, name = (parts, part) if isinstance(held, str) else (held, key)
+        if isinstance(at, dict):
+            inner = cast("Table", at)
+            path: object = inner.get(name)
+            if isinstance(path, str) and _is_file(path):
+                inner[name] = str(folder / Path(path).expanduser())
+
+
+def _is_file(name: str) -> bool:
+    return "/" in name or Path(name).suffix in (*hardware.SUFFIXES, ".csv")
+
+
 def on_hardware(table: object) -> object:
     """Lay a ``[camera]`` table over the data-sheet instance that its ``hardware`` key names.
 
-    The ``sensor`` table works likewise, or is itself a name. The switches of its ``effects`` table override
+    The ``sensor`` table works likewise, or is itself a name; a path names an EMVA 1288 data sheet, and
+    ``modulator.grey_curve`` a table of the panel. The switches of its ``effects`` table override
     the hardware, and values set by hand override them. Switches of drifts do not change the camera
     (:func:`~optsim.camera.effects.drifted`).
     """
@@ -85,9 +108,16 @@ def on_hardware(table: object) -> object:
     if isinstance(sensor, dict) and "hardware" in sensor:
         keys["sensor"] = by_hand = dict(cast("Table", sensor))
         name = str(by_hand.pop("hardware"))
-        if name not in hardware.SENSORS:
+        if _is_file(name):
+            under = under | {"sensor": hardware.sensor_of(Path(name)).model_dump()}
+        elif name not in hardware.SENSORS:
             raise unknown_name("camera.sensor.hardware", name, hardware.SENSORS)
-        under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
+        else:
+            under = under | {"sensor": hardware.SENSORS[name]().model_dump()}
+    panel = keys.get("modulator")
+    curve: object = cast("Table", panel).get("grey_curve") if isinstance(panel, dict) else None
+    if isinstance(curve, str):
+        keys["modulator"] = {**cast("Table", panel), "grey_curve": read_grey_curve(Path(curve))}
     switches = keys.pop("effects", {})
     if not isinstance(switches, dict):
         raise ConfigError(

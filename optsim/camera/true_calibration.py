@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -58,6 +59,7 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
         ),
         # Dark electrons fill the well, too.
         full_well_e=float(sensor.bent(np.array(sensor.full_well_e))) - camera.dark_e,
+        dark_e=camera.dark_e,
         crosstalk=crosstalk,
         glare=glare,
     )
@@ -108,12 +110,12 @@ def ideal_calibration(camera: CodedCamera, reading_px: int = 1) -> Calibration:
     nominal = camera.model_copy(update={"relay": aligned})
     electrons = {row.stage: row.value for row in camera.ledger(1.0)}["electrons a slot"]
     shape = (camera.panel_rows, camera.panel_cols)
-    exponent = camera.modulator.drive_exponent
+    curve = {key: getattr(camera.modulator, key) for key in ("drive_exponent", "grey_curve")}
     white_rad = camera.modulator.stated_white_rad(camera.wavelength_m)
     return _from_electrons(
         "ideal",
         camera,
-        response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, drive_exponent=exponent),
+        response=PanelResponse(tau_on_s=0, tau_off_s=0, leak=0, white_rad=white_rad, **curve),
         ccd_pixels=nominal.relay_geometry().ccd_pixels(SAMPLES_PER_PITCH, reading_px),
         reading_px=reading_px,
         responsivity_e=np.full(shape, electrons / camera.irradiance_per_radiance),
@@ -136,10 +138,12 @@ def _from_electrons(
     full_well_e: float,
     crosstalk: Floats,
     glare: Glare,
+    dark_e: float = 0.0,
 ) -> Calibration:
     """Make a calibration from electrons, (v, u), instead of images; the well is that after the bend."""
     sensor = camera.sensor
-    noise = SensorNoise(sensor.dark_noise_e / sensor.step_e, 1 / sensor.step_e)
+    # Electrons of the dark current have shot noise of their own.
+    noise = SensorNoise(math.hypot(sensor.dark_noise_e, math.sqrt(dark_e)) / sensor.step_e, 1 / sensor.step_e)
     of_reading = noise.of_mean(reading_px**2)
     black_dn = sensor.zero_dn + offset_e / sensor.step_e
     margin_dn = _below_clip_e(sensor.dark_noise_e, sensor.smear_share > 0) / sensor.step_e

@@ -82,6 +82,7 @@ def calibration_record(measured: Measured, bench: Bench, folder: Path) -> Calibr
         *(
             Quantity(key=key, what=what, value=values[key], standard_error=found.standard_errors.get(key))
             for key, what in _NAMES.items()
+            if key != "drive_exponent" or not bench.grey_curve
         ),
         *(Quantity(key=key, what=what, value=values[key]) for key, what in _UNCERTAIN_NAMES.items()),
         *(
@@ -181,7 +182,10 @@ def _remarks(measured: Measured, bench: Bench) -> list[str]:
             "Flats of one irradiance cannot tell whether the gain changes with the light: its interval and "
             "the leak's are of noise alone.",
         ),
-        (not bench.greys, "Without greys the exponent of the grey curve is the default."),
+        (
+            not bench.greys and not bench.grey_curve,
+            "Without greys the exponent of the grey curve is the default.",
+        ),
         (not bench.glare, "Without glare images stray light counts as none."),
         (not bench.fields, "Without field images all slots count as equal."),
         (
@@ -324,7 +328,7 @@ def light_shift_px(camera: CodedCamera) -> Doubles:
     borders = border_shares(camera.modulator.fringing_px, n)
     image = camera.relay_operator().blur.apply(fine_image(lit, borders))
     places = np.argwhere(lit)
-    half = _WINDOW_PX * n + n // 2
+    half = _WINDOW_PX * n  # the tails of coma count as far as in the map's windows
     span = np.arange(-half, half + 1)
     shifts: list[Doubles] = []
     for v, u in places * n + n // 2:

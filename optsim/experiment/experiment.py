@@ -15,7 +15,7 @@ from optsim.calibration import Calibration
 from optsim.calibration.choice import CalibrationChoice, Operator, ReadingPx, find_kept, widest_reading
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import drifted
-from optsim.camera.table import check_hardware, on_hardware
+from optsim.camera.table import check_hardware, find_files, on_hardware
 from optsim.coding import Scheme
 from optsim.core.config import Part, Table, build, flat, merged, override, read_toml
 from optsim.core.errors import ConfigError, GeometryError, unknown_name
@@ -338,6 +338,7 @@ def load_experiment(
     path = experiment_path(name_or_path)
     table = read_toml(path)
     find_kept(table, path.parent)
+    find_files(table, path.parent)
     table = merged(override(table, list(assignments)), keys)
     if seed is not None:
         table["seed"] = seed

@@ -26,9 +26,12 @@ Not modelled: the twist of twisted-nematic panels, ripple faster than a slot.
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from optsim.core.config import Part
 from optsim.core.errors import ValueCheckError
@@ -37,6 +40,24 @@ from optsim.optics.relaxation import si_cin, walk
 
 # Half a unit in the last place of 1 in float32, and as much again for the integrals.
 WEIGHT_ERROR = 1.2e-7
+
+
+def _measured(pairs: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """Refuse a grey curve that does not rise from level 0 to 255."""
+    if not pairs:
+        return pairs
+    first, last = pairs[0], pairs[-1]
+    rising = all(a < b and low < high for (a, low), (b, high) in pairwise(pairs))
+    if len(pairs) < 2 or (first[0], last[0]) != (0, 255) or not rising or first[1] < 0:
+        raise ValueError(
+            f"got {len(pairs)} pairs from level {first[0]:g} to {last[0]:g}, expected levels from 0 to 255 "
+            "and reflectances of 0 or more, both rising; cure: sort it, and smooth noise out of it"
+        )
+    return pairs
+
+
+GreyCurve = Annotated[tuple[tuple[float, float], ...], AfterValidator(_measured)]
+"""Level and reflectance of a panel, measured with it held; empty for none."""
 
 
 class PanelResponse(Part):
@@ -52,6 +73,9 @@ class PanelResponse(Part):
         Retardance of level 255 at the wavelength in use; pi is a half wave, the brightest state.
     drive_exponent : float
         Exponent of retardance against level; 1.2 has no source, it is a sensible default.
+    grey_curve : tuple of (float, float)
+        Level and reflectance in any unit, as measured with the panel held, from level 0 to 255, both rising;
+        linear in the retardance between them. It replaces the exponent; empty: none was measured.
     field_drive : tuple of float
         Relative retardance of successive slots, repeated; (1,) for a panel with equal slots.
     delay_s, scan_s : float
@@ -65,6 +89,7 @@ class PanelResponse(Part):
     leak: float = Field(default=0.01, ge=0, le=1)
     white_rad: float = Field(default=np.pi, gt=0, lt=2 * np.pi)
     drive_exponent: float = Field(default=1.2, gt=0)
+    grey_curve: GreyCurve = ()
     field_drive: tuple[float, ...] = (1.0,)
     delay_s: float = 0.0
     scan_s: float = Field(default=0.0, ge=0)
@@ -249,4 +274,10 @@ def slot_weights(
 
 
 def _curve(response: PanelResponse) -> Doubles:
+    if response.grey_curve:
+        levels, reflectance = np.array(response.grey_curve, np.float64).T
+        # The light at level 0 is the leak, which is added elsewhere.
+        share = response.white * (reflectance - reflectance[0]) / (reflectance[-1] - reflectance[0])
+        held = 2 * np.arcsin(np.sqrt(share))
+        return np.array(np.interp(np.arange(256), levels, held), np.float64)
     return response.white_rad * (np.arange(256) / 255.0) ** response.drive_exponent

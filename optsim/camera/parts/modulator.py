@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, PanelState
 from optsim.optics.mueller import depolariser, mirror, retarder_45
-from optsim.optics.panel import PanelResponse
+from optsim.optics.panel import GreyCurve, PanelResponse
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
 from optsim.optics.rims import RimModel, Rims
 
@@ -56,6 +56,9 @@ class Modulator(Part):
         curve's exponent and ``tau_on_s``, 8 and 20 % off, absorb the rest.
     drive_exponent : float
         Exponent of retardance against drive level: white times (level / 255) to this power.
+    grey_curve : tuple of (float, float)
+        Level and reflectance as measured with the panel held, or in TOML the path of a CSV file of the two.
+        It replaces the exponent.
     field_drive : tuple of three float
         Relative retardance of the three colour fields, shown in turn; all 1 for a panel without colours.
     polarity_drive : float
@@ -95,6 +98,7 @@ class Modulator(Part):
     half_wave_m: float = Field(default=550e-9, gt=0)
     stated_half_wave_m: float | None = Field(default=None, gt=0)
     drive_exponent: float = Field(gt=0)
+    grey_curve: GreyCurve = ()
     field_drive: tuple[_Drive, _Drive, _Drive] = (1.0, 1.0, 1.0)
     polarity_drive: float = Field(default=0.0, ge=0, le=0.2)
     delay_s: float = 0.0
@@ -167,6 +171,7 @@ class Modulator(Part):
             leak=leak,
             white_rad=self.white_rad(wavelength_m),
             drive_exponent=self.drive_exponent,
+            grey_curve=self.grey_curve,
             field_drive=drive if len(set(drive)) > 1 else (drive[0],),
             delay_s=self.delay_s + self.scan_s * first,
             scan_s=self.scan_s * rows / there,
