@@ -19,8 +19,10 @@ from optsim.calibration.bench import Flat
 from optsim.calibration.estimate import measure_calibration
 from optsim.calibration.misalignment import misalignment
 from optsim.calibration.sensor_noise import photon_transfer
+from optsim.camera.camera import SAMPLES_PER_PITCH
 from optsim.camera.true_calibration import true_calibration
 from optsim.experiment.calibration_record import light_shift_px
+from optsim.optics.fringing import border_shares, fine_image
 
 DRAWS = 150
 
@@ -99,20 +101,20 @@ def test_noise_in_the_dark_is_read_noise_rounding_and_shot_noise_of_dark_electro
     assert known == pytest.approx(seen, rel=5 / np.sqrt(2 * 8 * nothing.size))
 
 
-def test_a_dots_light_is_weighed_as_far_as_in_the_maps_windows() -> None:
-    """Coma's tails move the centre by how much of them counts: 13 of 39 CCD pixels beside each other here."""
+@pytest.mark.parametrize("place", [(3, 3), (5, 34), (24, 10)])
+def test_a_dots_light_is_weighed_as_far_as_in_the_maps_windows(place: tuple[int, int]) -> None:
+    """Coma's tails move the centre by how much of them counts: with one sample more it is a quarter less."""
     camera = small(panel_rows=30, panel_cols=40)
-    panel = np.zeros((30, 40))
-    panel[10, 17] = 1
-    from optsim.camera.camera import SAMPLES_PER_PITCH as n
-    from optsim.optics.fringing import border_shares, fine_image
-
-    image = camera.relay_operator().blur.apply(
-        fine_image(panel, border_shares(camera.modulator.fringing_px, n))
-    )
-    v, u = 10 * n + 1, 17 * n + 1
+    relay = camera.relay.model_copy(update={"defocus_m": 45e-6})
+    camera = camera.model_copy(update={"relay": relay})
+    panel, n = np.zeros((30, 40)), SAMPLES_PER_PITCH
+    panel[place] = 1
+    borders = border_shares(camera.modulator.fringing_px, n)
+    image = camera.relay_operator().blur.apply(fine_image(panel, borders))
+    v, u = (n * each + n // 2 for each in place)
     # The map's window at 3 CCD pixels a panel pixel: round(2 x 3) each way from the pixel of the centre.
     window = image[v - 6 : v + 7, u - 6 : u + 7]
     light = window - np.median([*window[0], *window[-1], *window[:, 0], *window[:, -1]])
     by_hand = (light.sum(axis=0) @ np.arange(-6, 7)) / light.sum() / n
-    assert light_shift_px(camera)[10, 17, 1] == pytest.approx(by_hand, abs=2e-3)
+    # The map is a polynomial through some dots.
+    assert light_shift_px(camera)[(*place, 1)] == pytest.approx(by_hand, rel=0.12)

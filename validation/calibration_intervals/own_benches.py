@@ -4,7 +4,7 @@
 
 Each camera has misalignments, blur and a panel of its own, drawn. Its images without noise are made once,
 and taken with as many draws of noise. Prints a row a quantity: the share of the 95 % intervals that hold, and
-mean and rms of the deviation over the standard error. What it printed stands in ``own_benches.txt``.
+mean and rms of the deviation over the standard error.
 """
 
 from __future__ import annotations
