@@ -1,15 +1,15 @@
-# pyright: reportMissingTypeStubs=false
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
 """The relay from the panel to the CCD: its parameters, geometry and linear operator."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field
 from scipy import sparse
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from optsim.camera.parts.lens import LensGroup
 from optsim.core.config import Part
@@ -237,7 +237,7 @@ def _least_spill_m(
         inside = np.clip((pitch / 2 + 1 - apart) / 2, 0, 1)
         return 1 - float(inside @ kernel @ inside)
 
-    return float(minimize_scalar(spill, bounds=(-2, 2), method="bounded", options={"xatol": 0.01}).x) * wave_m
+    return cast("float", fminbound(spill, -2, 2, xtol=0.01)) * wave_m
 
 
 # Cached separately, so that a change of shift, rotation or focus recomputes only its own part.

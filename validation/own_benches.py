@@ -1,6 +1,6 @@
 """How often a calibration's intervals hold on benches of the virtual laboratory, small and made fast.
 
-    python own_benches.py [BENCHES] [DRAWS OF NOISE A CAMERA]
+    python validation/own_benches.py [BENCHES] [DRAWS OF NOISE A CAMERA]
 
 Each camera has misalignments, blur and a panel of its own, drawn. Its images without noise are made once,
 and taken with as many draws of noise. Prints a row a quantity: the share of the 95 % intervals that hold, and
