@@ -92,7 +92,8 @@ def told_by_glare(
     gain = terms.T @ unexplained
     change = np.linalg.lstsq(terms.T @ terms + np.diag(precision), gain)[0]
     factor = np.ones(mean.shape, np.float32)
-    votes = _by_block(terms @ change * (unexplained - terms @ change), mean.shape)
+    explained = terms @ change
+    votes = _by_block(explained * (unexplained - explained), mean.shape)
     if change @ gain > max(_SIGMAS**2, _SIGMAS_OF_BLOCKS * float(np.sqrt((votes**2).sum()))):
         for part, more in zip(parts, change, strict=True):
             factor[part] += np.float32(more)

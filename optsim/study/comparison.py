@@ -54,8 +54,8 @@ class Estimate:
         return (None, None) if self.half is None else (self.mean - self.half, self.mean + self.half)
 
     @property
-    def told(self) -> float | None:
-        """Half of the interval if four seeds or more know it: that of two is nine standard deviations."""
+    def stated_half(self) -> float | None:
+        """Half of the interval from four seeds on: with two it is nine standard deviations."""
         return self.half if self.n >= LIMITS.least else None
 
     @property

@@ -229,7 +229,7 @@ def _find_limit(
             return None
         seen[change] = found
         worst = worst_loss(found, regions)
-        return (0.0, None) if worst is None else (-worst[1].mean, worst[1].told)
+        return (0.0, None) if worst is None else (-worst[1].mean, worst[1].stated_half)
 
     limit = search_limit(loss, loss_db, parameter, mode)
     rows = [_row(name, mode, sign, limit, seen, regions, Seeds(**seeds))]
@@ -266,7 +266,7 @@ def _row(
     nearest = min(seen, key=lambda change: abs(change - limit.value), default=None)
     worst = None if nearest is None else worst_loss(seen[nearest], regions)
     ends = [None if end is None else parameter.shown(end) for end in limit.ends or (None, None)]
-    half = worst[1].told if worst else None
+    half = worst[1].stated_half if worst else None
     return {
         "parameter": name,
         "mode": mode,
@@ -328,9 +328,9 @@ def _compensate(
                 "method": worst[0][0],
                 "region": worst[0][1],
                 "before_db": worst[1].mean,
-                "before_half": worst[1].told,
+                "before_half": worst[1].stated_half,
                 "after_db": left.mean if left else None,
-                "after_half": left.told if left else None,
+                "after_half": left.stated_half if left else None,
                 "refused": after.refused,
             }
         )
@@ -363,7 +363,7 @@ def _measure_pair(
             "region": worst[0][1],
             "alone_db": alone,
             "together_db": -worst[1].mean,
-            "half": worst[1].told,
+            "half": worst[1].stated_half,
             "interaction_db": -worst[1].mean - sum(alone),
         }
     write_result(folder, work, rows=[], pair=pair)

@@ -31,7 +31,7 @@ from optsim.study.point import Mode, Point, changed_only, experiment_at
 from optsim.study.sheets import Sheet
 from optsim.study.stage import stage_of
 
-# Two standard deviations of the score of failures against passes: what counts as shared.
+# Successes, and failures, added to what was counted.
 _AGRESTI = 2.0
 _BLOCK = 4
 # Draws of one camera until it can be built.
@@ -44,7 +44,7 @@ class YieldPlan:
 
     Parameters
     ----------
-    sheet : dict
+    sheet : Sheet
         What cameras are drawn within.
     draws : int
         Cameras.

@@ -38,8 +38,8 @@ class Mount(Part):
         Linear expansion; by default that of aluminium (CRC Handbook of Chemistry and Physics: 23.1e-6 at 25
         degrees).
     along_m : float
-        Length along the axis whose growth moves the CCD away from the sharp image; what the rest of the mount
-        undo is not in it. Negative moves it towards the relay.
+        Length along the axis whose growth moves the CCD away from the sharp image, without what the rest of
+        the mount undoes. Negative moves it towards the relay.
     across_y_m, across_x_m : float
         Length across the axis whose growth shifts the panel's image on the CCD.
     scale_per_k : float
