@@ -133,6 +133,13 @@ def test_without_such_a_population_nothing_falls(dropped):
         dropped(SCENE.replace("physics = true", ""))
 
 
+def test_motion_that_the_engine_cannot_follow_is_refused_and_leaves_no_log(dropped, monkeypatch):
+    monkeypatch.chdir(dropped.folder)
+    with pytest.raises(ConfigError, match="motion that MuJoCo can't follow from 0 s on"):
+        dropped(SCENE.replace("spin_hz = [0.2, 1.0]", "spin_hz = [1e6, 2e6]"), duration_s=0.1)
+    assert not list(dropped.folder.glob("*.TXT"))
+
+
 def test_turns_go_the_short_way_at_a_steady_rate():
     ends = Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.2]]).as_quat()[:, [3, 0, 1, 2]]
     motion = Keyframed(

@@ -76,10 +76,18 @@ def drop(folder: Path, variation: str, duration_s: float, rate_hz: float) -> Tab
         first = model.jnt_dofadr[model.body(f"mover/{key}").jntadr[0]]
         axis = np.asarray(motion.spin_axis) / np.linalg.norm(motion.spin_axis)
         state.qvel[first : first + 6] = [*motion.velocity_m_s, *(2 * np.pi * motion.spin_hz * axis)]
-    found = np.empty((len(times), model.nq))
+    found, kinds = np.empty((len(times), model.nq)), engine.mjtWarning
+    lost = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
+    engine.set_mju_user_warning(lambda _: None)  # Its own handler writes a file into the working folder.
     for k in range(len(times)):
         found[k] = state.qpos
         engine.mj_step(model, state, steps)
+        if any(state.warning[kind].number for kind in lost):
+            # MuJoCo would go on from the first pose.
+            raise ConfigError(
+                f"{file}: populate: got motion that MuJoCo can't follow from {times[k]:.3g} s on, expected "
+                "finite speeds; cure: slower spins, larger bodies, or none that start inside another"
+            )
     movers = {
         key: {
             "times_s": times.tolist(),
