@@ -39,10 +39,10 @@ from optsim.core.quantities import (
     Segment,
     made_radiance,
 )
+from optsim.optics.fringe_correction import cell_weights
 from optsim.optics.fringing import whole_cells
 from optsim.optics.panel import slot_weights
 from optsim.optics.radiometry import photons_per_joule
-from optsim.optics.rims import cell_weights
 from optsim.scene import BrightLight
 
 # Slots between key instants, as in a scene that moves about as fast as window_room.
@@ -244,9 +244,9 @@ def _dense(camera: CodedCamera, radiance: RadianceVideo, code: ExposureCode, pro
     rest, response = camera.panel_at_rest(), camera.panel_response
     weights, _ = slot_weights(levels, rest, response, camera.slot_s, leak=camera.column_leaks)
     course = levels, rest, response, camera.slot_s, 1, camera.column_leaks
-    rims = panel.rims(*course, radiance.samples_per_pitch)
-    assert rims is not None, "the full model has the rims of fringing fields"
-    passed = cell_weights(rims, weights)
+    fringe = panel.fringe_correction(*course, radiance.samples_per_pitch)
+    assert fringe is not None, "the full model has the fringe-field correction"
+    passed = cell_weights(fringe, weights)
     gain = whole_cells(camera.panel_gain, radiance.samples_per_pitch)
     relay = camera.relay_operator()
     arrived = np.zeros((sensor.rows, sensor.cols))

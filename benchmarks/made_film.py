@@ -136,7 +136,7 @@ def _read_out(calibration: Calibration, above_black_dn: Floats, rng: np.random.G
     noisy = noisy + rng.normal(0, calibration.read_noise_dn, noisy.shape)
     shape = calibration.ccd_shape
     dn = np.zeros(shape, np.uint16)
-    dn[calibration.pick_row, calibration.pick_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
+    dn[calibration.centre_row, calibration.centre_col] = np.rint(np.clip(noisy, 0, 2**14 - 1))
     return dn
 
 

@@ -33,8 +33,8 @@ from optsim.core.quantities import Bools, Doubles, Timing, View
 from optsim.dataset.slot_light import bright_during
 from optsim.render import RenderSettings, render_truth
 from optsim.render.backend import activate, versions
-from optsim.render.plan import Plan, seed_of
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan, seed_of
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, load_scene
 
 VIEW = View(rows=200, cols=240, samples_per_pitch=1, tan_half_width=0.32)
@@ -146,9 +146,9 @@ def _root(squared: Doubles) -> list[float]:
     return np.sqrt(np.maximum(squared, 0)).tolist()
 
 
-def _plan(scene: Scene, cache: Cache, seed: int) -> Plan:
+def _plan(scene: Scene, cache: Cache, seed: int) -> RenderPlan:
     identity = hash_of(scene.model_dump(mode="json"), [VIEW.rows, VIEW.cols, VIEW.tan_half_width], versions())
-    return Plan(scene, VIEW, _MOVERS, _settings(_RECORD, seed), None, cache, silent, identity)
+    return RenderPlan(scene, VIEW, _MOVERS, _settings(_RECORD, seed), None, cache, silent, identity)
 
 
 def _settings(target: float, seed: int) -> RenderSettings:
@@ -163,15 +163,15 @@ def _settings(target: float, seed: int) -> RenderSettings:
     return RenderSettings.model_validate(table)
 
 
-def _lit_in(scene: Scene, slot: int) -> Stage:
+def _lit_in(scene: Scene, slot: int) -> RenderStage:
     """Put the scene on stage, its lamps as bright as in a slot."""
     lit = bright_during(scene, slot * _SLOT_S, (slot + 1) * _SLOT_S)
     if lit is None:
         raise ValueError(f"all lamps are dark in slot {slot}: nothing to compare with")
-    return Stage(lit, VIEW)
+    return RenderStage(lit, VIEW)
 
 
-def _reference(stage: Stage, slot: int, progress: Progress) -> _Reference:
+def _reference(stage: RenderStage, slot: int, progress: Progress) -> _Reference:
     """Render both halves of a slot's mean, pose by pose, or find them in the cache."""
     plan = _plan(stage.scene, Cache(), 0)
     times_s = _times_s(slot, _REFERENCE_POSES)
@@ -206,7 +206,9 @@ def _seconds_for(squared: Doubles, points: list[_Point]) -> Doubles:
     return first.seconds * (first.squared / inside) ** power * (inside / squared)
 
 
-def _plain(stages: list[Stage], references: list[_Reference], slots: Sequence[int], samples: int) -> _Point:
+def _plain(
+    stages: list[RenderStage], references: list[_Reference], slots: Sequence[int], samples: int
+) -> _Point:
     seconds: list[float] = []
     squared: list[Doubles] = []
     for turn, (stage, reference, slot) in itertools.product(

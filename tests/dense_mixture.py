@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from optsim.decoding.mixture.posterior import posterior, seen_through
+from optsim.decoding.mixture.posterior import measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
 from optsim.priors.mixture import Mixture
 
@@ -83,7 +83,7 @@ def drawn(mixture, n, rng):
 def asked(mixture, weights, signals, variance):
     """Estimate and variance of each element, (n, pixel, slot)."""
     noise = np.full(len(signals), variance, np.float32)
-    known = posterior(seen_through(mixture, weights), signals.astype(np.float32), noise)
+    known = posterior(measured_through(mixture, weights), signals.astype(np.float32), noise)
     mean = known.mean() @ mixture.basis.reshape(len(mixture.basis), -1) + mixture.base.ravel()
     shape = (len(signals), *weights.shape)
     return mean.reshape(shape), Spread.of(mixture).variance(known).reshape(shape)

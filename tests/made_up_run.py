@@ -106,7 +106,7 @@ def make_results(folder: Path, rows: int, cols: int, n_frames: int) -> dict[str,
             levels = (rng.random((SLOTS, rows, cols)) < 0.1).astype(np.uint8) * 255
             dn = np.clip(rng.normal(reference.mean(0) * 4e5, 30), 0, 16383).repeat(3, 0).repeat(3, 1)
             estimate = scale.luminance_cd_m2(r.irradiance_w_m2)
-            shots[name] = report.Shot(
+            shots[name] = report.ViewedFrame(
                 light_code.encode(estimate, FLOOR),
                 light_code.marks_of(valid, np.asarray(r.moving)),
                 np.full_like(levels, 255) if name == "normal" else levels,

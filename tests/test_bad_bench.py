@@ -171,10 +171,10 @@ def test_an_orientation_that_nobody_states_is_found(bench: Bench, mirror: int) -
     assert found.pixel_map.orientation == want
     assert found.calibration.map_residual_px < 0.01
     upright = calibrate_from(bench)
-    row, col = upright.pick_row, upright.pick_col
+    row, col = upright.centre_row, upright.centre_col
     there = ((CCD[0] - 1 - row, col), (row, CCD[1] - 1 - col), (col, row))[mirror]
     # A centre within noise of a border may fall on either side of it.
-    for ours, theirs in zip((found.calibration.pick_row, found.calibration.pick_col), there, strict=True):
+    for ours, theirs in zip((found.calibration.centre_row, found.calibration.centre_col), there, strict=True):
         assert np.mean(ours == theirs) > 0.98
         assert np.abs(ours - theirs).max() <= 1
 

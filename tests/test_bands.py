@@ -14,7 +14,7 @@ from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.truth import chosen_scene, describe_truth
 from optsim.render import choose_backend
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, load_scene
 
 BANDS = """
@@ -82,7 +82,7 @@ def picture(chosen: Scene) -> np.ndarray:
     if choose_backend().preview:
         pytest.skip("only the scalar fallback works here")
     activate()
-    stage = Stage(chosen, View(24, 32, 1, 0.4))
+    stage = RenderStage(chosen, View(24, 32, 1, 0.4))
     stage.pose(0.1)
     return stage.radiance(np.arange(24 * 32), 8, (3,))
 

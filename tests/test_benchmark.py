@@ -9,7 +9,7 @@ from benchmarks import capture, gmm, made_film, photographs, quality
 from benchmarks.axes import Axes, even_numbers, round_numbers
 from benchmarks.curve import time_against_error
 from benchmarks.render import _Point, _Reference, _seconds_for
-from optsim.calibration.demixed import take
+from optsim.calibration.demixed import demixed_frame
 from optsim.camera.effects import changed
 from optsim.camera.hardware import demo
 from optsim.camera.parts.objective import MOVING_TAIL_SHARE
@@ -118,7 +118,7 @@ def test_the_dense_frame_is_ours_when_nothing_is_left_out():
     """Wings, glare and a PSF that varies, before a window a thousand times as bright as the room."""
     lens = {"moving_tail_share": 0.0, "field_error": 0.05, "tail_share": 1e-3, "glare_share": 0.01}
     # With the finer nodes at pixel edges; the default's leave a rest three times as large.
-    camera = changed(demo(), {"objective": lens, "modulator": {"rim_model": "fine"}})
+    camera = changed(demo(), {"objective": lens, "modulator": {"fringe_model": "fine"}})
     sensor = camera.sensor.model_copy(update={"rows": 80, "cols": 98})
     camera = camera.model_copy(update={"sensor": sensor, "panel_rows": 24, "panel_cols": 30})
     rng = np.random.default_rng(3)
@@ -204,7 +204,9 @@ def test_photographs_are_those_that_no_prior_has_seen_and_are_exposed_as_stated(
     assert 0 <= film.min() < film.max() <= 255
     # The ground moves by a fifth of a pixel a slot, some disc by one: still pictures lose to what moves.
     assert 20 < quality.psnr_db(np.broadcast_to(film.mean(axis=0), film.shape) / 255, film / 255) < 30
-    sample, _ = take(measurement.calibration, frame, measurement.calibration.panel_at_rest(), "undone")
+    sample, _ = demixed_frame(
+        measurement.calibration, frame, measurement.calibration.panel_at_rest(), "undone"
+    )
     opened = sample.weights
     np.testing.assert_array_equal(opened.sum(axis=0), 3)
     error = sample.signal - np.einsum("tvu,tvu->vu", opened, film)

@@ -41,13 +41,13 @@ def stage(drifted: Experiment) -> Stage:
 
 @pytest.fixture(scope="module")
 def known(base: Experiment, stage: Stage) -> Calibration:
-    return stage.known[base.calibration_choice]
+    return stage.calibrations[base.calibration_choice]
 
 
 @pytest.fixture(scope="module")
 def frames(base: Experiment, stage: Stage) -> Frames:
     """Of the camera that has not moved."""
-    return capture(base, base.camera.with_nd(stage.light.nd_transmission), stage.truth, stage.known)
+    return capture(base, base.camera.with_nd(stage.light.nd_transmission), stage.truth, stage.calibrations)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_a_rotation_comes_back_with_its_sign(
 ) -> None:
     turned = base.model_copy(update={"drift": {"relay": {"rotation_rad": rotation_rad}}})
     camera = turned.at_work().with_nd(stage.light.nd_transmission)
-    taken = capture(turned, camera, stage.truth, stage.known)["hdr_mosaic"]
+    taken = capture(turned, camera, stage.truth, stage.calibrations)["hdr_mosaic"]
     found = registered_blind(taken, known).registration
     # A third too much before crosstalk by reading between pixels was known. A bar crosses half of the panel.
     assert found.rotation_rad == pytest.approx(rotation_rad, rel=0.2)
@@ -155,15 +155,15 @@ def test_frames_move_back_by_what_is_said_and_saturation_spreads(known: Calibrat
     code = ExposureCode(np.zeros((1, 1, 1), np.uint8), np.zeros((1, 1), np.bool_))
     frame = CodedFrame(0, np.rint(scene(down, right)).astype(np.uint16), code)
     (back,) = moved_back([frame], known, moved)
-    inside = known.valid & (known.pick_row > 3) & (known.pick_row < rows - 4)
-    inside &= (known.pick_col > 3) & (known.pick_col < cols - 4)
-    at = known.pick_row[inside], known.pick_col[inside]
+    inside = known.valid & (known.centre_row > 3) & (known.centre_row < rows - 4)
+    inside &= (known.centre_col > 3) & (known.centre_col < cols - 4)
+    at = known.centre_row[inside], known.centre_col[inside]
     np.testing.assert_allclose(back.dn[at], scene(y, x)[at], atol=2)
     dn = frame.dn.copy()
-    dn[known.pick_row[9, 12], known.pick_col[9, 12]] = 16383
+    dn[known.centre_row[9, 12], known.centre_col[9, 12]] = 16383
     (back,) = moved_back([replace(frame, dn=dn)], known, Registration(0.5, 0.5))
     full = np.argwhere(back.dn >= known.saturation_dn.min())
-    assert full.tolist() == [[known.pick_row[9, 12], known.pick_col[9, 12]]]
+    assert full.tolist() == [[known.centre_row[9, 12], known.centre_col[9, 12]]]
 
 
 def test_the_page_and_the_terminal_say_it(record: dict[str, Any]) -> None:

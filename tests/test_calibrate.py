@@ -37,7 +37,7 @@ def calibration(bench: Bench) -> Calibration:
 
 def true_responsivity(camera: Camera, calibration: Calibration) -> np.ndarray:
     """DN per (W m^-2 slot) of an all-on flat at the CCD pixels that the calibration picked."""
-    pick = (calibration.pick_row * camera.ccd[1] + calibration.pick_col).ravel()
+    pick = (calibration.centre_row * camera.ccd[1] + calibration.centre_col).ravel()
     light = np.asarray(camera.relay[pick].sum(axis=1)).ravel() * camera.response.ravel()[pick]
     return (light * camera.electrons_per_w * camera.dn_per_e).reshape(camera.panel)
 
@@ -53,7 +53,7 @@ def test_sensor_constants_are_found(camera: Camera, calibration: Calibration) ->
     assert calibration.read_noise_dn == pytest.approx(expected, rel=5 / np.sqrt(2 * 15 * 33280 * 2 / 3))
     # Gain: 7 differences each of 26000 pixels, mostly of the brightest flat.
     assert calibration.dn_per_e == pytest.approx(camera.dn_per_e, rel=5 * np.sqrt(2 / (26000 * 7 * 2 / 3)))
-    picked = camera.fixed_black[calibration.pick_row, calibration.pick_col]
+    picked = camera.fixed_black[calibration.centre_row, calibration.centre_col]
     error = calibration.black_dn - picked
     assert error.std() == pytest.approx(expected / 4, rel=5 / np.sqrt(2 * error.size))
     assert abs(error.mean()) < 5 * expected / 4 / np.sqrt(error.size)
@@ -73,7 +73,7 @@ def test_every_pixel_is_found_with_shift_rotation_and_magnification(
 ) -> None:
     assert calibration.valid.all()
     true = camera.place(np.indices(camera.panel).reshape(2, -1).T + 0.5).reshape(*camera.panel, 2)
-    picked = np.stack([calibration.pick_row, calibration.pick_col], axis=-1)
+    picked = np.stack([calibration.centre_row, calibration.centre_col], axis=-1)
     # A centre within 0.02 CCD pixels of a border may fall on either side of it.
     assert np.abs(true - picked - 0.5).max() < 0.52
     # Dots have about 100 kDN: centroid noise of 0.004..0.008 CCD pixels an axis by shot and read noise.
@@ -121,7 +121,7 @@ def test_responsivity_matches_a_flat_within_its_stated_uncertainty(
 
 
 def test_crosstalk_follows_the_offset_of_each_pick(camera: Camera, calibration: Calibration) -> None:
-    pick = calibration.pick_row * camera.ccd[1] + calibration.pick_col
+    pick = calibration.centre_row * camera.ccd[1] + calibration.centre_col
     index = np.arange(pick.size).reshape(camera.panel)
     total = np.asarray(camera.relay.sum(axis=1)).ravel()
     v, u = camera.panel
@@ -168,7 +168,7 @@ def test_observations_have_the_variance_they_state(camera: Camera, calibration: 
     exact = replace(
         calibration,
         responsivity_dn=true_responsivity(camera, calibration).astype(np.float32),
-        black_dn=camera.fixed_black[calibration.pick_row, calibration.pick_col].astype(np.float32),
+        black_dn=camera.fixed_black[calibration.centre_row, calibration.centre_col].astype(np.float32),
     )
     for irradiance in (0.0, 0.01, 0.3, 1.0):
         dn = camera.held(np.full(camera.panel, 255), irradiance, 1)[0]

@@ -129,7 +129,7 @@ def test_complementary_codes_add_to_all_on_plus_all_off_for_an_instantaneous_pan
     levels = (rng.integers(0, 2, (12, V, U)) * 255).astype(np.uint8)
     for modulator, agrees in ((INSTANT, True), ({}, False)):
         # The default nodes at pixel edges agree to 1.1e-5.
-        camera = small(modulator=modulator | {"rim_model": "fine"})
+        camera = small(modulator=modulator | {"fringe_model": "fine"})
         light = truth(camera, rng.uniform(0, 1, (3 * V, 3 * U)))
         both = electrons(camera, light, code(levels)) + electrons(camera, light, code(255 - levels))
         ends = electrons(camera, light, uniform(255)) + electrons(camera, light, uniform(0))
@@ -197,7 +197,7 @@ def test_an_experiment_begins_after_a_cycle_of_its_first_code():
     assert np.abs(first - camera.expected_electrons(light, 0, shown, camera.panel_at_rest())[0]).max() > 1
     _, same = true_calibration(camera).weights(shown, None)
     np.testing.assert_allclose(same.retardance_rad, panel.retardance_rad, atol=1e-6)
-    assert same.slots_shown == panel.slots_shown == 24
+    assert same.slots_displayed == panel.slots_displayed == 24
 
 
 def test_fringing_fields_soften_the_borders_of_pixels_on_the_ccd():
@@ -253,7 +253,7 @@ def test_stuck_pixels_ignore_the_code_and_are_not_valid():
     camera = small(modulator={"stuck_share": 0.05})
     light, settled = flat(camera), PanelState(np.zeros((V, U), np.float32), np.zeros((V, U), np.uint8))
     calibration = true_calibration(camera)
-    picked = electrons(camera, light, uniform(0), settled)[calibration.pick_row, calibration.pick_col]
+    picked = electrons(camera, light, uniform(0), settled)[calibration.centre_row, calibration.centre_col]
     bright = picked > 0.3 * picked.max()
     assert bright.any()
     assert not calibration.valid[bright].any()

@@ -78,7 +78,7 @@ def identity_of_the_truth(monkeypatch: pytest.MonkeyPatch) -> str:
     def plan(*given: object, **named: object) -> None:
         raise Found(given[7])
 
-    monkeypatch.setattr(truth, "Plan", plan)
+    monkeypatch.setattr(truth, "RenderPlan", plan)
     monkeypatch.setattr(truth, "activate", lambda _: SimpleNamespace(variant="any"))
     with pytest.raises(Found) as found:
         truth.render_truth(

@@ -15,6 +15,7 @@ from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import write_exr, write_json, write_png8, write_png16
 from optsim.dataset import DatasetSpec, build_dataset, load_spec, open_dataset
 from optsim.dataset.building import CHECKS, _take_back, finish, own
+from optsim.dataset.card import readme
 from optsim.dataset.consistency import consistency
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.filters import content
@@ -450,3 +451,6 @@ def test_the_noise_asked_for_is_reached(tmp_path, independent):
     still = (sample["moving"].max(axis=0) == 0) & (sample["id"].min(axis=0) == sample["id"].max(axis=0))
     alike = (slots[1:, still] == slots[:-1, still]).mean()
     assert (alike < 0.01) == independent
+    for reached in (0.14, 0.16):
+        said["worst"] = reached
+        assert ("**not reached**" in readme(dataset.card)) == (reached > 0.15)

@@ -12,7 +12,7 @@ from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.fireflies import all_paths, origins, pilot, relative_variance
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.scene import Scene
 
 VIEW = View(24, 32, 1, 0.5)
@@ -103,7 +103,7 @@ def test_origins_add_up_to_the_path_and_tell_one_bounce_from_two():
     scene, seed, samples = room(**SLIT), 9, 32
     pixels = np.repeat(np.arange(VIEW.rows * VIEW.cols), samples)
     numbers = np.tile(np.arange(samples), VIEW.rows * VIEW.cols)
-    whole = all_paths(Stage(scene, VIEW, movers=False), samples, seed, lambda _: None).ravel()
+    whole = all_paths(RenderStage(scene, VIEW, movers=False), samples, seed, lambda _: None).ravel()
     by_bounces, by_lamp = origins(scene, VIEW, pixels, numbers, seed, movers=False)
     assert by_bounces.shape == (scene.max_depth, len(pixels))
     np.testing.assert_allclose(by_bounces.sum(axis=0), whole, rtol=1e-6)

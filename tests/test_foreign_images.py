@@ -15,7 +15,7 @@ from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueChec
 from optsim.core.files import read_exr, read_png16, write_exr
 from optsim.experiment.measurement.files import MeasurementFiles, read_measurement
 from optsim.footage.clips import open_clips
-from optsim.footage.recording import Says, open_recording
+from optsim.footage.recording import FileStatement, open_recording
 
 PICTURE = np.random.default_rng(2).integers(0, 65535, (5, 8)).astype(np.uint16)
 LIGHT = PICTURE.astype(np.float32)
@@ -422,7 +422,7 @@ def test_luminance_of_other_primaries_is_not_bt709s(tmp_path: Path) -> None:
     rgb = dict.fromkeys("RGB", LIGHT)
     wide = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
     plain = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-    assert open_recording(exr(tmp_path / "a.exr", rgb)).says == Says()
+    assert open_recording(exr(tmp_path / "a.exr", rgb)).says == FileStatement()
     assert open_recording(exr(tmp_path / "a.exr", rgb, chromaticities=plain)).says.primaries == "BT.709"
     exr(tmp_path / "a.exr", rgb, chromaticities=wide)
     with pytest.raises(

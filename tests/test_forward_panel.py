@@ -109,7 +109,7 @@ def test_late_rows_and_unequal_fields_agree_with_an_ode_solver_and_are_remembere
     then, last = slot_weights(levels[4:], between, response, SLOT_S, n_sub)
     np.testing.assert_array_equal(np.concatenate([first, then]), whole)
     np.testing.assert_array_equal(last.retardance_rad, end.retardance_rad)
-    assert last.slots_shown == end.slots_shown == 14
+    assert last.slots_displayed == end.slots_displayed == 14
     curve = np.pi * (np.arange(256) / 255) ** 1.2
     for v, u in np.ndindex(rows, cols):
         delay = 0.4e-3 + 3e-3 * (v + 0.5) / rows
@@ -159,7 +159,7 @@ def test_a_panel_early_by_a_time_is_late_by_the_rest_of_a_slot_with_the_code_a_s
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(after.retardance_rad, end.retardance_rad)
     np.testing.assert_array_equal(after.levels, levels[0])
-    assert after.slots_shown == 12
+    assert after.slots_displayed == 12
     # Repeated, it has the light of one that is on time, shifted: twelve instants of a frame of 24 later.
     on_time = PanelResponse(leak=0.01, delay_s=0.0)
     moved = PanelResponse(leak=0.01, delay_s=-SLOT_S / 4)

@@ -46,7 +46,7 @@ def test_a_frame_begins_with_what_the_frame_before_left_open() -> None:
     for before, frame in zip(frames["hdr_mosaic"][:-1], frames["hdr_mosaic"][1:], strict=True):
         opened, earlier = (np.count_nonzero(each.code.levels, axis=0) for each in (frame, before))
         assert set(earlier[opened == 1]) == {36}
-        light = frame.dn[calibration.pick_row, calibration.pick_col] - calibration.black_dn
+        light = frame.dn[calibration.centre_row, calibration.centre_col] - calibration.black_dn
         slots = 36 * np.array([light[opened == n].mean() for n in (1, 3, 11)]) / light[opened == 36].mean()
         # 192 pixels each, of 2000 electrons and more: 0.2 % and less of noise, and the corners' shading.
         np.testing.assert_allclose(slots, [1 + 2 * tail, 3 + tail, 11 + tail], rtol=0.01)
@@ -59,7 +59,7 @@ def test_no_two_frames_share_their_photons() -> None:
     methods = tuple(normal.model_copy(update={"name": name}) for name in ("one", "other"))
     frames, camera, known = taken(experiment.model_copy(update={"methods": methods}))
     calibration = known[experiment.calibration_choice]
-    row, col = calibration.pick_row[calibration.valid], calibration.pick_col[calibration.valid]
+    row, col = calibration.centre_row[calibration.valid], calibration.centre_col[calibration.valid]
     light = [frame.dn[row, col].astype(float) for name in ("one", "other") for frame in frames[name]]
     expected = 2 * (np.mean(light) - calibration.black_dn.mean()) / camera.sensor.step_e
     for one, other in combinations(light, 2):

@@ -8,7 +8,7 @@ import pytest
 from dense_mixture import asked, dense_posterior, dense_variance, drawn, some_mixture, unit_weights
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibration.demixed import take
+from optsim.calibration.demixed import demixed_frame
 from optsim.coding import RandomExposure
 from optsim.core.errors import ConfigError, StorageError, ValueCheckError
 from optsim.core.quantities import ExposureCode
@@ -20,7 +20,7 @@ from optsim.decoding import (
     gaussian_mixture,
     shared_weights,
 )
-from optsim.decoding.mixture.posterior import posterior, seen_through
+from optsim.decoding.mixture.posterior import measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
 from optsim.priors.mixture import load_mixture, save_mixture
 from optsim.priors.mixture_training import log_densities, train_mixture
@@ -34,7 +34,7 @@ def test_posterior_is_that_of_dense_algebra(variance):
     weights = rng.random((9, 5))
     weights = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
     signals = rng.standard_normal((4, 9)).astype(np.float32) + 1
-    found = posterior(seen_through(mixture, weights), signals, np.full(4, variance, np.float32)).mean()
+    found = posterior(measured_through(mixture, weights), signals, np.full(4, variance, np.float32)).mean()
     wanted = [dense_posterior(mixture, weights.astype(np.float64), s, variance) for s in signals]
     np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
 
@@ -43,7 +43,7 @@ def test_nothing_measured_gives_the_prior_mean():
     mixture = some_mixture(np.random.default_rng(2))
     weights = np.zeros((9, 5), np.float32)
     found = posterior(
-        seen_through(mixture, weights), np.zeros((1, 9), np.float32), np.ones(1, np.float32)
+        measured_through(mixture, weights), np.zeros((1, 9), np.float32), np.ones(1, np.float32)
     ).mean()
     np.testing.assert_allclose(found[0], mixture.shares @ mixture.means, rtol=1e-5)
 
@@ -289,7 +289,7 @@ def test_one_patch_is_dense_algebra_at_its_brightness(tmp_path):
     calibration, frames = filmed(video.astype(np.float32))
     decoder = GaussianMixture(mixture=path, uncertainty=True, noise_gain=2.0)
     (layer,) = decoder.partials(frames, calibration)
-    sample, _ = take(calibration, frames[0], None, "undone")
+    sample, _ = demixed_frame(calibration, frames[0], None, "undone")
     scale = sample.signal.sum() / sample.exposure.sum()
     weights = np.moveaxis(sample.weights, 0, -1).reshape(64, SLOTS).astype(np.float64)
     noise = 4 * sample.variance.mean() / scale**2

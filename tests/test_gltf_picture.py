@@ -12,7 +12,7 @@ from PIL import Image
 from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import load_scene
 
 SCENE = """
@@ -93,7 +93,7 @@ def test_a_base_colour_is_seen_upright(tmp_path: Path, bits: int) -> None:
     (tmp_path / "it.gltf").write_text(json.dumps(content))
     (tmp_path / "scene.toml").write_text(SCENE)
     pixels = np.arange(VIEW.rows * VIEW.cols)
-    light = Stage(load_scene(tmp_path), VIEW).radiance(pixels, 64, (1,))[0].reshape(2, 6, 2, 6)
+    light = RenderStage(load_scene(tmp_path), VIEW).radiance(pixels, 64, (1,))[0].reshape(2, 6, 2, 6)
     # Without the samples at the edges of a quarter; row 0 is the camera's upper one.
     seen = light[:, 1:-1, :, 1:-1].mean(axis=(1, 3))
     np.testing.assert_allclose(seen / seen.sum(), QUARTERS / QUARTERS.sum(), atol=0.01)

@@ -8,7 +8,7 @@ from ideal_camera import film, ideal_calibration, still_light
 from scipy import stats
 
 from optsim.calibration import Glare
-from optsim.calibration.demixed import SaturationPrior, attribution_variance, separate, take
+from optsim.calibration.demixed import SaturationPrior, attribution_variance, demix, demixed_frame
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge
@@ -74,7 +74,7 @@ def test_attribution_is_no_question_in_a_flat_and_known_at_an_edge():
 def test_noise_alone_makes_no_question_of_attribution():
     calibration = ideal_calibration(64, 64, crosstalk=KERNEL)
     frame = film(calibration, HdrMosaic(), [still_light(np.full((64, 64), 0.1))], np.random.default_rng(2))[0]
-    sample, _ = take(calibration, frame, None, "undone")
+    sample, _ = demixed_frame(calibration, frame, None, "undone")
     noise = sample.variance
     true = 0.1 * sample.exposure
     shortest = np.isclose(sample.exposure, 1)
@@ -204,17 +204,17 @@ def test_bounds_are_kept_until_a_pixel_is_measured_again():
     frames = film(calibration, HdrMosaic(), [bright] * 4 + [dark], None)
     seen, panel, most = SaturationPrior.unknown((4, 4)), None, np.zeros((4, 4), np.float32)
     for frame in frames[:4]:
-        sample, panel = take(calibration, frame, panel, "undone")
+        sample, panel = demixed_frame(calibration, frame, panel, "undone")
         seen = seen.after(sample)
-        most = np.maximum(most, sample.least)
+        most = np.maximum(most, sample.floor)
     assert np.isnan(seen.irradiance).all()
-    np.testing.assert_array_equal(seen.least, most)
-    assert seen.least.min() > 50
-    separated = separate(calibration, sample, seen)
+    np.testing.assert_array_equal(seen.floor, most)
+    assert seen.floor.min() > 50
+    separated = demix(calibration, sample, seen)
     np.testing.assert_allclose(separated.signal, most * sample.exposure, rtol=1e-5)
-    sample, panel = take(calibration, frames[4], panel, "undone")
+    sample, panel = demixed_frame(calibration, frames[4], panel, "undone")
     seen = seen.after(sample)
-    assert not seen.least.any()
+    assert not seen.floor.any()
     np.testing.assert_allclose(seen.irradiance, 0.2, rtol=0.05)
 
 
@@ -269,7 +269,7 @@ def test_the_ratio_of_a_camera_is_that_of_its_picks():
     assert calibration.ratio == 1
     row, col = (np.floor(2.88 * (pick + 0.5)).astype(np.int64) for pick in np.mgrid[:ROWS, :COLS])
     size = (3 * ROWS, 3 * COLS)
-    wide = replace(calibration, pick_row=row, pick_col=col, ccd_shape=size)
+    wide = replace(calibration, centre_row=row, centre_col=col, ccd_shape=size)
     assert wide.ratio == pytest.approx(2.88, rel=0.01)
 
 
@@ -279,11 +279,13 @@ def test_the_stated_uncertainty_holds_what_a_narrow_pick_misses():
     image[:, COLS // 2 :] = 0.8
     calibration = ideal_calibration(ROWS, COLS)
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, None)
-    row, col = (3 * pick + 1 for pick in (calibration.pick_row, calibration.pick_col))
+    row, col = (3 * pick + 1 for pick in (calibration.centre_row, calibration.centre_col))
     wide = [CodedFrame(f.index, f.dn.repeat(3, axis=0).repeat(3, axis=1), f.code) for f in frames]
     *_, plain = HdrMerge().partials(frames, calibration)
     size = (3 * ROWS, 3 * COLS)
-    *_, narrow = HdrMerge().partials(wide, replace(calibration, pick_row=row, pick_col=col, ccd_shape=size))
+    *_, narrow = HdrMerge().partials(
+        wide, replace(calibration, centre_row=row, centre_col=col, ccd_shape=size)
+    )
     np.testing.assert_array_equal(plain.irradiance_w_m2, narrow.irradiance_w_m2)
     off = missed(plain.irradiance_w_m2[0], plain.uncertainty_w_m2[0] ** 2, 3.0)
     np.testing.assert_allclose(narrow.uncertainty_w_m2, np.hypot(plain.uncertainty_w_m2, off), rtol=1e-4)

@@ -152,7 +152,7 @@ def test_nothing_gets_darker_than_what_just_saturates():
     """Two frames: the second says 4, a third of what is assumed, and nothing where it shows another light."""
     shape = (2, 3)
     first, second = (
-        SimpleNamespace(even=np.full(shape, 8.0) / g, saturated=np.ones(shape, bool)) for g in (4.0, 2.0)
+        SimpleNamespace(uniform=np.full(shape, 8.0) / g, saturated=np.ones(shape, bool)) for g in (4.0, 2.0)
     )
     alive = [np.ones(shape, bool), np.array([[True, True, False]] * 2)]
     factor = _darkest([first, second], alive, np.array([[12.0, 2.0, 12.0]] * 2))

@@ -169,12 +169,12 @@ def test_the_same_folder_takes_the_same_experiment_only(folder: Path, experiment
 def test_a_second_run_finds_the_truth_and_gives_the_same_scores(
     folder: Path, experiment: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from optsim.render.stage import Stage
+    from optsim.render.stage import RenderStage
 
     def rendering(*_: object, **__: object) -> None:
         pytest.fail("rendered again what the cache holds")
 
-    monkeypatch.setattr(Stage, "radiance", rendering)
+    monkeypatch.setattr(RenderStage, "radiance", rendering)
     again = job.execute(experiment, tmp_path / "again")
     for one, other in zip(
         again.as_json()["scores"], read_json(folder / "results.json")["scores"], strict=True

@@ -6,7 +6,7 @@ from ideal_camera import SLOTS, film, ideal_calibration, still_light
 from scipy import ndimage, sparse
 
 from optsim.calibration import Glare
-from optsim.calibration.demixed import noise_variance, predicted_variance, take
+from optsim.calibration.demixed import demixed_frame, noise_variance, predicted_variance
 from optsim.coding import HdrMosaic
 from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge
@@ -21,7 +21,7 @@ KERNEL = np.array([[0.02, 0.05, 0.02], [0.05, 0.72, 0.05], [0.02, 0.05, 0.02]], 
 
 def samples_of(calibration, image, rng):
     frames = film(calibration, HdrMosaic(), [still_light(image)] * 4, rng)
-    return [take(calibration, frame, None, "undone")[0] for frame in frames]
+    return [demixed_frame(calibration, frame, None, "undone")[0] for frame in frames]
 
 
 def mixing(calibration):

@@ -83,7 +83,7 @@ def test_stray_light_of_the_relay_is_as_much_as_the_camera_adds(stray: str) -> N
     truth = camera.form_image(flat(experiment, 0.2))
     electrons, _ = camera.expected_electrons(truth, 0, code, None)
     far = np.s_[-8:-2, -8:-2]
-    arrived = electrons[calibration.pick_row, calibration.pick_col][far] - camera.dark_e
+    arrived = electrons[calibration.centre_row, calibration.centre_col][far] - camera.dark_e
     light = 36 * camera.reference(truth, 0)[0] * (levels[0] > 0)
     told = calibration.mix(light) * calibration.responsivity_dn * camera.sensor.step_e
     assert arrived.mean() > 20

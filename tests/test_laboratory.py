@@ -122,7 +122,7 @@ def test_map(camera: CodedCamera, found: Calibration) -> None:
     centre = centre * (1 + camera.relay.distortion * (centre**2).sum(axis=1, keepdims=True) / (24**2 + 32**2))
     y = camera.ratio * (c * centre[:, 0] + s * centre[:, 1]) + 78 + 2.3
     x = camera.ratio * (c * centre[:, 1] - s * centre[:, 0]) + 102 - 1.8
-    picked = np.stack([found.pick_row, found.pick_col], axis=-1).reshape(-1, 2) + 0.5
+    picked = np.stack([found.centre_row, found.centre_col], axis=-1).reshape(-1, 2) + 0.5
     # Within 0.05 CCD pixels of a border either neighbour is right; 0.02 more in the corners, where coma's
     # tail lies beyond what a dot's centre is measured from (without coma the worst is 0.013), and 0.005 for
     # the map's own noise, about half its residual.
@@ -135,7 +135,7 @@ def test_responsivity_is_the_true_one_within_its_stated_uncertainty(
     camera: CodedCamera, found: Calibration
 ) -> None:
     true = true_calibration(camera)
-    same = (found.pick_row == true.pick_row) & (found.pick_col == true.pick_col)
+    same = (found.centre_row == true.centre_row) & (found.centre_col == true.centre_col)
     assert same.mean() > 0.97
     error = (found.responsivity_dn / true.responsivity_dn - 1)[same]
     # The bend at 45 % is 5e-4; the objective's glare is in the flats and not in the parts' numbers: 1e-3.
@@ -179,12 +179,12 @@ def test_kernels_are_right_in_the_middle_and_in_the_corners_of_a_lens_that_varie
 
 
 # What fringing fields do to rims beyond mixing depends on what neighbours do, so no bench can know it.
-@pytest.mark.parametrize(("rim_model", "bias"), [("mixed", 3e-3), ("fine", 7e-3)])
+@pytest.mark.parametrize(("fringe_model", "bias"), [("mixed", 3e-3), ("fine", 7e-3)])
 def test_a_coded_frame_of_uniform_light_is_predicted(
-    camera: CodedCamera, found: Calibration, rim_model: str, bias: float
+    camera: CodedCamera, found: Calibration, fringe_model: str, bias: float
 ) -> None:
     """The point of it all: bench, then an unseen code and its panel history, then the raw numbers."""
-    modulator = camera.modulator.model_copy(update={"rim_model": rim_model})
+    modulator = camera.modulator.model_copy(update={"fringe_model": fringe_model})
     camera = camera.model_copy(update={"modulator": modulator})
     rng = np.random.default_rng(5)
     code, irradiance, radiance = uniform_light(camera, found.responsivity_dn, rng)
@@ -208,7 +208,7 @@ def test_uncoded_readout_slots_are_known_to_be_closed() -> None:
     found = calibrate_from(bench)
     assert found.coded_slots == camera.coded_slots == 28
     true = true_calibration(camera)
-    same = (found.pick_row == true.pick_row) & (found.pick_col == true.pick_col)
+    same = (found.centre_row == true.centre_row) & (found.centre_col == true.centre_col)
     assert np.mean((found.responsivity_dn / true.responsivity_dn)[same]) == pytest.approx(1, abs=2e-3)
 
 
@@ -271,7 +271,7 @@ def test_a_bench_finds_another_converter_and_a_misaligned_panel(state: str) -> N
     found = calibrate_from(measure_bench(other, np.random.default_rng(11)))
     row, col, _ = other.relay_geometry().ccd_pixels(3)
     # Centres lie near borders of pixels somewhere in the field; elsewhere the same pixel is picked.
-    assert (found.valid & (np.abs(found.pick_row - row) + np.abs(found.pick_col - col) > 0)).mean() < 0.1
+    assert (found.valid & (np.abs(found.centre_row - row) + np.abs(found.centre_col - col) > 0)).mean() < 0.1
     assert found.dn_per_e * other.sensor.step_e == pytest.approx(1, rel=0.01)
     noise_dn = other.sensor.dark_noise_e / other.sensor.step_e
     # Rounding alone leaves darks alike but where a dark electron came: its noise, too, is in darks.

@@ -66,7 +66,7 @@ def test_what_drifts_after_calibration_is_in_the_frames_and_decoders_do_not_know
         update={"drift": {"relay": {"shift_x_px": 1.0}}, "methods": small.methods[1:2]}
     )
     late = run(drifted, radiance)
-    for field in ("responsivity_dn", "pick_col", "crosstalk"):
+    for field in ("responsivity_dn", "centre_col", "crosstalk"):
         np.testing.assert_array_equal(getattr(late.calibration, field), getattr(result.calibration, field))
     assert late.camera.relay.shift_x_px == 1
     assert late.experiment.camera.relay.shift_x_px == 0

@@ -17,7 +17,7 @@ from synthetic_bench import Camera
 from test_cli import cli  # noqa: F401  a fixture
 
 from optsim.calibration import Bench, read_calibration
-from optsim.calibration.estimate import Measured, measure_calibration
+from optsim.calibration.estimate import BenchResult, measure_calibration
 from optsim.experiment.calibration_record import calibration_record
 from optsim.report.calibration_page import CalibrationRecord
 
@@ -48,7 +48,7 @@ def camera_of(planted: tuple[float, ...], mirrored: bool = False) -> Camera:
     )  # fmt: skip
 
 
-Found = tuple[Bench, Measured, CalibrationRecord]
+Found = tuple[Bench, BenchResult, CalibrationRecord]
 
 
 @pytest.fixture(scope="module", params=PLANTED)

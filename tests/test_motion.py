@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ideal_camera import KERNEL, everywhere, expose, film, ideal_calibration, still_light
 
-from optsim.calibration.demixed import demixed_interval, take
+from optsim.calibration.demixed import demixed_frame, demixed_interval
 from optsim.coding import HdrMosaic, NormalPhotography, RandomExposure
 from optsim.core.quantities import CodedFrame
 from optsim.optics.motion import _changed_together, _pair, changed, irradiance_interval
@@ -23,7 +23,7 @@ def seen(calibration, frames, crosstalk="undone"):
     panel = None
     result = []
     for frame in frames:
-        sample, panel = take(calibration, frame, panel, crosstalk)
+        sample, panel = demixed_frame(calibration, frame, panel, crosstalk)
         result.append(demixed_interval(calibration, sample))
     return result
 
@@ -191,7 +191,7 @@ def test_stray_light_of_a_lamp_is_no_motion_and_hides_no_motion_elsewhere():
     after[70:80, 100:115] *= 2
     scheme = HdrMosaic()
     shots = film(calibration, scheme, [still_light(light), still_light(after)], np.random.default_rng(7))
-    samples = [take(calibration, frame, None, "undone")[0] for frame in shots]
+    samples = [demixed_frame(calibration, frame, None, "undone")[0] for frame in shots]
     # As much as up to five slots of the field's own light, on the left, in the first frame alone.
     wing = np.broadcast_to(np.linspace(0.2, -0.1, COLS), (ROWS, COLS)).clip(0.1, None) - 0.1
     lit = replace(samples[0], signal=(samples[0].signal + wing).astype(np.float32))
@@ -213,7 +213,7 @@ def test_stray_light_is_told_from_noise_and_texture(irradiance, textured):
 
     def found(scheme, added):
         shot = film(calibration, scheme, [still_light(light)], np.random.default_rng(9))[0]
-        sample = take(calibration, shot, None, "undone")[0]
+        sample = demixed_frame(calibration, shot, None, "undone")[0]
         sample = replace(sample, signal=sample.signal + np.float32(added))
         return np.sqrt(demixed_interval(calibration, sample).stray) * sample.exposure
 
@@ -346,7 +346,9 @@ def test_panel_history_is_part_of_the_comparison():
         shots.append(frame)
     right = seen(calibration, shots)
     assert not changed(*right, 3.0)[0].any()
-    forgetful = [demixed_interval(calibration, take(calibration, s, rest, "undone")[0]) for s in shots]
+    forgetful = [
+        demixed_interval(calibration, demixed_frame(calibration, s, rest, "undone")[0]) for s in shots
+    ]
     # A slow panel still shows the frame before; in a flat it looks like stray light, which is no motion.
     assert np.abs(right[1].low - 1).max() < 0.01
     assert np.abs(forgetful[1].low - 1).max() > 0.1

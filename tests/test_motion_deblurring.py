@@ -13,7 +13,7 @@ from optsim.core.errors import ConfigError
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import HdrMerge, MotionDeblurring, Union
 from optsim.decoding.coded_blur import coded_blur
-from optsim.decoding.velocity_choice import likely_velocities, shared_out, velocity_grid
+from optsim.decoding.velocity_choice import likely_velocities, velocity_grid, velocity_labels
 
 ROWS, COLS = 61, 73
 QUICK = MotionDeblurring(max_speed_px=0.75)
@@ -208,9 +208,9 @@ def test_what_little_speaks_for_goes_to_the_velocity_of_most_pixels():
     costs = np.zeros((2, 20, 20), np.float32)
     costs[0, :, :15] = -1
     costs[1, :, 15:] = -0.01
-    assert (shared_out(costs) == 0).all()
+    assert (velocity_labels(costs) == 0).all()
     costs[1, :, 15:] = -1
-    assert (shared_out(costs)[:, 15:] == 1).all()
+    assert (velocity_labels(costs)[:, 15:] == 1).all()
 
 
 def test_a_code_that_a_minority_shares_is_an_error_too():

@@ -117,20 +117,20 @@ def test_nothing_falls_below_what_saturation_says():
     dark, measured = np.full((5, 5), 0.1, np.float32), np.ones((5, 5), np.bool_)
     own = np.full((5, 5), 1e-6, np.float32)
     dark[2, 2], own[2, 2] = 1.5, 9.0
-    least = np.zeros((5, 5), np.float32)
-    free, _ = pooled(dark, lambda _: own, measured, least, 0.05)
+    floor = np.zeros((5, 5), np.float32)
+    free, _ = pooled(dark, lambda _: own, measured, floor, 0.05)
     assert free[2, 2] == pytest.approx(0.1, rel=0.02)
-    least[2, 2] = 1.2
-    light, variance = pooled(dark, lambda _: own, measured, least, 0.05)
+    floor[2, 2] = 1.2
+    light, variance = pooled(dark, lambda _: own, measured, floor, 0.05)
     assert light[2, 2] == np.float32(1.2)
     assert variance[2, 2] == np.float32(1.2) ** 2  # as uncertain as bright
     # Whether it was measured or guessed; and guesses tell others nothing.
     measured[2, 2] = False
-    light, _ = pooled(dark, lambda _: own, measured, least, 0.05)
+    light, _ = pooled(dark, lambda _: own, measured, floor, 0.05)
     assert light[2, 2] == np.float32(1.2)
     np.testing.assert_allclose(np.delete(light.ravel(), 12), 0.1, rtol=1e-6)
-    least[2, 2] = 0
-    assert pooled(dark, lambda _: own, measured, least, 0.05)[0][2, 2] == pytest.approx(0.1, rel=0.02)
+    floor[2, 2] = 0
+    assert pooled(dark, lambda _: own, measured, floor, 0.05)[0][2, 2] == pytest.approx(0.1, rel=0.02)
 
 
 def test_neighbours_that_contradict_make_no_pixel_surer():
@@ -180,13 +180,13 @@ def test_any_light_and_any_noise_give_light(seed):
     own = (10.0 ** rng.uniform(-24, 24, shape) * rng.choice([1, 0], shape)).astype(np.float32)
     measured = rng.random(shape) < 0.7
     mean = np.where(measured, mean, np.abs(mean)).astype(np.float32)
-    least = np.where(rng.random(shape) < 0.2, np.abs(mean), 0).astype(np.float32)
-    light, variance = pooled(mean, lambda x: own + np.float32(1e-3) * x, measured, least, 0.05)
+    floor = np.where(rng.random(shape) < 0.2, np.abs(mean), 0).astype(np.float32)
+    light, variance = pooled(mean, lambda x: own + np.float32(1e-3) * x, measured, floor, 0.05)
     for each in (light, variance):
         assert each.dtype == np.float32
         assert np.isfinite(each).all()
         assert (each >= 0).all()
-    assert (light >= least).all()
+    assert (light >= floor).all()
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.15, 0.3])

@@ -14,7 +14,7 @@ from optsim.render.backend import activate
 from optsim.render.first_hit import first_hit
 from optsim.render.flow import rigid_motion
 from optsim.render.footprint import cover
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, list_scenes, load_scene
 
 VIEW = View(72, 96, 3, 0.32)
@@ -148,7 +148,7 @@ def test_depth_back_projects_onto_the_renderers_hits(frames) -> None:
     scene, _, _ = frames
     # The sensor is loaded at time 0.
     passes = render_passes(scene, VIEW, 0.0, STEP_S)
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     row, col = (values.ravel().astype(np.float32) for values in centres())
     spot = mi.Point2f(mi.Float(col / VIEW.cols), mi.Float(row / VIEW.rows))
     ray, _ = stage.loaded.sensors()[0].sample_ray(0.0, 0.5, spot, mi.Point2f(0.5))

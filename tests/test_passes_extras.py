@@ -18,7 +18,7 @@ from optsim.experiment.truth import chosen_scene, truth_view
 from optsim.render import choose_backend
 from optsim.render.backend import BackendReport, activate
 from optsim.render.full import slot_image
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.render.stokes import render_stokes
 from optsim.report.pass_sheet import pass_sheet
 from optsim.scene import load_scene
@@ -111,7 +111,7 @@ def test_the_groups_sum_to_the_whole_scene(experiment) -> None:
     start_s, stop_s = times(experiment, BRIGHT_SLOT)
     bright = bright_during(scene, start_s, stop_s)
     assert bright is not None
-    whole = Stage(bright, experiment.camera.view)
+    whole = RenderStage(bright, experiment.camera.view)
     sums, others = [], []
     for seed in range(n):
         light = SlotLight(scene, with_seed(experiment, seed), 32)

@@ -18,7 +18,7 @@ from optsim.optics.mueller import polariser, turned
 from optsim.render import RenderSettings, choose_backend, render_truth
 from optsim.render.backend import activate
 from optsim.render.plan import seed_of
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.render.stokes import polarised, render_stokes
 from optsim.scene import Scene, load_scene
 
@@ -95,7 +95,7 @@ def test_a_stage_sees_what_a_polariser_passes_of_the_stokes_vector():
     runs = [render_stokes(scene, VIEW, 0.1, 64, seed) for seed in range(8)]
     with polarised():
         for azimuth_rad in SLANTS:
-            stage = Stage(scene, VIEW, azimuth_rad=azimuth_rad)
+            stage = RenderStage(scene, VIEW, azimuth_rad=azimuth_rad)
             stage.pose(0.1)
             ours = stage.radiance(pixels, 64, tuple(range(100, 108))).reshape(8, 4, 6, 4, 8).mean((2, 4))
             theirs = np.array([analysed(run, azimuth_rad) for run in runs])
@@ -104,7 +104,7 @@ def test_a_stage_sees_what_a_polariser_passes_of_the_stokes_vector():
             # Student's t of 14 degrees of freedom, 16 blocks and 3 azimuths: beyond 6.5 once in 1500 runs.
             assert np.abs((ours - theirs).mean(0) / error).max() < 6.5
             assert ours.mean() == pytest.approx(theirs.mean(), rel=0.01)
-    plain = Stage(scene, VIEW)
+    plain = RenderStage(scene, VIEW)
     plain.pose(0.1)
     dull = plain.radiance(pixels, 64, (5,)).mean()
     assert analysed(runs[0], 0.0).mean() > 1.1 * dull

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from optsim.render.pose_sampling import Trial, assumed
-from optsim.render.trajectories import Density, Trajectory
+from optsim.render.trajectories import PoseDensity, Trajectory
 
 N_INSTANTS, N_STEPS, N_KEYS, WAY_PX = 6, 48, 12, 24.0
 MASK = np.ones((8, 32), np.bool_)
 LEVEL, FLOOR = 2.0, 0.5
 ALL = np.ones(MASK.sum(), np.bool_)
-BEFORE = Density(poses=0.01, keys=0.01)
+BEFORE = PoseDensity(poses=0.01, keys=0.01)
 
 
 def track() -> Trajectory:
@@ -63,7 +63,7 @@ def test_noise_is_not_taken_for_error():
 
 def test_what_was_dense_becomes_sparse_by_halves_only():
     still = trial_of(lambda _: np.array(LEVEL))
-    assert still.density(0.1, Density(8.0, 8.0)).poses == 4.0
+    assert still.density(0.1, PoseDensity(8.0, 8.0)).poses == 4.0
 
 
 def test_keys_are_as_dense_as_the_changes_between_them_ask_for():
@@ -75,7 +75,7 @@ def test_keys_are_as_dense_as_the_changes_between_them_ask_for():
     at_one_px = np.sqrt(8 / 15) * share * (N_KEYS / 2 / WAY_PX) ** 1.5
     expected = (at_one_px / (0.7 * bound)) ** (1 / 1.5)
     assert trial.density(bound, BEFORE).keys == pytest.approx(expected, rel=1e-6)
-    assert trial.density(bound, Density(1.0, 10.0)).keys == 5.0
+    assert trial.density(bound, PoseDensity(1.0, 10.0)).keys == 5.0
 
 
 def test_noise_between_keys_is_not_taken_for_change():

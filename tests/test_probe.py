@@ -164,7 +164,9 @@ def test_a_plain_probe_changes_sizes_by_less_than_a_third(light, state, bound):
     camera = with_effects(demo(), {"all": state, "lost_fields": "nominal"})
     fine = changed(
         camera,
-        compared_with("objective_blur") | compared_with("relay_blur") | {"modulator": {"rim_model": "fine"}},
+        compared_with("objective_blur")
+        | compared_with("relay_blur")
+        | {"modulator": {"fringe_model": "fine"}},
     )
     exact, quick = (
         {each.effect: each.size for each in effect_sizes(make_probe(each_camera, light, SCHEMES))}

@@ -12,7 +12,7 @@ from small_experiment import COLS, ROWS, moving_bar
 
 from optsim.calibration import Bench, Calibration, calibrate_from
 from optsim.calibration.choice import CalibrationChoice, widest_reading
-from optsim.calibration.demixed import take
+from optsim.calibration.demixed import demixed_frame
 from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import demo
 from optsim.camera.laboratory import measure_bench
@@ -90,7 +90,7 @@ def test_a_bench_finds_the_true_reading(
     camera: CodedCamera, bench: Bench, one: Calibration, nine: Calibration
 ) -> None:
     true = true_calibration(camera, 3)
-    same = (nine.pick_row == true.pick_row) & (nine.pick_col == true.pick_col)
+    same = (nine.centre_row == true.centre_row) & (nine.centre_col == true.centre_col)
     error = (nine.responsivity_dn / true.responsivity_dn - 1)[same]
     # The objective's glare is in the flats and not in the parts' numbers: 1e-3.
     assert abs(np.mean(error)) < 2e-3
@@ -124,7 +124,7 @@ def test_noise_is_as_predicted_and_light_is_found(
     first, second = (known.observe(frame) for frame in pair)
     squared = (first.signal - second.signal) ** 2 / (first.variance + second.variance)
     assert np.mean(squared) == pytest.approx(1, abs=5 * np.sqrt(2 / squared.size))
-    sample, _ = take(known, pair[0], known.panel_at_rest(), "undone")
+    sample, _ = demixed_frame(known, pair[0], known.panel_at_rest(), "undone")
     # What fields do to rims beyond mixing, no bench can know: test_laboratory.py has the same.
     assert np.mean(sample.signal / sample.exposure / irradiance) == pytest.approx(1, abs=7e-3)
 
@@ -138,7 +138,7 @@ def test_noise_of_nine_is_a_third(one: Calibration, nine: Calibration) -> None:
 
 def test_one_saturated_pixel_of_nine_makes_the_reading_a_bound(one: Calibration, nine: Calibration) -> None:
     dn = np.full((156, 204), 3000, np.uint16)
-    dn[nine.pick_row[20, 30] + 1, nine.pick_col[20, 30] - 1] = 2**14 - 1
+    dn[nine.centre_row[20, 30] + 1, nine.centre_col[20, 30] - 1] = 2**14 - 1
     code = ExposureCode(np.full((36, 48, 64), 255, np.uint8), np.zeros((48, 64), np.bool_))
     clipped = nine.observe(CodedFrame(0, dn, code)).saturated
     assert clipped[20, 30]

@@ -10,7 +10,7 @@ from ideal_camera import BLACK_DN, KERNEL, SLOTS, crossing, expose, film, ideal_
 from pydantic import TypeAdapter
 
 from optsim.calibration import Glare
-from optsim.calibration.demixed import SaturationPrior, noise_variance, separate, separated_variance, take
+from optsim.calibration.demixed import SaturationPrior, demix, demixed_frame, demixed_variance, noise_variance
 from optsim.coding import (
     CodedRollingShutter,
     FlutterShutter,
@@ -231,7 +231,7 @@ def test_separation_inverts_the_kernel(centre, seed):
     calibration = ideal_calibration(12, 14, crosstalk=kernel)
     image = rng.uniform(0, 0.8, (12, 14)).astype(np.float32)
     frame = film(calibration, HdrMosaic(), [still_light(image)], None)[0]
-    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "undone")
     # Half a DN of rounding, blown up by at most 1 / (2 centre - 1).
     np.testing.assert_allclose(
         sample.signal, image * sample.exposure, atol=0.02 / 270 * 36 / (2 * centre - 1)
@@ -243,8 +243,8 @@ def test_separated_variance_is_the_variance_found():
     calibration = ideal_calibration(128, 128, crosstalk=kernel)
     light = still_light(np.full((128, 128), 0.5))
     frame = film(calibration, HdrMosaic(), [light], np.random.default_rng(3))[0]
-    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
-    predicted = separated_variance(
+    sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "undone")
+    predicted = demixed_variance(
         calibration, noise_variance(calibration, calibration.spread(0.5 * sample.exposure[None])[0])
     )
     for n_open in (1, 3, 11, 36):
@@ -264,12 +264,12 @@ def test_neighbours_light_is_taken_out_while_a_third_is_a_pixels_own(share, glar
     kernels[:, 15:] = np.array([[0, 0.02, 0], [0.02, 0.92, 0.02], [0, 0.02, 0]])
     calibration = replace(ideal_calibration(24, 30), crosstalk=kernels, glare=glare)
     frame = film(calibration, HdrMosaic(), [still_light(np.ones((24, 30)))], None)[0]
-    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "row_summed")
+    sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "row_summed")
     signal = np.random.default_rng(1).lognormal(0, 1, (24, 30)).astype(np.float32)
     signal[4:20, 3:12] = 5
     measured = calibration.mix(signal)
     unknown = SaturationPrior.unknown(calibration.shape)
-    found = separate(calibration, replace(sample, measured=measured, signal=measured), unknown).signal
+    found = demix(calibration, replace(sample, measured=measured, signal=measured), unknown).signal
     # It ends where a step changes nothing by more than 1e-4 of the brightest.
     np.testing.assert_allclose(found, signal, atol=1e-3 * signal.max())
 
@@ -293,10 +293,10 @@ def test_saturated_neighbours_taint_unless_known():
     image = np.full((8, 8), 0.01, np.float32)
     image[4, 4] = 50
     frame = film(calibration, NormalPhotography(), [still_light(image)], None)[0]
-    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "undone")
     assert sample.tainted[3:6, 3:6].sum() == 8
     assert sample.tainted.sum() == 8
-    known = separate(calibration, sample, SaturationPrior(image, np.zeros_like(image)))
+    known = demix(calibration, sample, SaturationPrior(image, np.zeros_like(image)))
     assert not known.tainted.any()
     np.testing.assert_allclose(known.signal[3:6, 3:6], image[3:6, 3:6] * 36, rtol=0.02)
     result = last(HdrMerge(), [frame], calibration)
@@ -511,7 +511,7 @@ def test_single_alarms_are_not_believed_and_regions_are():
     dn[20:24, 20:24] += 3000
     frames[3] = replace(frames[3], dn=dn)
     panel = calibration.panel_at_rest()
-    alone, _ = take(calibration, frames[3], panel, "undone")
+    alone, _ = demixed_frame(calibration, frames[3], panel, "undone")
     newest = alone.signal / alone.exposure
     found = last(HdrMerge(neighbours=False), frames, calibration).irradiance_w_m2[0]
     np.testing.assert_allclose(found[20:24, 20:24], newest[20:24, 20:24], rtol=1e-4)

@@ -17,8 +17,8 @@ from optsim.render.backend import activate
 from optsim.render.difference import Difference
 from optsim.render.full import render_slot, slot_image
 from optsim.render.nearby import boxes_around
-from optsim.render.plan import Plan
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan
+from optsim.render.stage import RenderStage
 from optsim.render.still import halves_tally, static_light
 from optsim.scene import load_scene
 
@@ -35,13 +35,15 @@ def _backend():
 
 def plan_of(scene, folder, **settings):
     timing = Timing(1 / 180, 4, 2)
-    return Plan(scene, VIEW, timing, RenderSettings(**settings), None, Cache(folder), silent, scene.name)
+    return RenderPlan(
+        scene, VIEW, timing, RenderSettings(**settings), None, Cache(folder), silent, scene.name
+    )
 
 
 @pytest.fixture(scope="module")
 def difference(tmp_path_factory):
     plan = plan_of(load_scene("window_room"), tmp_path_factory.mktemp("cache"), static_error=0.3)
-    return plan, Difference(plan, static_light(plan, Stage(plan.scene, VIEW, movers=False)))
+    return plan, Difference(plan, static_light(plan, RenderStage(plan.scene, VIEW, movers=False)))
 
 
 # --- allocation --------------------------------------------------------------------------------------------
@@ -129,7 +131,7 @@ def test_differences_average_to_the_difference_of_renders(difference):
     plan, ours = difference
     counts, time_s = np.full(len(PIXELS), 2, np.float32), 0.02
     found = np.concatenate([ours.change(time_s, PIXELS, counts, turn)[0] for turn in range(40)])
-    moving, still = Stage(plan.scene, VIEW), Stage(plan.scene, VIEW, movers=False)
+    moving, still = RenderStage(plan.scene, VIEW), RenderStage(plan.scene, VIEW, movers=False)
     moving.pose(time_s)
     plain = moving.radiance(PIXELS, 8, tuple(range(5000, 5040)))
     plain -= still.radiance(PIXELS, 8, tuple(range(6000, 6040)))
@@ -183,7 +185,7 @@ def test_a_flickering_lamp_is_a_sum_of_pictures(tmp_path):
             )
             for name, lamp in scene.lamps.items()
         }
-        steady = Stage(scene.model_copy(update={"lamps": dimmed}), VIEW)
+        steady = RenderStage(scene.model_copy(update={"lamps": dimmed}), VIEW)
         direct = slot_image(steady, start_s, 1 / 180, 24, 2, tuple(range(900 + 10 * slot, 908 + 10 * slot)))
         within_noise(video, slot, direct, instants=2)
         levels.append(direct.mean())
@@ -213,7 +215,7 @@ def test_a_moving_camera_sees_every_slot_anew(tmp_path):
     scene = load_scene("moving_camera")
     video = loaded(scene, tmp_path, moving_error=0.3)
     assert video.slots_per_segment == 1
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     for slot in (0, 7):
         direct = slot_image(stage, slot / 180, 1 / 180, 16, 2, tuple(range(70 + 10 * slot, 78 + 10 * slot)))
         within_noise(video, slot, direct)
@@ -225,7 +227,7 @@ def test_samples_of_many_poses_are_as_good_as_of_one(tmp_path, target):
     """Light and noise of a slot in 8 poses, with fewer samples than these and with more, against one pose."""
     scene = load_scene("moving_camera")
     plan = plan_of(scene, tmp_path, moving_error=target)
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     light = stage.radiance(PIXELS, 16, (1, 2))
     tiles = halves_tally(plan, PIXELS, light, 16.0)
     one, many = (render_slot(plan, stage, 3, poses, tiles)["light"].astype(float) for poses in (1, 8))

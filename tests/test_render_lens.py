@@ -14,9 +14,9 @@ from optsim.render.backend import activate
 from optsim.render.footprint import path_px, project
 from optsim.render.gbuffer import sample_rays
 from optsim.render.lens import distorted, ideal, margin_px, touched, undistorted
-from optsim.render.plan import Plan, seed_of
-from optsim.render.reprojection import Key
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan, seed_of
+from optsim.render.reprojection import KeyPoseLight
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene
 
 VIEW = View(18, 24, 3, 0.3)
@@ -76,10 +76,10 @@ def room(**more: object) -> Scene:
 
 def test_a_pinhole_neither_focuses_nor_takes_random_numbers():
     scene = room()
-    plain = Stage(scene, VIEW).radiance(PIXELS, 4, (1,))
-    focused = Stage(scene, replace(VIEW, focus_m=1.0, defocus_per_m=1.0)).radiance(PIXELS, 4, (1,))
+    plain = RenderStage(scene, VIEW).radiance(PIXELS, 4, (1,))
+    focused = RenderStage(scene, replace(VIEW, focus_m=1.0, defocus_per_m=1.0)).radiance(PIXELS, 4, (1,))
     np.testing.assert_allclose(focused, plain, rtol=1e-6)
-    tiny = Stage(scene, replace(VIEW, aperture_m=1e-6)).radiance(PIXELS, 4, (1,))
+    tiny = RenderStage(scene, replace(VIEW, aperture_m=1e-6)).radiance(PIXELS, 4, (1,))
     changed = np.mean(np.abs(tiny - plain) > 1e-3 * plain)
     assert changed > 0.1, "a lens takes two more of a path's random numbers"
 
@@ -94,7 +94,7 @@ def test_constant_radiance_stays_what_it_is():
     }
     scene = room(lamps={"lamp": lamp}, objects={}, movers={})
     for view in (DEFOCUSED, BENT, BOTH, replace(BOTH, distortion=0.1)):
-        np.testing.assert_allclose(Stage(scene, view).radiance(PIXELS, 8, (1,)), 3.0, rtol=1e-6)
+        np.testing.assert_allclose(RenderStage(scene, view).radiance(PIXELS, 8, (1,)), 3.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("k", [-0.1, -0.01, 0.1])
@@ -118,8 +118,10 @@ def test_a_footprint_holds_all_that_is_seen_of_a_mover(view, tmp_path):
     """First surfaces through the whole lens: none on the ball outside its footprint."""
     scene, view = room(), replace(view, rows=3 * view.rows, cols=3 * view.cols)
     pixels = np.arange(view.rows * view.cols)
-    plan = Plan(scene, view, Timing(1 / 180, 4, 1), RenderSettings(), None, Cache(tmp_path), _silent, "test")
-    stage, n = Stage(scene, view), np.full(len(pixels), 256)
+    plan = RenderPlan(
+        scene, view, Timing(1 / 180, 4, 1), RenderSettings(), None, Cache(tmp_path), _silent, "test"
+    )
+    stage, n = RenderStage(scene, view), np.full(len(pixels), 256)
     for time_s in (0.0, 0.4):
         stage.pose(time_s)
         looks = stage.hits(pixels, n, np.full(len(pixels), 3), light=False)
@@ -151,7 +153,7 @@ def test_paths_of_a_key_are_sorted_by_place():
     """Two samples, two halves; paths seen in samples (5, 7), (5, 8) and nowhere."""
     numbers = np.arange(6)
     values = numbers.astype(np.float32)
-    key = Key((0, 0), (1, 2), np.array([0, 2, 3, 4, 6]), numbers, values, values + 1, values + 2)
+    key = KeyPoseLight((0, 0), (1, 2), np.array([0, 2, 3, 4, 6]), numbers, values, values + 1, values + 2)
     row = np.array([0.5, 0.2, np.nan, 0.9, -1.5, 9e9])
     col = np.array([2.5, -1.2, np.nan, 2.1, 2.0, 0.0])
     found = key.by_place(row, col)
@@ -220,9 +222,9 @@ def test_whole_samples_of_a_picture_are_bent_like_its_rays():
     scene = room(movers={})
     view = replace(View(90, 120, 1, 0.3), distortion=-0.08)
     pixels = np.arange(view.rows * view.cols)
-    rays = Stage(scene, view).radiance(pixels, 64, (1,))[0].reshape(view.rows, view.cols)
-    loop = Stage(scene, view).picture(64, 1)
-    straight = Stage(scene, replace(view, distortion=0.0)).picture(64, 1)
+    rays = RenderStage(scene, view).radiance(pixels, 64, (1,))[0].reshape(view.rows, view.cols)
+    loop = RenderStage(scene, view).picture(64, 1)
+    straight = RenderStage(scene, replace(view, distortion=0.0)).picture(64, 1)
     assert np.std(rays - loop) < 0.5 * np.std(rays - straight)
 
 
@@ -230,7 +232,9 @@ def test_whole_samples_of_a_picture_are_bent_like_its_rays():
 def test_what_movers_carry_is_sorted_by_place_only_behind_a_lens(view, sorts, tmp_path):
     """A pinhole's paths belong to the sample in which the point that they meet is seen."""
     coarse = RenderSettings(static_error=0.5, change_error=0.5, moving_error=0.5, slots_per_segment=2)
-    with mock.patch.object(Key, "by_place", autospec=True, side_effect=Key.by_place) as by_place:
+    with mock.patch.object(
+        KeyPoseLight, "by_place", autospec=True, side_effect=KeyPoseLight.by_place
+    ) as by_place:
         render_truth(room(), view, Timing(1 / 180, 2, 1), coarse, cache=Cache(tmp_path))
     assert (by_place.call_count > 0) == sorts
 
@@ -253,7 +257,7 @@ def test_truth_by_differences_is_what_a_plain_path_tracer_sees_of_a_mover_out_of
         np.mean([each.instant(i).ravel() for _, s in film.segments(0, 12) for each, i in _all(s)], axis=0)
         for film in (video, noise)
     )
-    plain, poses, samples = Stage(scene, view), 48, 64
+    plain, poses, samples = RenderStage(scene, view), 48, 64
     images = np.empty((2, poses, len(PIXELS)))
     for pose in range(poses):
         plain.pose((pose + 0.5) / poses * timing.n_slots * timing.slot_s)

@@ -14,7 +14,7 @@ from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.describe import describe, unit_m
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import load_scene
 from optsim.scene.scene import Scene
 
@@ -120,10 +120,10 @@ def test_an_index_is_relative_to_vacuum_and_a_texture_is_on_the_coat_s_base():
     """Head-on, the coat of a black base reflects ((n - 1) / (n + 1))^2 of the furnace's light."""
     black = {"kind": "plastic", "reflectance": 0.0, "ior": 2.0, "roughness": 0.02}
     view = View(8, 8, 1, 0.02)
-    shown = Stage(furnace(black, PANE), view).radiance(np.arange(64), 256, (1,)).mean()
+    shown = RenderStage(furnace(black, PANE), view).radiance(np.arange(64), 256, (1,)).mean()
     assert shown == pytest.approx(1 / 9, rel=0.02)
     checker = {"kind": "plastic", "texture": "checker", "tile_m": 0.2}
-    image = Stage(furnace(checker, PANE), VIEW).radiance(PIXELS, 64, (1,))
+    image = RenderStage(furnace(checker, PANE), VIEW).radiance(PIXELS, 64, (1,))
     assert image.std() > 0.05
 
 
@@ -160,7 +160,7 @@ def test_lamps_and_random_numbers_do_not_depend_on_movers():
     """A mover outside the closed room changes no path at all, whatever it does."""
     plain = closed()
     moving = plain.model_copy(update={"movers": closed(movers={"a_first": OUTSIDE}).movers})
-    stages = [Stage(plain, VIEW), Stage(moving, VIEW), Stage(moving, VIEW, movers=False)]
+    stages = [RenderStage(plain, VIEW), RenderStage(moving, VIEW), RenderStage(moving, VIEW, movers=False)]
     stages[1].pose(0.37)
     images = [stage.radiance(PIXELS, 16, (1, 2)) for stage in stages]
     assert images[0].mean() > 0.01
@@ -173,8 +173,8 @@ def test_lamps_and_random_numbers_do_not_depend_on_movers():
 
 def test_lamps_switched_off_stay_as_black_rectangles_and_lamps_add_up():
     scene = closed()
-    whole = Stage(scene, VIEW)
-    alone = [Stage(scene.only_lamps([name]), VIEW) for name in "abc"]
+    whole = RenderStage(scene, VIEW)
+    alone = [RenderStage(scene.only_lamps([name]), VIEW) for name in "abc"]
     assert [len(stage._loaded.emitters()) for stage in alone] == [1, 1, 1]
     assert {len(stage._loaded.shapes()) for stage in alone} == {len(whole._loaded.shapes())}
     together = sum(stage.radiance(PIXELS, 256, (7,)).mean() for stage in alone)
@@ -191,7 +191,7 @@ def test_a_mover_may_pass_the_camera_and_leave_the_frame():
         "positions_m": [[0, 0, 0.6], [0, -4.2, 0.6]],
         "interpolation": "linear",
     }
-    stage = Stage(closed(movers={"m": path}), VIEW)
+    stage = RenderStage(closed(movers={"m": path}), VIEW)
     seen = []
     for time_s in (0.0, 0.3, 0.5, 1.0, 2.0):
         stage.pose(time_s)
@@ -238,12 +238,12 @@ def test_a_shapes_file_is_seen_and_degenerate_triangles_do_no_harm(tmp_path):
     flat = '<boolean name="face_normals" value="true"/>'
     surface = '<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>'
     (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{shape}{flat}{surface}</scene>')
-    image = Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 64, (1,)).reshape(VIEW.rows, VIEW.cols)
+    image = RenderStage(load_scene(tmp_path), VIEW).radiance(PIXELS, 64, (1,)).reshape(VIEW.rows, VIEW.cols)
     assert np.isfinite(image).all()
     assert (image[8:16, 12:20] > 0).all()
     behind = '<shape type="sphere"><point name="center" x="0" y="-9" z="0"/></shape>'
     (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{behind}</scene>')
-    assert Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)).max() == 0
+    assert RenderStage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)).max() == 0
 
 
 def test_the_layout_of_serialized_meshes_is_mitsubas(tmp_path):
@@ -258,7 +258,7 @@ def test_the_layout_of_serialized_meshes_is_mitsubas(tmp_path):
         surface = '<bsdf type="twosided"><bsdf type="diffuse"/></bsdf>'
         shape = f'<shape type="{kind}">{named}{surface}</shape>'
         (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
-        images.append(Stage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)))
+        images.append(RenderStage(load_scene(tmp_path), VIEW).radiance(PIXELS, 4, (1,)))
     assert images[0].max() > 0
     np.testing.assert_allclose(images[1], images[0], rtol=1e-5)
 
@@ -271,13 +271,13 @@ def test_a_damaged_image_is_named(name, tmp_path):
     texture = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{name}"/></texture>'
     shape = f'<shape type="sphere"><bsdf type="diffuse">{texture}</bsdf></shape>'
     (tmp_path / "static.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
-    Stage(load_scene(tmp_path), VIEW)
+    RenderStage(load_scene(tmp_path), VIEW)
     for damaged in (whole[: len(whole) // 2], b"", b"no image at all"):
         (tmp_path / name).write_bytes(damaged)
         with pytest.raises(
             StorageError, match=rf"{tmp_path / name} cannot be read as an image: .*; cure:"
         ) as raised:
-            Stage(load_scene(tmp_path), VIEW)
+            RenderStage(load_scene(tmp_path), VIEW)
         assert "\n" not in str(raised.value)
 
 
@@ -287,7 +287,7 @@ from pathlib import Path
 import numpy as np, mitsuba as mi
 from optsim.core.quantities import View
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import load_scene
 activate(None)
 folder = Path(sys.argv[1])
@@ -301,7 +301,7 @@ for name in ("exr", "hdr", "png"):
     (folder / "static.xml").write_text(
         '<scene version="3.0.0"><shape type="sphere">%s</shape></scene>' % surface
     )
-    print(Stage(load_scene(folder), View(8, 8, 1, 0.3)).picture(64, 1).mean())
+    print(RenderStage(load_scene(folder), View(8, 8, 1, 0.3)).picture(64, 1).mean())
 """
 
 
@@ -320,7 +320,7 @@ def test_what_mitsuba_refuses_is_named_before_rendering(tmp_path):
     (tmp_path / "scene.toml").write_text(TOML)
     (tmp_path / "static.xml").write_text('<scene version="3.0.0"><shape type="spheer"/></scene>')
     with pytest.raises(ConfigError, match=r"static\.xml: Mitsuba cannot load it.*spheer"):
-        Stage(load_scene(tmp_path), VIEW)
+        RenderStage(load_scene(tmp_path), VIEW)
 
 
 # --- scale --------------------------------------------------------------------------------------------------

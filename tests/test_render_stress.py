@@ -16,7 +16,7 @@ from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_truth
 from optsim.render.backend import activate
 from optsim.render.full import slot_image
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import load_scene
 from optsim.scene.geometry import Mesh
 from optsim.scene.movers import Card
@@ -105,7 +105,7 @@ def instants(scene, folder, *, view=VIEW, timing=TIMING, half=False):
 
 def direct(scene, slot, *, view=VIEW, samples=32, poses=1):
     """Mean of a slot by the plain loop with 4 seeds, and the variance of it, (y, x) each."""
-    stage = Stage(scene, view)
+    stage = RenderStage(scene, view)
     seeds = tuple(range(100 * slot + 1, 100 * slot + 5))
     many = slot_image(stage, slot * TIMING.slot_s, TIMING.slot_s, samples, poses, seeds)
     return many.mean(axis=0), many.var(axis=0, ddof=1) / len(seeds)
@@ -360,7 +360,7 @@ def resident_mb():
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 def test_memory_does_not_grow_with_poses():
-    stage = Stage(room(movers=BUSY), VIEW)
+    stage = RenderStage(room(movers=BUSY), VIEW)
 
     def go(first, last):
         for i in range(first, last):

@@ -11,7 +11,7 @@ from optsim.render.backend import activate
 from optsim.render.footprint import cover, path_px, project
 from optsim.render.full import slot_image
 from optsim.render.pose_sampling import hat_means
-from optsim.render.stage import Stage, outside_mask
+from optsim.render.stage import RenderStage, outside_mask
 from optsim.scene import load_scene
 
 VIEW = View(48, 63, 3, 0.32)
@@ -40,7 +40,7 @@ def assert_same(image, other):
 
 
 def test_a_subset_of_pixels_is_bitwise_the_whole(scene):
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     some = PIXELS[5::7]
     whole = stage.radiance(PIXELS, 4, (1, 2))
     np.testing.assert_array_equal(stage.radiance(some, 4, (1, 2)), whole[:, some])
@@ -54,12 +54,12 @@ def test_a_subset_of_pixels_is_bitwise_the_whole(scene):
 
 
 def test_moving_the_vertices_equals_loading_afresh(scene):
-    moved = Stage(scene, VIEW)
+    moved = RenderStage(scene, VIEW)
     moved.pose(0.7)
     moved.pose(0.05)
-    fresh = Stage(scene, VIEW)
+    fresh = RenderStage(scene, VIEW)
     fresh.pose(0.05)
-    rest = Stage(scene, VIEW).radiance(PIXELS, 2, (3,))
+    rest = RenderStage(scene, VIEW).radiance(PIXELS, 2, (3,))
     image = moved.radiance(PIXELS, 2, (3,))
     assert_same(image, fresh.radiance(PIXELS, 2, (3,)))
     with pytest.raises(AssertionError):
@@ -73,8 +73,8 @@ def test_the_projection_agrees_with_the_renderer(scene):
     walker = one.singles()["walker"]
     mask = np.zeros((VIEW.rows, VIEW.cols), bool)
     cover(mask, walker.vertices(0.0), walker.rest().faces, one.camera, VIEW)
-    with_him = Stage(one, VIEW).radiance(PIXELS, 8, (5,))
-    without = Stage(one, VIEW, movers=False).radiance(PIXELS, 8, (5,))
+    with_him = RenderStage(one, VIEW).radiance(PIXELS, 8, (5,))
+    without = RenderStage(one, VIEW, movers=False).radiance(PIXELS, 8, (5,))
     # The same random numbers: where the first hit is the same, only his shadow differs, and it darkens.
     brighter = (with_him > (1 + 1e-5) * without)[0].reshape(mask.shape)
     # A ray along an edge may take either side, so a few samples in a thousand are spared.
@@ -107,7 +107,7 @@ def test_the_mean_of_many_differences_is_the_mean_of_renders(scene):
     """z-test over 200 independent seeds of sums over regions, false alarm rate below 1e-4 in all."""
     view = View(18, 24, 3, 0.32)
     pixels = np.arange(view.rows * view.cols)
-    moving, still = Stage(scene, view), Stage(scene, view, movers=False)
+    moving, still = RenderStage(scene, view), RenderStage(scene, view, movers=False)
     moving.pose(0.1)
     seeds = tuple(range(1, 201))
     change = moving.radiance(pixels, 2, seeds) - still.radiance(pixels, 2, seeds)
@@ -128,7 +128,7 @@ def test_the_mean_of_many_differences_is_the_mean_of_renders(scene):
 def test_an_instant_agrees_with_a_direct_render_within_its_noise(scene, truth):
     """The video's slots against the plain loop with its own noise; the statistic is a mean of squares."""
     video = truth[1]
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     inside = ~video.outside
     for index, instant in ((0, 0), (1, 2)):
         slot = index * 4 + instant

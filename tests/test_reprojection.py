@@ -7,8 +7,8 @@ from optsim.core.cache import Cache
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, moving, render_truth
 from optsim.render.backend import activate, choose_backend
-from optsim.render.reprojection import Key, between, filled, seen_at
-from optsim.render.stage import PrimaryHits, Stage
+from optsim.render.reprojection import KeyPoseLight, between, filled, seen_at
+from optsim.render.stage import PrimaryHits, RenderStage
 from optsim.scene import load_scene
 from optsim.scene.materials import Metal
 
@@ -33,15 +33,15 @@ def looks(second: float, third: float, shape: int = 7) -> PrimaryHits:
     return PrimaryHits(np.array([shape]), ONE, weights, np.ones(1, np.float32), np.zeros(0, np.float32))
 
 
-def key(*paths: tuple[int, int, float, float, float]) -> Key:
+def key(*paths: tuple[int, int, float, float, float]) -> KeyPoseLight:
     """Make a key of (sample, shape, depth, albedo, light)."""
     sample, shape, *values = np.array(sorted(paths)).T
     depth, albedo, light = (np.asarray(column, np.float32) for column in values)
     first = np.searchsorted(sample, np.arange(2 * VIEW.rows * VIEW.cols + 1))
-    return Key((0, 0), (VIEW.rows, VIEW.cols), first, shape.astype(np.int64), depth, albedo, light)
+    return KeyPoseLight((0, 0), (VIEW.rows, VIEW.cols), first, shape.astype(np.int64), depth, albedo, light)
 
 
-def irradiance(of: Key, at: PrimaryHits, here=HERE, then=THEN, half=0) -> float:
+def irradiance(of: KeyPoseLight, at: PrimaryHits, here=HERE, then=THEN, half=0) -> float:
     return float(of.irradiance(at, ONE, ONE + half, FACES, here, then, VIEW)[0])
 
 
@@ -135,7 +135,7 @@ def test_of_two_keys_as_near_the_earlier_one_fills_a_gap():
 def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
     activate_vectorised()
     scene = load_scene("window_room")
-    stage = Stage(scene, View(24, 32, 1, 0.32))
+    stage = RenderStage(scene, View(24, 32, 1, 0.32))
     stage.pose(0.03)
     pixels, samples, seeds = np.arange(0, 768, 3), np.full(256, 4), np.full(256, 5)
     whole = stage.hits(pixels, samples, seeds, light=True)
@@ -156,7 +156,7 @@ def test_a_look_is_the_beginning_of_the_path_with_the_same_number():
 
 def test_looks_go_on_where_earlier_ones_stopped():
     activate_vectorised()
-    stage = Stage(load_scene("window_room"), View(24, 32, 1, 0.32))
+    stage = RenderStage(load_scene("window_room"), View(24, 32, 1, 0.32))
     pixels, seeds = np.arange(0, 768, 3), np.full(256, 5)
     all_of_them = stage.hits(pixels, np.full(256, 8), seeds, light=False)
     later = stage.hits(pixels, np.full(256, 4), seeds, np.full(256, 4), light=False)
@@ -181,7 +181,7 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
     seen: list[np.ndarray] = []
     rendered: list[np.ndarray] = []
     asked: list[str] = []
-    honest = Stage.hits, moving._whole, moving._reprojected
+    honest = RenderStage.hits, moving._whole, moving._reprojected
 
     def spied(stage, pixels, samples, seeds, *first, light):
         found = honest[0](stage, pixels, samples, seeds, *first, light=light)
@@ -189,7 +189,7 @@ def test_what_is_not_matt_is_rendered_at_every_pose(tmp_path, monkeypatch):
         seen.append(np.repeat(pixels, samples)[hit & (not light)])
         return found
 
-    monkeypatch.setattr(Stage, "hits", spied)
+    monkeypatch.setattr(RenderStage, "hits", spied)
     monkeypatch.setattr(moving, "_whole", lambda *a: rendered.append(a[2]) or honest[1](*a))
     monkeypatch.setattr(moving, "_reprojected", lambda *a: asked.append(a[3].name) or honest[2](*a))
     settings = RenderSettings(static_error=0.5, change_error=0.5, moving_error=1, slots_per_segment=2)

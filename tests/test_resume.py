@@ -176,7 +176,7 @@ def test_shots_come_back_to_the_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(panel.retardance_rad, after.retardance_rad)
     np.testing.assert_array_equal(panel.levels, after.levels)
     assert (panel.retardance_rad.dtype, panel.levels.dtype) == (np.float32, np.uint8)
-    assert panel.slots_shown == after.slots_shown == 108
+    assert panel.slots_displayed == after.slots_displayed == 108
     # The same whether taken or recalled, in memory: the folder goes when the run is done.
     shutil.rmtree(tmp_path)
     assert not isinstance(frame.dn, np.memmap)

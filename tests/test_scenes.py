@@ -9,7 +9,7 @@ from optsim.core.quantities import View
 from optsim.render import choose_backend
 from optsim.render.backend import activate
 from optsim.render.footprint import cover, project
-from optsim.render.stage import Stage, outside_mask
+from optsim.render.stage import RenderStage, outside_mask
 from optsim.scene import bright_lights, list_scenes
 from optsim.scene import load_scene as load_afresh
 from optsim.scene.scene import scenes_folder
@@ -148,7 +148,7 @@ def _renderer():
 
 
 def radiance(name, rows, cols, samples):
-    stage = Stage(load_scene(name), VIEW)
+    stage = RenderStage(load_scene(name), VIEW)
     return stage.radiance(np.asarray(rows) * VIEW.cols + np.asarray(cols), samples, (3,))[0]
 
 
@@ -171,12 +171,12 @@ def test_courtyard_has_the_sky_the_shadows_and_the_sun_that_its_readme_states():
     outside = outside_mask(load_scene("courtyard"), VIEW)
     assert outside.mean() == pytest.approx(0.14, abs=0.01)
     assert not outside[VIEW.rows // 3 :].any()
-    image = Stage(load_scene("courtyard"), VIEW).picture(16, 1)
+    image = RenderStage(load_scene("courtyard"), VIEW).picture(16, 1)
     high, low = np.percentile(image[~outside], (99.5, 1))
     assert high / low == pytest.approx(115, rel=0.15)
     assert 45 < np.median(image[outside]) < 65
     assert image.max() < 2 * load_scene("courtyard").white_w_m2_sr
-    against = Stage(load_scene("courtyard", "low_sun"), VIEW).picture(16, 1)
+    against = RenderStage(load_scene("courtyard", "low_sun"), VIEW).picture(16, 1)
     assert 1e6 < against.max() / np.median(against[~outside]) < 3e6
     row, col = np.unravel_index(against.argmax(), against.shape)
     assert row < 70

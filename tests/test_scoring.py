@@ -74,7 +74,7 @@ def test_the_light_rule_predicts_what_the_camera_reads(overlap: str) -> None:
     code = ExposureCode(np.full((36, ROWS, COLS), 255, np.uint8), np.zeros((ROWS, COLS), np.bool_))
     settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
     frame, _ = camera.expose(camera.form_image(radiance), 0, code, settled, np.random.default_rng(0))
-    raw = frame.dn[calibration.pick_row, calibration.pick_col] - calibration.black_dn
+    raw = frame.dn[calibration.centre_row, calibration.centre_col] - calibration.black_dn
     inside = calibration.valid & ~outside.reshape(ROWS, 3, COLS, 3).any(axis=(1, 3))
     assert np.percentile(raw[inside], 90) == pytest.approx(light.percentile_dn, rel=0.04)
 
@@ -148,7 +148,7 @@ def test_photons_are_electrons() -> None:
     frame = frames["normal"][1]
     settled = PanelState(np.full((ROWS, COLS), np.pi, np.float32), np.full((ROWS, COLS), 255, np.uint8))
     expected, _ = scores.camera.expected_electrons(scores.truth, 1, frame.code, settled)
-    picked = expected[calibration.pick_row, calibration.pick_col][calibration.valid]
+    picked = expected[calibration.centre_row, calibration.centre_col][calibration.valid]
     # The first slot of the first frame finds the panel dark; the gain is 0.96 e-/DN.
     assert row.mean_e == pytest.approx(picked.mean(), rel=0.02)
     assert row.saturated_share == 0

@@ -15,7 +15,7 @@ from optsim.render import RenderSettings, choose_backend, render_passes, render_
 from optsim.render.backend import activate
 from optsim.render.fireflies import pilot
 from optsim.render.nearby import boxes_around
-from optsim.render.stage import Stage, outside_mask
+from optsim.render.stage import RenderStage, outside_mask
 from optsim.render.stokes import polarised
 from optsim.scene import bright_lights, load_scene
 from optsim.scene.bands import MONO, Band
@@ -75,7 +75,7 @@ def picture(tmp_path, image, more="", name="sky.exr"):
 
 def mean_light(scene, seeds=64, samples=4):
     """Mean of a picture, its standard error from independent seeds."""
-    each = Stage(scene, VIEW).radiance(PIXELS, samples, tuple(range(1, seeds + 1))).mean(axis=1)
+    each = RenderStage(scene, VIEW).radiance(PIXELS, samples, tuple(range(1, seeds + 1))).mean(axis=1)
     return each.mean(), each.std(ddof=1) / np.sqrt(seeds)
 
 
@@ -197,7 +197,7 @@ def test_a_bright_spot_is_where_azimuth_and_rotation_say(tmp_path, rotation_rad,
     )
     camera = scene.camera.model_copy(update={"target_m": tuple(np.array([0, 0, 3]) + ahead)})
     there = scene.model_copy(update={"camera": camera})
-    seen = Stage(there, View(49, 65, 1, 0.3)).radiance(np.arange(49 * 65), 4, (1,))[0].reshape(49, 65)
+    seen = RenderStage(there, View(49, 65, 1, 0.3)).radiance(np.arange(49 * 65), 4, (1,))[0].reshape(49, 65)
     rows, cols = np.indices(seen.shape)
     bright = np.where(seen > 20, seen, 0)
     assert (bright * rows).sum() / bright.sum() == pytest.approx(24, abs=1.0)
@@ -218,8 +218,8 @@ def moving(sky):
 def test_paths_that_meet_no_box_are_bitwise_the_same_under_a_sky():
     scene = moving(SUN)
     boxes = boxes_around(scene, np.linspace(0, 0.1, 9))
-    still = Stage(scene, VIEW, movers=False, boxes=boxes).radiance(PIXELS, 1, (1,))[0]
-    around = Stage(scene, VIEW, movers=False, boxes=boxes, glow=True).radiance(PIXELS, 1, (1,))[0]
+    still = RenderStage(scene, VIEW, movers=False, boxes=boxes).radiance(PIXELS, 1, (1,))[0]
+    around = RenderStage(scene, VIEW, movers=False, boxes=boxes, glow=True).radiance(PIXELS, 1, (1,))[0]
     near = still != around
     assert 0.1 < near.mean() < 0.8
     # Each that differs has met a box: it glows, or hides light.
@@ -233,7 +233,7 @@ def test_difference_rendering_under_a_sky_agrees_with_the_plain_loop(tmp_path):
     settings = RenderSettings(static_error=0.05, change_error=0.05, moving_error=0.05, instants_per_slot=1)
     video = render_truth(scene, VIEW, timing, settings, cache=Cache(tmp_path))
     ours, noise = video.load(0).instant(1), video.half_difference.load(0).instant(1)
-    stage = Stage(scene, VIEW)
+    stage = RenderStage(scene, VIEW)
     poses = []
     for step in range(16):
         stage.pose((1 + (step + 0.5) / 16) / 180)
@@ -256,9 +256,9 @@ def test_difference_rendering_under_a_sky_agrees_with_the_plain_loop(tmp_path):
 def test_the_sky_is_unpolarised():
     """Matt ground under it gives either component half of its light, path by path."""
     scene = Scene(**DOWN, sky=SUN)
-    plain = Stage(scene, VIEW).radiance(PIXELS, 2, (1,))
+    plain = RenderStage(scene, VIEW).radiance(PIXELS, 2, (1,))
     with polarised():
-        seen = Stage(scene, VIEW, azimuth_rad=0.3).radiance(PIXELS, 2, (1,))
+        seen = RenderStage(scene, VIEW, azimuth_rad=0.3).radiance(PIXELS, 2, (1,))
     np.testing.assert_allclose(seen, plain, rtol=1e-4)
 
 

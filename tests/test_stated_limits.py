@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ideal_camera import SLOTS, film, ideal_calibration, still_light
 
-from optsim.calibration.demixed import demixed_interval, take
+from optsim.calibration.demixed import demixed_frame, demixed_interval
 from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography
 from optsim.core.quantities import ExposureCode
 from optsim.decoding import HdrMerge
@@ -114,7 +114,7 @@ def test_errors_of_the_calibration_count_as_large_as_stated() -> None:
     """Of even light E through n slots and a leak: gain g E, leak (share x leak x closed and open) E / n."""
     calibration = ideal_calibration(ROWS, COLS, leak=0.01, gain_uncertainty=0.004, leak_uncertainty=0.2)
     (frame,) = film(calibration, NormalPhotography(open_slots=3), stepped(0)[:1], None)
-    sample, _ = take(calibration, frame, calibration.panel_at_rest(), "undone")
+    sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "undone")
     opened = 3 + 33 * 0.01
     rounding = 1 / 12 / (ELECTRONS_A_SLOT * opened) ** 2
     model = (0.004 * LIGHT) ** 2 + (0.2 * 0.01 * 36 * LIGHT / opened) ** 2

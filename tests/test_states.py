@@ -10,7 +10,7 @@ from ideal_camera import expose, film, ideal_calibration, still_light
 from test_scoring import COLS, ROWS, flat, small
 
 from optsim.calibration import demixed
-from optsim.calibration.demixed import SaturationPrior, take_next
+from optsim.calibration.demixed import SaturationPrior, next_demixed_frame
 from optsim.camera.true_calibration import true_calibration
 from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
 from optsim.core.quantities import ExposureCode, PanelState
@@ -39,9 +39,11 @@ def test_the_panel_of_a_frame_is_what_the_frame_before_left(
 
     def spy(*given: Any) -> Any:
         panels.append(given[2])
-        return take_next(*given)
+        return next_demixed_frame(*given)
 
-    monkeypatch.setattr(motion_adaptive if isinstance(taker, MotionAdaptive) else demixed, "take_next", spy)
+    monkeypatch.setattr(
+        motion_adaptive if isinstance(taker, MotionAdaptive) else demixed, "next_demixed_frame", spy
+    )
     if isinstance(taker, MotionAdaptive):
         state = taker.init(calibration, np.random.default_rng(0))
         taker.next(3, frames[:2], state)
@@ -107,19 +109,19 @@ def test_the_sparse_decoder_remembers_what_a_saturated_pixel_gave(monkeypatch: p
 
     def spy(*taken: Any) -> Any:
         given.append(taken[3])
-        return take_next(*taken)
+        return next_demixed_frame(*taken)
 
-    monkeypatch.setattr(demixed, "take_next", spy)
+    monkeypatch.setattr(demixed, "next_demixed_frame", spy)
     calibration = ideal_calibration(V, U)
     frames = film(calibration, RandomExposure(), [scene(0.5), scene(0.5, 100), scene(0.5)], None)
     list(SparseCoding(stride_px=8).decode(frames, calibration))
     assert np.isnan(given[0].irradiance).all()
-    assert not given[1].least.any()
+    assert not given[1].floor.any()
     np.testing.assert_allclose(given[1].irradiance, 0.5, rtol=0.02)
     # A bound is no estimate.
     np.testing.assert_allclose(given[2].irradiance, 0.5, rtol=0.02)
-    np.testing.assert_allclose(given[2].least[8:16, 8:16], (15_000 - 64) / 270 / 3, rtol=0.15)
-    assert not given[2].least[:6].any()
+    np.testing.assert_allclose(given[2].floor[8:16, 8:16], (15_000 - 64) / 270 / 3, rtol=0.15)
+    assert not given[2].floor[:6].any()
 
 
 def test_the_union_fades_from_one_branch_to_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +163,7 @@ def test_the_true_calibration_knows_a_clip_and_the_veil() -> None:
     code = ExposureCode(levels, on.moving)
     truth = camera.form_image(flat(experiment, 0.2))
     rest = camera.panel_at_rest()
-    seen = camera.expected_electrons(truth, 0, code, rest)[0][calibration.pick_row, calibration.pick_col]
+    seen = camera.expected_electrons(truth, 0, code, rest)[0][calibration.centre_row, calibration.centre_col]
     seen = (seen - camera.dark_e) * calibration.dn_per_e / calibration.responsivity_dn
     weights, _ = calibration.weights(code, rest)
     light = (weights * camera.reference(truth, 0)).sum(axis=0)

@@ -7,7 +7,7 @@ from optsim.core.errors import BackendError
 from optsim.core.quantities import View
 from optsim.render import backend as backends
 from optsim.render.backend import BackendReport, activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.render.stokes import polarised, render_stokes, stokes_image
 from optsim.scene import Scene
 
@@ -206,7 +206,7 @@ def test_s0_is_the_unpolarised_render() -> None:
         np.float64
     )
     activate()
-    stage = Stage(scene, view)
+    stage = RenderStage(scene, view)
     stage.pose(time_s)
     other = stage.radiance(np.arange(108), 256, tuple(range(100, 112))).reshape(12, 9, 12)
     difference = one.mean(0) - other.mean(0)
@@ -217,7 +217,7 @@ def test_s0_is_the_unpolarised_render() -> None:
     error = np.sqrt(sums[0].var(ddof=1) / 12 + sums[1].var(ddof=1) / 12)
     assert abs(difference.sum()) < 4 * error
     assert error / other.mean(0).sum() < 0.005, "or the test would see nothing"
-    still = Stage(scene, view)
+    still = RenderStage(scene, view)
     still.pose(0.0)
     moved = still.radiance(np.arange(108), 256, (1,)).reshape(9, 12) / other.mean(0) - 1
     assert np.abs(moved).max() > 0.1, "the mover moves"
@@ -254,7 +254,7 @@ def test_nothing_else_is_disturbed() -> None:
 
     report = activate()
     scene, view = hall({"kind": "plastic", "reflectance": 0.3}, movers=True), View(6, 8, 1, 0.3)
-    stage = Stage(scene, view)
+    stage = RenderStage(scene, view)
     before = stage.radiance(np.arange(48), 16, (1, 2))
     render_stokes(scene, view, 0.2, 4, 1)
     assert mi.variant() == report.variant

@@ -11,7 +11,7 @@ from optsim.core.files import write_exr
 from optsim.core.quantities import Timing, View
 from optsim.render import RenderSettings, choose_backend, render_passes, render_truth
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import load_scene
 from optsim.scene.models import read_model
 from optsim.scene.pictures import read_map
@@ -65,7 +65,7 @@ def write_normal(path, normal):
 
 
 def light(found, samples=16):
-    return Stage(found, VIEW).radiance(PIXELS, samples, (1,))[0].reshape(VIEW.rows, VIEW.cols)
+    return RenderStage(found, VIEW).radiance(PIXELS, samples, (1,))[0].reshape(VIEW.rows, VIEW.cols)
 
 
 @pytest.mark.usefixtures("_renderer")
@@ -156,7 +156,7 @@ tile_m = 0.4
     settings = RenderSettings(static_error=0.02, change_error=0.02, moving_error=0.02, instants_per_slot=1)
     video = render_truth(found, VIEW, timing, settings, cache=Cache(tmp_path))
     ours, noise = video.load(0).instant(1), video.half_difference.load(0).instant(1)
-    stage, poses = Stage(found, VIEW), []
+    stage, poses = RenderStage(found, VIEW), []
     for step in range(16):
         stage.pose((1 + (step + 0.5) / 16) * 0.01)
         poses.append(stage.radiance(PIXELS, 16, tuple(range(40 * step + 1, 40 * step + 5))))
@@ -167,7 +167,7 @@ tile_m = 0.4
     assert np.abs(z).max() < 7
     np.testing.assert_allclose(ours.mean(), mean.mean(), rtol=0.01)
     flat = {"card": found.materials["card"].model_copy(update={"normal_map": None})}
-    other = Stage(found.model_copy(update={"materials": found.materials | flat}), VIEW)
+    other = RenderStage(found.model_copy(update={"materials": found.materials | flat}), VIEW)
     other.pose(0.015)
     plain = other.radiance(PIXELS, 16, (1,))[0].reshape(ours.shape)
     assert abs(plain / mean - 1).max() > 0.1

@@ -70,7 +70,7 @@ def test_large_videos_get_coarser_steps_then_fewer_frames(
     rng = np.random.default_rng(4)
     light = rng.integers(0, 4096, (4, 30, 40)).astype(np.uint16)
     marks = np.ones((30, 40), np.uint8)
-    shot = report.Shot(light, marks, np.zeros((4, 30, 40), np.uint8), np.ones((3, 3), np.uint16))
+    shot = report.ViewedFrame(light, marks, np.zeros((4, 30, 40), np.uint8), np.ones((3, 3), np.uint16))
     moments = [report.Moment(k, "", light, marks, {"one": shot}) for k in (9, 4)]
     about = {"e_cd_m2": 0.01, "white_cd_m2": 100.0, "slot_s": 0.005}
     found, written = [], [1e8]

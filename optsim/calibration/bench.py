@@ -54,7 +54,7 @@ from optsim.calibration.bench_images import (
 )
 from optsim.calibration.grey_curve import read_grey_curve
 from optsim.calibration.orientation import DIRECTIONS, Orientation
-from optsim.calibration.record import RECORD, Table, read_record
+from optsim.calibration.record import RECORD, JsonTable, read_record
 from optsim.core.errors import BenchError, ConfigError
 from optsim.core.files import write_json
 from optsim.core.folder_claims import claimed
@@ -271,7 +271,7 @@ def manifest(settings: Mapping[str, Any], tables: Mapping[str, Any]) -> dict[str
     return {"format": FORMAT, **_FIXED, **said, "exposure_s": exposure_s, **tables}
 
 
-def _grey_curve(table: Table) -> GreyCurve:
+def _grey_curve(table: JsonTable) -> GreyCurve:
     said: object = table.items.get("grey_curve", ())
     try:
         found = read_grey_curve(table.path.parent / said) if isinstance(said, str) else said
@@ -283,7 +283,7 @@ def _grey_curve(table: Table) -> GreyCurve:
         raise BenchError(f"{table.path}: grey_curve: {why}") from None
 
 
-def _orientation(table: Table) -> Orientation | None:
+def _orientation(table: JsonTable) -> Orientation | None:
     if "orientation" not in table.items:
         return None
     said: object = table.items["orientation"]
@@ -293,7 +293,7 @@ def _orientation(table: Table) -> Orientation | None:
     return cast("Orientation", found)
 
 
-def _files(table: Table, sets: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+def _files(table: JsonTable, sets: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Files of each set, by its name in messages."""
     files = {"darks": table.files("darks")}
     for name in sets:

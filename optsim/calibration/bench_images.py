@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from optsim.calibration.record import Table
+from optsim.calibration.record import JsonTable
 from optsim.core.files import write_png16, write_tiff16
 from optsim.core.quantities import Bytes, Words
 
@@ -109,13 +109,13 @@ def write_group(folder: Path, stem: str, group: Group, suffix: str = "png") -> d
     return {**table, "files": write_images(folder, stem, group.dn, suffix)}
 
 
-def read_flat(table: Table) -> Flat:
+def read_flat(table: JsonTable) -> Flat:
     """Read a flat and its images."""
     table.only(("level", "irradiance_w_m2", "files"))
     return Flat(table.level("level"), table.positive("irradiance_w_m2"), table.images("files"))
 
 
-def read_patches(table: Table) -> Patches:
+def read_patches(table: JsonTable) -> Patches:
     """Read patches and their images."""
     table.only(("rows", "cols", "size", "irradiance_w_m2", "files"))
     rows, cols = table.integers("rows"), table.integers("cols")
@@ -123,7 +123,7 @@ def read_patches(table: Table) -> Patches:
     return Patches(rows, cols, size, irradiance_w_m2, table.images("files"))
 
 
-def read_step(table: Table) -> Step:
+def read_step(table: JsonTable) -> Step:
     """Read a step and its images."""
     table.only(("before", "after", "delay_s", "flash_s", "files"))
     before, after = table.level("before"), table.level("after")

@@ -20,9 +20,9 @@ from optsim.calibration.demixed import (
     LEAST_EXPOSURE,
     DemixedFrame,
     SaturationPrior,
+    demix,
     demixed_frames,
     noise_variance,
-    separate,
 )
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Words
@@ -226,8 +226,8 @@ def _read_pixels(calibration: Calibration) -> tuple[Any, Any]:
     for down in range(-half, half + 1):
         for right in range(-half, half + 1):
             read[
-                (calibration.pick_row + down).clip(0, read.shape[0] - 1),
-                (calibration.pick_col + right).clip(0, read.shape[1] - 1),
+                (calibration.centre_row + down).clip(0, read.shape[0] - 1),
+                (calibration.centre_col + right).clip(0, read.shape[1] - 1),
             ] = True
     rows, cols = np.nonzero(read)
     return rows, cols
@@ -288,7 +288,7 @@ def _agreement(
         # The weights, which take longest, do not depend on where the frame is read.
         seen = calibration.observe(frame)
         moved = replace(sample, measured=seen.signal, signal=seen.signal, saturated=seen.saturated)
-        demixed = separate(calibration, moved, unknown)
+        demixed = demix(calibration, moved, unknown)
         signals.append(demixed.signal)
         measured.append(demixed.measured)
         usable.append(
@@ -312,12 +312,12 @@ def _agreement(
 
 def _blurred(calibration: Calibration, at: Registration) -> Calibration:
     """Return the calibration with what reading between CCD pixels adds to its crosstalk."""
-    reach, picked = calibration.reach, (calibration.pick_row, calibration.pick_col)
+    reach, centres = calibration.reach, (calibration.centre_row, calibration.centre_col)
     if at == NOT_MOVED or not reach:
         return calibration
-    now = at.now(picked[0].astype(np.float64), picked[1].astype(np.float64), calibration.ccd_shape)
+    now = at.now(centres[0].astype(np.float64), centres[1].astype(np.float64), calibration.ccd_shape)
     kernels = calibration.crosstalk.copy()
-    for axis, (new, old) in enumerate(zip(now, picked, strict=True)):
+    for axis, (new, old) in enumerate(zip(now, centres, strict=True)):
         between = np.abs(new - old - np.rint(new - old))
         gain = (_BLUR * between * (1 - between)).astype(np.float32)
         along = np.moveaxis(kernels, 2 + axis, 2)[:, :, :, reach]

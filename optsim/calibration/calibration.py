@@ -66,7 +66,7 @@ class Calibration:
         CCD pixels (rows, columns) of a frame.
     response : PanelResponse
         Temporal response, contrast and grey curve of the panel.
-    pick_row, pick_col : ndarray of shape (v, u), int64
+    centre_row, centre_col : ndarray of shape (v, u), int64
         Pixel map: CCD row and column at the centre of each panel pixel. They lie on the CCD even where not
         valid.
     valid : ndarray of shape (v, u), bool
@@ -106,8 +106,8 @@ class Calibration:
     coded_slots: int
     ccd_shape: tuple[int, int]
     response: PanelResponse
-    pick_row: Ints
-    pick_col: Ints
+    centre_row: Ints
+    centre_col: Ints
     valid: Bools
     responsivity_dn: Floats
     black_dn: Floats
@@ -125,8 +125,8 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name, dtype, unit in (
-            ("pick_row", np.int64, "CCD pixel"),
-            ("pick_col", np.int64, "CCD pixel"),
+            ("centre_row", np.int64, "CCD pixel"),
+            ("centre_col", np.int64, "CCD pixel"),
             ("valid", np.bool_, "mask"),
             ("responsivity_dn", np.float32, "DN / (W m^-2 slot)"),
             ("black_dn", np.float32, "DN"),
@@ -139,10 +139,10 @@ class Calibration:
                 )
         self._check_numbers()
         rows, cols = self.ccd_shape
-        for name, pick, size in (("row", self.pick_row, rows), ("col", self.pick_col, cols)):
-            if int(pick.min()) < 0 or int(pick.max()) >= size:
+        for name, centre, size in (("row", self.centre_row, rows), ("col", self.centre_col, cols)):
+            if int(centre.min()) < 0 or int(centre.max()) >= size:
                 raise ValueCheckError(
-                    f"calibration.pick_{name}: got CCD pixels {int(pick.min())} to {int(pick.max())}, "
+                    f"calibration.centre_{name}: got CCD pixels {int(centre.min())} to {int(centre.max())}, "
                     f"expected some of the {size} of a frame of {self.ccd_shape} pixels"
                 )
         if float(self.responsivity_dn.min()) <= 0:
@@ -281,7 +281,7 @@ class Calibration:
     def ratio(self) -> float:
         """CCD pixels per panel pixel along a row or column, from the pixel map."""
         rows, cols = self.shape
-        apart = (float(pick[-1, -1] - pick[0, 0]) for pick in (self.pick_row, self.pick_col))
+        apart = (float(centre[-1, -1] - centre[0, 0]) for centre in (self.centre_row, self.centre_col))
         return max(math.hypot(*apart) / math.hypot(rows - 1, cols - 1), 1.0) if rows * cols > 1 else 1.0
 
     @property
@@ -313,7 +313,7 @@ class Calibration:
                 f"frame {frame.index}: got {frame.dn.shape} pixels, expected {self.ccd_shape}, those of the "
                 "CCD that was calibrated; cure: whole frames, or a calibration of this CCD"
             )
-        square = self.pick_row, self.pick_col, self.reading_px
+        square = self.centre_row, self.centre_col, self.reading_px
         saturated = brightest(frame.dn, *square) >= self.saturation_dn
         raw: Floats = mean_reading(frame.dn, *square)
         raw -= self.black_dn

@@ -64,12 +64,12 @@ class DemixedFrame:
     tainted: Bools
 
     @property
-    def even(self) -> Floats:
+    def uniform(self) -> Floats:
         """Irradiance in uniform surroundings, W m^-2, (v, u): a lower bound where saturated."""
         return (self.measured / np.maximum(self.gathered, np.float32(1e-6))).astype(np.float32, copy=False)
 
     @property
-    def least(self) -> Floats:
+    def floor(self) -> Floats:
         """Irradiance of a saturated pixel from its own exposure alone, W m^-2, (v, u); 0 for the others.
 
         It is too high where neighbours with longer exposures brought light. It is too low where the pixel
@@ -87,12 +87,12 @@ class SaturationPrior:
     ----------
     irradiance : ndarray of shape (v, u), float32
         W m^-2; NaN where no frame measured it.
-    least : ndarray of shape (v, u), float32
-        Estimate from saturated frames (:attr:`DemixedFrame.least`), W m^-2.
+    floor : ndarray of shape (v, u), float32
+        Estimate from saturated frames (:attr:`DemixedFrame.floor`), W m^-2.
     """
 
     irradiance: Floats
-    least: Floats
+    floor: Floats
 
     @classmethod
     def unknown(cls, shape: tuple[int, int]) -> SaturationPrior:
@@ -105,11 +105,11 @@ class SaturationPrior:
         mean = demixed.signal / np.maximum(demixed.exposure, np.float32(1e-6))
         return SaturationPrior(
             np.where(measured, mean, self.irradiance).astype(np.float32),
-            np.where(measured, 0, np.maximum(self.least, demixed.least)).astype(np.float32),
+            np.where(measured, 0, np.maximum(self.floor, demixed.floor)).astype(np.float32),
         )
 
 
-def take(
+def demixed_frame(
     calibration: Calibration, frame: CodedFrame, panel: PanelState | None, crosstalk: Crosstalk
 ) -> tuple[DemixedFrame, PanelState]:
     """Demix one frame."""
@@ -130,8 +130,8 @@ def take(
         np.zeros_like(seen.valid),
     )
     if crosstalk == "undone":
-        noise = separated_variance(calibration, seen.variance)
-        demixed = separate(
+        noise = demixed_variance(calibration, seen.variance)
+        demixed = demix(
             calibration, replace(demixed, variance=noise), SaturationPrior.unknown(calibration.shape)
         )
         opened = np.maximum(demixed.exposure, np.float32(1e-6))
@@ -143,7 +143,7 @@ def take(
     return demixed, panel
 
 
-def take_next(
+def next_demixed_frame(
     calibration: Calibration,
     frame: CodedFrame,
     panel: PanelState | None,
@@ -155,7 +155,7 @@ def take_next(
     Parameters
     ----------
     calibration, frame, panel, crosstalk
-        As of :func:`take`.
+        As of :func:`demixed_frame`.
     seen : SaturationPrior
         Saturation prior from the frames before.
 
@@ -167,9 +167,9 @@ def take_next(
     seen : SaturationPrior
         The prior updated by this frame.
     """
-    demixed, panel = take(calibration, frame, panel, crosstalk)
+    demixed, panel = demixed_frame(calibration, frame, panel, crosstalk)
     if crosstalk == "undone":
-        demixed = separate(calibration, demixed, seen)
+        demixed = demix(calibration, demixed, seen)
     return demixed, panel, seen.after(demixed)
 
 
@@ -199,11 +199,11 @@ def demixed_frames(
     panel: PanelState | None = None
     seen = SaturationPrior.unknown(calibration.shape)
     for frame in frames:
-        demixed, panel, seen = take_next(calibration, frame, panel, seen, crosstalk)
+        demixed, panel, seen = next_demixed_frame(calibration, frame, panel, seen, crosstalk)
         yield frame, demixed
 
 
-def separate(calibration: Calibration, demixed: DemixedFrame, elsewhere: SaturationPrior) -> DemixedFrame:
+def demix(calibration: Calibration, demixed: DemixedFrame, elsewhere: SaturationPrior) -> DemixedFrame:
     """Remove the other pixels' light from ``measured``: solve ``calibration.mix(signal) = measured``.
 
     Saturated pixels take their irradiance from other frames, but at least that of uniform surroundings. With
@@ -225,11 +225,11 @@ def separate(calibration: Calibration, demixed: DemixedFrame, elsewhere: Saturat
     pinned = demixed.saturated | ~demixed.valid
     pins = demixed.measured
     if pinned.any():
-        even = demixed.even
+        uniform = demixed.uniform
         if not demixed.valid.all() and demixed.valid.any():
-            even = even[nearest(demixed.valid)]
-        prior = np.fmax(elsewhere.irradiance, elsewhere.least)
-        pins = np.fmax(even, prior) * demixed.exposure
+            uniform = uniform[nearest(demixed.valid)]
+        prior = np.fmax(elsewhere.irradiance, elsewhere.floor)
+        pins = np.fmax(uniform, prior) * demixed.exposure
     # The signal of an earlier call is a good start; at first it is the measured signal.
     signal = np.where(pinned, pins, demixed.signal)
     # Glare is small and smooth: it is computed again after the near light has converged.
@@ -278,7 +278,7 @@ def attribution_variance(
     return (squared / 3).astype(np.float32)
 
 
-def separated_variance(calibration: Calibration, variance: Floats) -> Floats:
+def demixed_variance(calibration: Calibration, variance: Floats) -> Floats:
     """Noise variance after crosstalk was undone: own noise plus, to first order, the neighbours'.
 
     Higher orders are 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
@@ -306,7 +306,7 @@ def predicted_variance(calibration: Calibration, exposure: Floats, irradiance: F
         As of :func:`attribution_variance`; none negative.
     """
     noise = noise_variance(calibration, calibration.mix(irradiance * exposure))
-    return separated_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
+    return demixed_variance(calibration, noise) + attribution_variance(calibration, exposure, irradiance)
 
 
 def demixed_interval(calibration: Calibration, demixed: DemixedFrame) -> IrradianceInterval:

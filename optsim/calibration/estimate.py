@@ -28,7 +28,7 @@ _LEAST_ON_CCD = 0.9  # of the panel's pixels: no source, a sensible default
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class BenchResult:
     """A calibration with what only its bench tells.
 
     Parameters
@@ -57,7 +57,7 @@ def calibrate_from(bench: Bench, reading_px: int = 1) -> Calibration:
     return measure_calibration(bench, reading_px).calibration
 
 
-def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = silent) -> Measured:
+def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = silent) -> BenchResult:
     """Estimate a calibration from images and stated settings alone.
 
     Parameters
@@ -167,8 +167,8 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
         coded_slots=bench.coded_slots,
         ccd_shape=(height, width),
         response=response,
-        pick_row=row,
-        pick_col=col,
+        centre_row=row,
+        centre_col=col,
         valid=valid,
         responsivity_dn=responsivity_dn.astype(np.float32),
         black_dn=black_at,
@@ -185,4 +185,4 @@ def measure_calibration(bench: Bench, reading_px: int = 1, progress: Progress = 
         misalignment=aligned,
     )
     done()
-    return Measured(calibration, pixel_map, off_px, misfit, on_ccd_share)
+    return BenchResult(calibration, pixel_map, off_px, misfit, on_ccd_share)

@@ -28,7 +28,7 @@ def orientation_of(slope: Doubles) -> Orientation:
     """Return the nearest of the eight orientations to a map."""
 
     def agreement(each: Orientation) -> float:
-        return sum(float(slope[axis] @ _STEPS[way]) for axis, way in enumerate(each))
+        return sum(float(slope[axis] @ _STEPS[step]) for axis, step in enumerate(each))
 
     return max(DIRECTIONS, key=agreement)
 

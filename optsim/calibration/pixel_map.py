@@ -103,8 +103,8 @@ class PixelMap:
     def ccd_pixels(self) -> tuple[Ints, Ints]:
         """CCD row and column containing each panel pixel's centre: two arrays (v, u); may be off the CCD."""
         centres = self._centres()
-        pick: Ints = np.floor(self.on_ccd(centres)).astype(np.int64)
-        return pick[:, 0].reshape(self.panel_shape), pick[:, 1].reshape(self.panel_shape)
+        centre: Ints = np.floor(self.on_ccd(centres)).astype(np.int64)
+        return centre[:, 0].reshape(self.panel_shape), centre[:, 1].reshape(self.panel_shape)
 
     def offsets_px(self, row: Ints, col: Ints) -> Doubles:
         """Centre of each CCD pixel of the map minus that of its panel pixel, along v and u: array (v, u, 2).

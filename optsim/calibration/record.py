@@ -20,7 +20,7 @@ RECORD = BENCH_FILE
 
 
 @dataclass(frozen=True)
-class Table:
+class JsonTable:
     """A JSON object with its place, so that every message names the file and the key."""
 
     path: Path
@@ -79,14 +79,14 @@ class Table:
             raise self.wrong(key, f"a list of {length or 'one or more'} whole numbers")
         return tuple(cast("list[int]", numbers))
 
-    def table(self, key: str) -> Table:
+    def table(self, key: str) -> JsonTable:
         """Return the object inside."""
         value = self._get(key)
         if not isinstance(value, dict):
             raise self.wrong(key, "an object")
-        return Table(self.path, f"{self.place}{key}.", cast("dict[str, Any]", value))
+        return JsonTable(self.path, f"{self.place}{key}.", cast("dict[str, Any]", value))
 
-    def tables(self, key: str) -> list[Table]:
+    def tables(self, key: str) -> list[JsonTable]:
         """Return a list of objects, maybe empty."""
         value = self._get(key)
         if not isinstance(value, list):
@@ -95,7 +95,7 @@ class Table:
         if not all(isinstance(item, dict) for item in items):
             raise self.wrong(key, "a list of objects")
         return [
-            Table(self.path, f"{self.place}{key}[{i}].", cast("dict[str, Any]", item))
+            JsonTable(self.path, f"{self.place}{key}[{i}].", cast("dict[str, Any]", item))
             for i, item in enumerate(items)
         ]
 
@@ -112,7 +112,7 @@ class Table:
         return _read_images(self.files(key), f"{self.place}{key}")
 
 
-def read_record(folder: Path, form: str) -> Table:
+def read_record(folder: Path, form: str) -> JsonTable:
     """Read the manifest of a bench folder."""
     path = folder / RECORD
     try:
@@ -124,7 +124,7 @@ def read_record(folder: Path, form: str) -> Table:
             f'{path}: expected a JSON object with "format": {json.dumps(form)}; cure: write it as '
             "docs/how-to/calibration.md says"
         )
-    return Table(path, "", cast("dict[str, Any]", record))
+    return JsonTable(path, "", cast("dict[str, Any]", record))
 
 
 def _read_images(paths: Sequence[str], place: str) -> Words:

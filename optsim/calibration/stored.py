@@ -40,8 +40,8 @@ _MEANING: dict[str, tuple[str, str, str]] = {
     "slots_per_frame": ("", "1", "slots in a frame's period"),
     "coded_slots": ("", "1", "slots at its start in which the shutter is open; later ones weigh 0"),
     "ccd_shape": ("(rows, columns)", "CCD pixels", "size of a frame"),
-    "pick_row": ("v, u", "CCD pixel", "row of a frame that is read for a panel pixel, from 0"),
-    "pick_col": ("v, u", "CCD pixel", "column of a frame that is read for a panel pixel, from 0"),
+    "centre_row": ("v, u", "CCD pixel", "row of a frame that is read for a panel pixel, from 0"),
+    "centre_col": ("v, u", "CCD pixel", "column of a frame that is read for a panel pixel, from 0"),
     "reading_px": ("", "CCD pixels", "side of the readout window, whose mean is read"),
     "valid": ("v, u", "mask", "false: off the CCD, a dead CCD pixel, a stuck panel pixel"),
     "responsivity_dn": (

@@ -27,7 +27,7 @@ from optsim.core.quantities import (
 )
 from optsim.optics.fringing import border_shares, whole_cells
 from optsim.optics.integrate import Shutter, integrate_exposure, slot_means
-from optsim.optics.panel import PanelResponse, first_panel, settled_panel, slot_weights, turned_to
+from optsim.optics.panel import PanelResponse, first_panel, settled_panel, slot_weights, switched
 from optsim.optics.radiometry import MONO_WAVELENGTH_M, photons_per_joule
 from optsim.optics.relay import RelayGeometry, RelayOperator
 
@@ -245,13 +245,13 @@ class CodedCamera(Part):
         self, code: ExposureCode, panel: PanelState | None, n_sub: int, pitch: int = SAMPLES_PER_PITCH
     ) -> tuple[Shutter, PanelState]:
         """Return the transmission of the panel in a frame, fully on as 1, and the panel after it."""
-        levels, panel, response = self._shown(code, panel)
+        levels, panel, response = self._drive(code, panel)
         answer = response, self.slot_s, n_sub, self.column_leaks
         weights, after = slot_weights(levels, panel, *answer)
         weights[self.coded_slots * n_sub :] = 0
-        turned, begin = turned_to(levels, panel, response)
-        rims = self.modulator.rims(turned[: self.coded_slots], begin, *answer, pitch)
-        return Shutter(weights, border_shares(self.modulator.fringing_px, pitch), rims), after
+        driven, begin = switched(levels, panel, response)
+        fringe = self.modulator.fringe_correction(driven[: self.coded_slots], begin, *answer, pitch)
+        return Shutter(weights, border_shares(self.modulator.fringing_px, pitch), fringe), after
 
     def panel_energy(self, truth: IrradianceVideo, index: int, shutter: Shutter) -> Floats:
         """Radiant exposure that leaves the panel toward the relay, fine grid, J m^-2."""
@@ -334,9 +334,9 @@ class CodedCamera(Part):
 
         Stuck pixels and uncoded slots differ from the commanded code. The weights ignore the shutter.
         """
-        return slot_weights(*self._shown(code, panel), self.slot_s, n_sub, self.column_leaks)
+        return slot_weights(*self._drive(code, panel), self.slot_s, n_sub, self.column_leaks)
 
-    def _shown(self, code: ExposureCode, panel: PanelState | None) -> tuple[Bytes, PanelState, PanelResponse]:
+    def _drive(self, code: ExposureCode, panel: PanelState | None) -> tuple[Bytes, PanelState, PanelResponse]:
         """Levels that drive the panel, the panel before, and its response in this frame."""
         expected = (self.slots_per_frame, self.panel_rows, self.panel_cols)
         if code.levels.shape != expected:
@@ -345,7 +345,7 @@ class CodedCamera(Part):
         levels = code.levels.copy()
         levels[self.coded_slots :] = 0
         levels[:, stuck] = stuck_levels[stuck]
-        late_s = self.modulator.lateness_s(panel.slots_shown if panel else 0, self.serial_number)
+        late_s = self.modulator.lateness_s(panel.slots_displayed if panel else 0, self.serial_number)
         response = self.panel_response
         response = response.model_copy(update={"delay_s": response.delay_s + late_s})
         return levels, panel or first_panel(levels, response, self.slot_s), response

@@ -116,7 +116,7 @@ ALL: dict[str, Effect] = {
         in_scene=True,
     ),
     "vignetting": Effect(
-        "vignetting of the objective, natural and by its rims",
+        "vignetting of the objective, natural and by its mounts",
         {"objective": {"natural_vignetting": False, "clipped_share": 0.0}},
         {"objective": {"clipped_share": 0.2}},
     ),

@@ -292,7 +292,7 @@ class _Laboratory:
         levels[0] = first
         code = ExposureCode(levels, np.zeros(self.panel, np.bool_))
         # Each image has its own delay by the panel's jitter.
-        held = replace(settled_panel(first, camera.panel_response), slots_shown=self.shown)
+        held = replace(settled_panel(first, camera.panel_response), slots_displayed=self.shown)
         self.shown += _FIELDS
         expected_e, _ = camera.expected_electrons(light, 0, code, held)
         frames = [

@@ -27,10 +27,10 @@ def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
     for (v, u), displacement in zip(places, displacements, strict=True):
         if not np.isfinite(displacement).all():
             continue
-        way = frames_ahead * displacement
+        moved = frames_ahead * displacement
         # A step of at most one pixel on either axis leaves no gaps.
-        for share in np.linspace(0, 1, int(np.ceil(np.abs(way).max())) + 1)[1:]:
-            dv, du = np.rint(share * way).astype(int)
+        for share in np.linspace(0, 1, int(np.ceil(np.abs(moved).max())) + 1)[1:]:
+            dv, du = np.rint(share * moved).astype(int)
             on_panel = (v + dv >= 0) & (v + dv < mask.shape[0]) & (u + du >= 0) & (u + du < mask.shape[1])
             swept[v[on_panel] + dv, u[on_panel] + du] = True
     return swept

@@ -16,7 +16,7 @@ from optsim.calibration.demixed import (
     SaturationPrior,
     check_crosstalk,
     demixed_interval,
-    take_next,
+    next_demixed_frame,
 )
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
@@ -171,7 +171,9 @@ class MotionAdaptive(Part):
     def _learn(self, frame: CodedFrame, state: AdaptiveState) -> AdaptiveState:
         # Saturated pixels keep their earlier irradiance: right if nothing moves, which is what the test
         # assumes.
-        demixed, panel, seen = take_next(state.calibration, frame, state.panel, state.seen, self.crosstalk)
+        demixed, panel, seen = next_demixed_frame(
+            state.calibration, frame, state.panel, state.seen, self.crosstalk
+        )
         label = state.label
         if state.last is not None:
             before, now = (demixed_interval(state.calibration, s) for s in (state.last, demixed))

@@ -290,7 +290,8 @@ def readme(about: Record) -> str:
         "| --- | ---: | ---: | ---: | --- |",
         *(
             f"| {split} | {_percent(each['share'])} | {_percent(each['worst'])} | {_percent(each['mean'])} | "
-            f"{'each slot by itself' if each['independent'] else 'slots share it where nothing moves'} |"
+            f"{'each slot by itself' if each['independent'] else 'slots share it where nothing moves'}"
+            f"{'; **not reached**' if each['worst'] > (each['share'] or np.inf) else ''} |"
             for split, each in about["noise"].items()
         ),
         "",

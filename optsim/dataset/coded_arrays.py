@@ -18,8 +18,8 @@ from optsim.camera.true_operator import true_operator
 from optsim.core.files import atomic, write_exr
 from optsim.core.quantities import CodedFrame, ExposureCode, Floats, IrradianceVideo, PanelState
 from optsim.dataset.channels import slot_mean
+from optsim.optics.fringe_correction import cell_weights
 from optsim.optics.fringing import fine_image
-from optsim.optics.rims import cell_weights
 
 LIGHT, TARGET, OPERATOR = "light_on_panel", "target", "operator.npz"
 _RADIANCE = "W m^-2 sr^-1, irradiance on the modulator over irradiance_per_radiance"
@@ -92,6 +92,6 @@ def write_explained(
 def _transmission(camera: CodedCamera, code: ExposureCode, panel: PanelState | None) -> Floats:
     """Mean transmission of each fine sample of the panel in each slot, fully on as 1: (slot, y, x)."""
     shutter, _ = camera.shutter(code, panel, 1)
-    if shutter.rims is not None:
-        return cell_weights(shutter.rims, shutter.weights)
+    if shutter.fringe_correction is not None:
+        return cell_weights(shutter.fringe_correction, shutter.weights)
     return np.stack([fine_image(each, shutter.borders).astype(np.float32) for each in shutter.weights])

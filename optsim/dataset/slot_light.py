@@ -46,14 +46,16 @@ class SlotLight:
     """Radiance of a slot by groups of lamps, by plain path tracing with equal samples everywhere."""
 
     def __init__(self, scene: Scene, experiment: Experiment, samples: int) -> None:
-        from optsim.render.plan import Plan
-        from optsim.render.stage import Stage
+        from optsim.render.plan import RenderPlan
+        from optsim.render.stage import RenderStage
 
         view, settings = truth_view(experiment), experiment.render
         self.groups = named_groups(scene)
         self._scene, self._samples = scene, samples
-        self._plan = Plan(scene, view, experiment.timing, settings, None, Cache(), silent, "slot light")
-        self._stages = {name: Stage(scene.only_lamps(lamps), view) for name, lamps in self.groups.items()}
+        self._plan = RenderPlan(scene, view, experiment.timing, settings, None, Cache(), silent, "slot light")
+        self._stages = {
+            name: RenderStage(scene.only_lamps(lamps), view) for name, lamps in self.groups.items()
+        }
 
     def shares(self, slot: int) -> tuple[int, int]:
         """Count the poses of each truth instant in a slot, and samples of each pose."""

@@ -27,7 +27,7 @@ _LEAST = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class VelocityBlur:
     """A velocity's blur.
 
     Parameters
@@ -84,7 +84,7 @@ class CodedBlur:
         """Slot, counted from 0, at which the sharp image is placed."""
         return (len(self.code) - 1) / 2
 
-    def along(self, velocity: Velocity) -> Way:
+    def along(self, velocity: Velocity) -> VelocityBlur:
         """Blur of a velocity, in pixels a slot, and its noise.
 
         Image power is taken to fall as the inverse square of frequency (D. J. Field, J. Opt. Soc. Am. A
@@ -108,35 +108,35 @@ class CodedBlur:
         power = passed + noise
         # The slope is the sum over both gradients.
         rough = math.sqrt(self.variance * float((self.slope / power).mean(dtype=np.float64)) / 2)
-        return Way(transfer, noise, power, rough)
+        return VelocityBlur(transfer, noise, power, rough)
 
-    def wiener(self, way: Way) -> Floats:
+    def wiener(self, along: VelocityBlur) -> Floats:
         """Sharp image in closed form, (rows, cols); all pixels count as measured with equal noise."""
-        found = np.conj(way.transfer) * self.spectrum / way.power
+        found = np.conj(along.transfer) * self.spectrum / along.power
         return _picture(found.astype(np.complex64, copy=False), self.light.shape)
 
-    def equalised(self, picture: Floats, way: Way) -> Floats:
+    def equalised(self, picture: Floats, along: VelocityBlur) -> Floats:
         """Sharp image with its expected power: blurring by the regularisation must not lower a cost.
 
         Power spectrum equalisation, the geometric mean of inverse and Wiener filter (T. M. Cannon, IEEE
         Trans. Acoust. Speech Signal Process. 24, 58 (1976), doi:10.1109/TASSP.1976.1162770).
         """
-        lost = np.sqrt(way.power / np.maximum(way.power - way.noise, _LEAST))
+        lost = np.sqrt(along.power / np.maximum(along.power - along.noise, _LEAST))
         equal = (spectrum_of(picture) * lost).astype(np.complex64, copy=False)
         return _picture(equal, self.light.shape)
 
-    def restored(self, way: Way, rounds: int) -> Floats:
+    def restored(self, along: VelocityBlur, rounds: int) -> Floats:
         """Sharp image that fits the measured pixels best, each weighted by its own noise: (rows, cols).
 
         This takes ``rounds`` steps of conjugate gradients on the normal equations of the same regularised
         least squares. They start from the closed form and use it as the preconditioner.
         """
         shape = self.light.shape
-        adjoint, inverse = np.conj(way.transfer), 1 / way.power
+        adjoint, inverse = np.conj(along.transfer), 1 / along.power
 
         def normal(spectrum: Spectrum) -> Spectrum:
-            seen = self.certainty * _picture(way.transfer * spectrum, shape)
-            return (adjoint * spectrum_of(seen) + way.noise * spectrum).astype(np.complex64, copy=False)
+            seen = self.certainty * _picture(along.transfer * spectrum, shape)
+            return (adjoint * spectrum_of(seen) + along.noise * spectrum).astype(np.complex64, copy=False)
 
         found = (adjoint * self.spectrum * inverse).astype(np.complex64, copy=False)
         left = adjoint * spectrum_of(self.certainty * self.light) - normal(found)
@@ -180,17 +180,17 @@ def coded_blur(
     )
 
 
-def carried(pictures: list[Spectrum], shape: tuple[int, ...], way: Velocity) -> list[Floats]:
+def shifted(pictures: list[Spectrum], shape: tuple[int, ...], displacement: Velocity) -> list[Floats]:
     """Images of these spectra, shifted by pixels (dv, du), whole or not, round the canvas: (rows, cols)."""
-    along_v, along_u = _phases(shape, way)
+    along_v, along_u = _phases(shape, displacement)
     return [_picture(each * along_v[:, None] * along_u, shape) for each in pictures]
 
 
-def _phases(shape: tuple[int, ...], way: Velocity) -> tuple[Spectrum, Spectrum]:
+def _phases(shape: tuple[int, ...], displacement: Velocity) -> tuple[Spectrum, Spectrum]:
     """Transfer function of a shift, as factors of rows and columns of frequencies."""
     return (
-        np.exp(-2j * np.pi * np.fft.fftfreq(shape[0]) * way[0]).astype(np.complex64),
-        np.exp(-2j * np.pi * np.fft.rfftfreq(shape[1]) * way[1]).astype(np.complex64),
+        np.exp(-2j * np.pi * np.fft.fftfreq(shape[0]) * displacement[0]).astype(np.complex64),
+        np.exp(-2j * np.pi * np.fft.rfftfreq(shape[1]) * displacement[1]).astype(np.complex64),
     )
 
 

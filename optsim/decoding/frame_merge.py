@@ -14,12 +14,12 @@ from optsim.calibration.demixed import (
     Crosstalk,
     DemixedFrame,
     SaturationPrior,
+    demix,
     noise_variance,
     predicted_variance,
-    separate,
 )
 from optsim.core.quantities import Bools, Doubles, Floats
-from optsim.decoding.hidden_light import told_by_glare
+from optsim.decoding.hidden_light import estimate_by_glare
 from optsim.decoding.joint_merge import solved_together
 
 # Saturated neighbours and the samples between them are estimated from each other. Where that doesn't converge
@@ -45,7 +45,7 @@ class Merged:
         Variance that the mean would have for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
     found : ndarray of shape (v, u), bool
         Pixels with an unsaturated sample.
-    least : ndarray of shape (v, u), float32
+    floor : ndarray of shape (v, u), float32
         Lower bound from saturated samples, W m^-2.
     tainted : ndarray of shape (v, u), float32
         Share of the kernel on pixels of unknown light.
@@ -54,7 +54,7 @@ class Merged:
     mean: Floats
     variance: Callable[[Floats], Floats]
     found: Bools
-    least: Floats
+    floor: Floats
     tainted: Floats
 
 
@@ -62,7 +62,7 @@ def merged(
     calibration: Calibration,
     samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
-    least: Floats,
+    floor: Floats,
     crosstalk: Crosstalk,
 ) -> Merged:
     """Merge the frames in which a pixel was static."""
@@ -77,26 +77,26 @@ def merged(
     by_glare = np.zeros(mean.shape)
     guess = partial(_pass, calibration, usable=usable, found=found, crosstalk=crosstalk)
     for _ in range(_PASSES):
-        samples, certainty, change = guess(samples, mean, least=least)
+        samples, certainty, change = guess(samples, mean, floor=floor)
         mean += change
     if crosstalk == "undone":
         # Until a mosaic's whole period has measured a light, the bounds of its pixels follow their codes.
-        hidden = ~found & (least > 0) & np.logical_and.reduce(alive)
+        hidden = ~found & (floor > 0) & np.logical_and.reduce(alive)
         for done in range(_GLARE_ROUNDS if hidden.any() and len(samples) >= _PERIOD else 0):
             # Regions compete: further separate factors would fit the errors of earlier rounds.
-            factor, by_glare = told_by_glare(
-                calibration, samples, alive, usable, mean, least, hidden, apart=done < _APART
+            factor, by_glare = estimate_by_glare(
+                calibration, samples, alive, usable, mean, floor, hidden, apart=done < _APART
             )
-            least = least * factor
+            floor = floor * factor
             if np.abs(factor - 1).max() < _SAME_FACTOR:
                 break
-            samples, certainty, change = guess(samples, mean, least=least)
+            samples, certainty, change = guess(samples, mean, floor=floor)
             mean += change
         together = _unsettled(calibration, samples, alive, found, mean, np.abs(change) * np.sqrt(certainty))
         if together.any():
-            mean = solved_together(calibration, samples, alive, usable, mean, least, together)
+            mean = solved_together(calibration, samples, alive, usable, mean, floor, together)
             # The hidden regions change the stray light of all pixels.
-            _, certainty, change = guess(samples, mean, least=least)
+            _, certainty, change = guess(samples, mean, floor=floor)
             mean += np.where(together, 0, change)
     tainted = np.zeros_like(mean)
     for sample, use in zip(samples, usable, strict=True):
@@ -108,7 +108,7 @@ def merged(
         certainty = _sum([s.exposure**2 / v for s, v in zip(samples, each, strict=True)], usable)
         return (_ratio(np.ones(light.shape), certainty) + by_glare**2).astype(np.float32)
 
-    return Merged(mean, variance, found, least, tainted)
+    return Merged(mean, variance, found, floor, tainted)
 
 
 def _pass(
@@ -118,15 +118,15 @@ def _pass(
     *,
     usable: Sequence[Bools],
     found: Bools,
-    least: Floats,
+    floor: Floats,
     crosstalk: Crosstalk,
 ) -> tuple[Sequence[DemixedFrame], Doubles, Floats]:
     """Demix the frames by the pooled estimate; its certainty, one over its variance, and its change."""
     light = np.maximum(mean, 0)
     if crosstalk == "undone":
         # Subtract the crosstalk of saturated pixels by the pooled estimate of their light.
-        known = SaturationPrior(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, least))
-        samples = [separate(calibration, s, known) for s in samples]
+        known = SaturationPrior(np.where(found, mean, np.float32(np.nan)), np.where(found, 0, floor))
+        samples = [demix(calibration, s, known) for s in samples]
     pairs = list(zip(samples, _variances(calibration, samples, light, crosstalk), strict=True))
     certainty = _sum([s.exposure**2 / variance for s, variance in pairs], usable)
     top = _sum([s.signal * s.exposure / variance for s, variance in pairs], usable)

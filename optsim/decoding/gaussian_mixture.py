@@ -19,7 +19,7 @@ from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.core.threads import n_threads
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
-from optsim.decoding.mixture.posterior import Seen, posterior, seen_through
+from optsim.decoding.mixture.posterior import MeasuredMixture, measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
 from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.patch_grid import overlap, patch_corners
@@ -103,8 +103,8 @@ class GaussianMixture(PartialDecoder):
         # In the dark the mean may be negative: the positive mean removes that without a bias.
         scale = signals.sum(axis=1) / np.maximum(exposure.sum(axis=1), _NOTHING)
         dark = _NOTHING * np.abs(scale).max(initial=0) or _NOTHING
-        told = (exposure.sum(axis=1) > _NOTHING) & (np.abs(scale) > dark)
-        scale = np.where(told, scale, dark).astype(np.float32)
+        measured = (exposure.sum(axis=1) > _NOTHING) & (np.abs(scale) > dark)
+        scale = np.where(measured, scale, dark).astype(np.float32)
         relative = signals / scale[:, None]
         mean_variance = variance.sum(axis=1) / np.maximum((exposure > 0).sum(axis=1), 1)
         noise = mean_variance * (self.noise_gain / scale.astype(np.float64)) ** 2
@@ -115,8 +115,8 @@ class GaussianMixture(PartialDecoder):
         asked = _half_apart(corners, image.usable.shape, size, self.stride_px)
         asked &= spread is not None
 
-        def answer(seen: Seen, members: Ints) -> Floats | None:
-            known = posterior(seen, relative[members], noise[members])
+        def answer(measured_prior: MeasuredMixture, members: Ints) -> Floats | None:
+            known = posterior(measured_prior, relative[members], noise[members])
             z[members] = known.mean()
             mine = asked[members]
             if spread is None or not mine.any():
@@ -127,12 +127,12 @@ class GaussianMixture(PartialDecoder):
             return own
 
         def shared(members: Ints) -> Floats | None:
-            return answer(seen_through(prior, common.weights(int(phase[members[0]]))), members)
+            return answer(measured_through(prior, common.weights(int(phase[members[0]]))), members)
 
         def alone(members: Ints) -> Floats | None:
             v, u = corners[members[0]]
             weights = image.weights[v : v + size, u : u + size].reshape(size**2, -1)
-            return answer(seen_through(prior, weights), members)
+            return answer(measured_through(prior, weights), members)
 
         together = [np.flatnonzero(phase == n) for n in np.unique(phase[phase >= 0])]
         single = [np.array([p]) for p in np.flatnonzero(phase < 0)]

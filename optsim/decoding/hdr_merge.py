@@ -48,7 +48,7 @@ class HdrMerge(PartialDecoder):
     texture below the noise, white from pixel to pixel, the uncertainty is too small: by 1.4 at most in tests.
 
     A pixel that saturates in every frame gets its irradiance from the glare that it causes, region by region
-    (:func:`~optsim.decoding.hidden_light.told_by_glare`), or else the saturation level. The standard
+    (:func:`~optsim.decoding.hidden_light.estimate_by_glare`), or else the saturation level. The standard
     deviation of a filled value equals the value. ``moving`` marks changes since the frame before; pixels
     without a comparison count as changed.
 
@@ -127,7 +127,7 @@ class HdrMerge(PartialDecoder):
         found = frames.found
         variance = frames.variance(np.maximum(frames.mean, 0))
         light = frames.mean if self.paper_literal else positive_mean(frames.mean, variance)
-        light = _filled(light, found, frames.least)
+        light = _filled(light, found, frames.floor)
         if self.paper_literal or not self.neighbours:
             return light, variance
 
@@ -135,8 +135,8 @@ class HdrMerge(PartialDecoder):
             return np.where(found, frames.variance(irradiance), light**2)
 
         # Pooling must not contradict saturation where the pixel itself doesn't.
-        least = np.where(found, np.minimum(light, frames.least), frames.least)
-        return pooled(np.where(found, frames.mean, light), at, found, least, self.contrast)
+        floor = np.where(found, np.minimum(light, frames.floor), frames.floor)
+        return pooled(np.where(found, frames.mean, light), at, found, floor, self.contrast)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,23 +165,23 @@ def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, spe
     return result
 
 
-def _literal(samples: Sequence[DemixedFrame], least: Floats) -> Merged:
+def _literal(samples: Sequence[DemixedFrame], floor: Floats) -> Merged:
     """Mean of I / S over the frames, clipped at zero, with the variance of the samples."""
     quotients = [s.signal / np.maximum(s.exposure, 1e-6) for s in samples]
     variances = [s.variance / np.maximum(s.exposure, 1e-6) ** 2 for s in samples]
     variance = (np.mean(variances, axis=0) / len(samples)).astype(np.float32)
     mean = np.maximum(np.mean(quotients, axis=0), 0).astype(np.float32)
-    return Merged(mean, lambda _: variance, samples[0].valid, least, np.zeros_like(mean))
+    return Merged(mean, lambda _: variance, samples[0].valid, floor, np.zeros_like(mean))
 
 
 def _least(samples: Sequence[DemixedFrame], alive: Sequence[Bools]) -> Floats:
     """Greatest lower bound from saturated samples."""
-    return np.max([np.where(ok, s.least, 0) for s, ok in zip(samples, alive, strict=True)], axis=0)
+    return np.max([np.where(ok, s.floor, 0) for s, ok in zip(samples, alive, strict=True)], axis=0)
 
 
-def _filled(mean: Floats, found: Bools, least: Floats) -> Floats:
+def _filled(mean: Floats, found: Bools, floor: Floats) -> Floats:
     """Nearest neighbour where no sample is, but no less than the lower bound."""
     if found.all():
         return mean
     guess = mean[nearest(found)] if found.any() else mean
-    return np.where(found, mean, np.maximum(guess, least)).astype(np.float32)
+    return np.where(found, mean, np.maximum(guess, floor)).astype(np.float32)

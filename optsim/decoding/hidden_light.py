@@ -31,7 +31,7 @@ _MISPLACED = 0.2
 _NEAR = 1e-4
 
 
-def told_by_glare(
+def estimate_by_glare(
     calibration: Calibration,
     samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
@@ -126,7 +126,7 @@ def _regions(light: Floats) -> list[Bools]:
 
 def _darkest(samples: Sequence[DemixedFrame], alive: Sequence[Bools], light: Floats) -> Floats:
     """Least factors, (v, u): those of pixels that just saturate among others of equal light."""
-    even = np.zeros(light.shape, np.float32)
+    uniform = np.zeros(light.shape, np.float32)
     for sample, ok in zip(samples, alive, strict=True):
-        even = np.where(ok & sample.saturated, np.maximum(even, sample.even), even)
-    return np.minimum(even / np.maximum(light, np.float32(1e-30)), 1)
+        uniform = np.where(ok & sample.saturated, np.maximum(uniform, sample.uniform), uniform)
+    return np.minimum(uniform / np.maximum(light, np.float32(1e-30)), 1)

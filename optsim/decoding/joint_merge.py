@@ -33,7 +33,7 @@ def solved_together(
     alive: Sequence[Bools],
     usable: Sequence[Bools],
     irradiance: Floats,
-    least: Floats,
+    floor: Floats,
     unknown: Bools,
 ) -> Floats:
     """Estimate static pixels whose samples hold more light of saturated neighbours than of their own.
@@ -44,9 +44,9 @@ def solved_together(
     is the maximum of the posterior for a Gaussian prior. Uniform light is the mean of the measured samples,
     but no less than the bound of the saturated ones.
     """
-    even, sigma = _expected(calibration, samples, alive, usable, least)
+    uniform, sigma = _expected(calibration, samples, alive, usable, floor)
     number = np.where(unknown, np.cumsum(unknown).reshape(unknown.shape) - 1, -1)
-    found = np.where(unknown, even, irradiance).astype(np.float32)
+    found = np.where(unknown, uniform, irradiance).astype(np.float32)
     known = np.logical_or.reduce(usable) | unknown
     for _ in range(_ROUNDS):
         matrices, lacks = zip(
@@ -58,8 +58,8 @@ def solved_together(
         )
         # Unknowns are deviations from uniform light, in standard deviations.
         matrix = sparse.vstack(matrices).tocsr() @ sparse.diags_array(sigma[unknown])
-        wanted = np.concatenate(lacks) + matrix @ ((found - even)[unknown] / sigma[unknown])
-        found[unknown] = np.maximum(even[unknown] + sigma[unknown] * _least_squares(matrix, wanted), 0)
+        wanted = np.concatenate(lacks) + matrix @ ((found - uniform)[unknown] / sigma[unknown])
+        found[unknown] = np.maximum(uniform[unknown] + sigma[unknown] * _least_squares(matrix, wanted), 0)
     return found
 
 
@@ -68,7 +68,7 @@ def _expected(
     samples: Sequence[DemixedFrame],
     alive: Sequence[Bools],
     usable: Sequence[Bools],
-    least: Floats,
+    floor: Floats,
 ) -> tuple[Doubles, Doubles]:
     """Irradiance for uniform surroundings, and its standard deviation: noise and non-uniformity."""
     top, bottom = np.zeros((2, *calibration.shape))
@@ -77,12 +77,12 @@ def _expected(
         top += certainty * sample.measured
         bottom += certainty * sample.gathered
     measured = bottom > 0
-    even = np.where(measured, np.maximum(top, 0) / np.where(measured, bottom, 1), least)
+    uniform = np.where(measured, np.maximum(top, 0) / np.where(measured, bottom, 1), floor)
     for sample, ok in zip(samples, alive, strict=True):
         saturated = measured & ok & sample.valid & sample.saturated
-        even = np.where(saturated, np.maximum(even, sample.even), even)
+        uniform = np.where(saturated, np.maximum(uniform, sample.uniform), uniform)
     noise = np.where(measured, 1 / np.where(measured, bottom, 1), 0)
-    return even, np.sqrt((_UNEVEN * even) ** 2 + noise)
+    return uniform, np.sqrt((_UNEVEN * uniform) ** 2 + noise)
 
 
 def _least_squares(matrix: sparse.csr_array, wanted: Doubles) -> Doubles:

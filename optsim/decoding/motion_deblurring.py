@@ -13,7 +13,7 @@ from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import Crosstalk, nearest
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats
-from optsim.decoding.coded_blur import CodedBlur, Velocity, carried, coded_blur, spectrum_of
+from optsim.decoding.coded_blur import CodedBlur, Velocity, coded_blur, shifted, spectrum_of
 from optsim.decoding.coded_images import CodedImage, coded_images, covered
 from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.velocity_choice import explained
@@ -159,7 +159,7 @@ def painted(
         spectra = [spectrum_of(each[place]) for each in (pictures, masks)]
         for slot in range(slots):
             late = slot - blur.middle
-            there, mask = carried(spectra, blur.light.shape, (late * velocity[0], late * velocity[1]))
+            there, mask = shifted(spectra, blur.light.shape, (late * velocity[0], late * velocity[1]))
             blend_weight = np.clip(mask[inside], 0, 1) if place else np.float32(1)
             light[slot] += blend_weight * (there[inside] - light[slot])
     return light

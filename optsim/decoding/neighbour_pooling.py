@@ -29,7 +29,7 @@ _MOST = 100.0  # largest mean square of the differences, over that of the light
 
 
 def pooled(
-    mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, least: Floats, contrast: float
+    mean: Floats, variance: Callable[[Floats], Floats], measured: Bools, floor: Floats, contrast: float
 ) -> tuple[Floats, Floats]:
     """Mean of each pixel and its measured neighbours (up to eight), and its variance.
 
@@ -45,10 +45,10 @@ def pooled(
     doi:10.1016/0167-2789(92)90242-F), so that edges stay.
     """
     means, known = np.pad(mean, 1), np.pad(measured, 1)
-    heard = [share * known[around] for share, around in _neighbours(mean.shape)]
-    floor = np.where(least > 0, least, np.float32(-np.inf))
+    evidence = [share * known[around] for share, around in _neighbours(mean.shape)]
+    lowest = np.where(floor > 0, floor, np.float32(-np.inf))
 
-    def again(estimate: Floats) -> tuple[Floats, Doubles, Doubles, Floats]:
+    def one_pass(estimate: Floats) -> tuple[Floats, Doubles, Doubles, Floats]:
         """Estimate, its variance under agreement, their agreement, and the pixel's own variance."""
         light = np.maximum(estimate, 0)
         own = np.maximum(variance(light), _LEAST)
@@ -56,7 +56,7 @@ def pooled(
         variances, there, lights = (np.pad(image, 1) for image in (own, estimate, light))
         certainty, total = 1 / own.astype(np.float64), mean / own.astype(np.float64)
         misfit = np.zeros_like(certainty)
-        for told, (_, around) in zip(heard, _neighbours(mean.shape), strict=True):
+        for share, (_, around) in zip(evidence, _neighbours(mean.shape), strict=True):
             apart = np.abs(there[around] - estimate)
             beyond_noise = apart.astype(np.float64) ** 2 - _SURELY**2 * (own + variances[around])
             differ = np.where(
@@ -64,19 +64,19 @@ def pooled(
                 np.maximum(texture * _squares(light, lights[around]), beyond_noise),
                 contrast * light * apart,
             )
-            weight = told / np.maximum(variances[around] + differ, _LEAST)
+            weight = share / np.maximum(variances[around] + differ, _LEAST)
             certainty += weight
             total += weight * means[around]
             misfit += weight * (means[around] - estimate) ** 2
-        surprise = misfit / np.maximum(sum(heard), 1)
-        return np.maximum((total / certainty).astype(np.float32), floor), 1 / certainty, surprise, own
+        surprise = misfit / np.maximum(sum(evidence), 1)
+        return np.maximum((total / certainty).astype(np.float32), lowest), 1 / certainty, surprise, own
 
-    estimate, spread, surprise, own = again(mean)
+    estimate, spread, surprise, own = one_pass(mean)
     for _ in range(_PASSES - 1):
-        estimate, spread, surprise, own = again(estimate)
+        estimate, spread, surprise, own = one_pass(estimate)
     spread = spread.astype(np.float32)
     light = np.where(measured, positive_mean(estimate, spread), np.maximum(estimate, 0))
-    error = np.where(estimate <= floor, light**2, spread * np.maximum(surprise, 1))
+    error = np.where(estimate <= lowest, light**2, spread * np.maximum(surprise, 1))
     return light, np.minimum(error, own).astype(np.float32)
 
 

@@ -53,6 +53,6 @@ def missed_of_roughness(ratio: float) -> float:
     def seen(width_px: float) -> Doubles:
         return np.sinc(x * width_px) * np.sinc(y * width_px)
 
-    pick = seen(1 / ratio)
-    laplacian = pick * (2 * np.cos(2 * np.pi * x) + 2 * np.cos(2 * np.pi * y) - 4)
-    return float(np.sqrt((((seen(1.0) - pick) ** 2) / square).sum() / (laplacian**2 / square).sum()))
+    window = seen(1 / ratio)
+    laplacian = window * (2 * np.cos(2 * np.pi * x) + 2 * np.cos(2 * np.pi * y) - 4)
+    return float(np.sqrt((((seen(1.0) - window) ** 2) / square).sum() / (laplacian**2 / square).sum()))

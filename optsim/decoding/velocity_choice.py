@@ -8,7 +8,7 @@ import numpy as np
 
 from optsim.core.quantities import Floats, Ints
 from optsim.core.threads import side_by_side
-from optsim.decoding.coded_blur import CodedBlur, Velocity, Way
+from optsim.decoding.coded_blur import CodedBlur, Velocity, VelocityBlur
 from optsim.decoding.coded_images import box_mean
 
 _LEAST = 1e-6
@@ -29,9 +29,9 @@ _SOFT = 7
 def velocity_grid(fastest: float, step: float) -> list[Velocity]:
     """Velocities up to the fastest, in pixels a slot; the slowest, zero, first."""
     n = int(fastest / step + 1e-9)
-    ways = [(i * step, k * step) for i in range(-n, n + 1) for k in range(-n, n + 1)]
-    slow = [way for way in ways if np.hypot(*way) <= fastest + 1e-9]
-    return sorted(slow, key=lambda way: (float(np.hypot(*way)), way))
+    velocities = [(i * step, k * step) for i in range(-n, n + 1) for k in range(-n, n + 1)]
+    slow = [each for each in velocities if np.hypot(*each) <= fastest + 1e-9]
+    return sorted(slow, key=lambda each: (float(np.hypot(*each)), each))
 
 
 def explained(
@@ -43,22 +43,24 @@ def explained(
     velocities = likely_velocities(blur, inside, *grid, around)
 
     def sharp(velocity: Velocity) -> tuple[Floats, Floats]:
-        way = blur.along(velocity)
-        picture = blur.restored(way, rounds)
-        return picture, unnatural(blur.equalised(picture, way), way, inside, around)
+        along = blur.along(velocity)
+        picture = blur.restored(along, rounds)
+        return picture, gradient_cost(blur.equalised(picture, along), along, inside, around)
 
-    pictures, costs = zip(*side_by_side(lambda way=way: sharp(way) for way in velocities), strict=True)
-    labels = shared_out(np.stack(costs))
+    pictures, costs = zip(
+        *side_by_side(lambda velocity=velocity: sharp(velocity) for velocity in velocities), strict=True
+    )
+    labels = velocity_labels(np.stack(costs))
     pixels = np.bincount(labels.ravel(), minlength=len(velocities))
     most = int(pixels.argmax())
-    order = [k for k in np.argsort([np.hypot(*way) for way in velocities], kind="stable") if pixels[k]]
+    order = [k for k in np.argsort([np.hypot(*each) for each in velocities], kind="stable") if pixels[k]]
     order.sort(key=lambda k: k != most)
     sides = [(corner, n - side - corner) for n, side in zip(blur.light.shape, shape, strict=True)]
     masks = [np.pad(box_mean(labels == k, _SOFT), sides, mode="edge") for k in order]
     return [velocities[k] for k in order], np.stack(masks), np.stack([pictures[k] for k in order])
 
 
-def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: int) -> Floats:
+def gradient_cost(picture: Floats, along: VelocityBlur, inside: tuple[slice, slice], around: int) -> Floats:
     """Cost of a velocity in each neighbourhood, nats a pixel: (v, u).
 
     Minus the log-likelihood of the coded image if the gradients of its sharp image follow one generalised
@@ -73,9 +75,9 @@ def unnatural(picture: Floats, way: Way, inside: tuple[slice, slice], around: in
     here = near[1:, 1:]
     rough = np.sqrt(np.abs(here - near[:-1, 1:])) + np.sqrt(np.abs(here - near[1:, :-1]))
     rough += np.sqrt(np.maximum(-here, 0))
-    undone = 0.5 * float(np.log(way.power).mean(dtype=np.float64))
+    undone = 0.5 * float(np.log(along.power).mean(dtype=np.float64))
     # In pure noise no velocity can score better than the noise allows.
-    least = np.float32(max(_OF_NOISE * math.sqrt(way.rough), _LEAST))
+    least = np.float32(max(_OF_NOISE * math.sqrt(along.rough), _LEAST))
     return 2 * np.log(np.maximum(box_mean(rough, around), least)) + np.float32(undone)
 
 
@@ -91,8 +93,10 @@ def likely_velocities(
     every = max(1, around // _KEPT)
 
     def cost(velocity: Velocity) -> Floats:
-        way = blur.along(velocity)
-        return unnatural(blur.equalised(blur.wiener(way), way), way, inside, around)[::every, ::every]
+        along = blur.along(velocity)
+        return gradient_cost(blur.equalised(blur.wiener(along), along), along, inside, around)[
+            ::every, ::every
+        ]
 
     def costs_of(velocities: list[Velocity]) -> list[Floats]:
         return side_by_side(lambda velocity=velocity: cost(velocity) for velocity in velocities)
@@ -126,10 +130,10 @@ def likely_velocities(
 
 
 # The place itself first: it stays unless another is better.
-_AROUND = sorted(((i, k) for i in (-1, 0, 1) for k in (-1, 0, 1)), key=lambda way: way != (0, 0))
+_AROUND = sorted(((i, k) for i in (-1, 0, 1) for k in (-1, 0, 1)), key=lambda step: step != (0, 0))
 
 
-def shared_out(costs: Floats) -> Ints:
+def velocity_labels(costs: Floats) -> Ints:
     """Choose a velocity for each pixel: the index of its least cost, (v, u).
 
     The share of all pixels that a velocity has is its prior probability, as in a fitted mixture. It decides

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from optsim.calibration import Bench, Calibration
-from optsim.calibration.estimate import Measured
+from optsim.calibration.estimate import BenchResult
 from optsim.calibration.held_out import Explained
 from optsim.calibration.misalignment import NAMES, misalignment
 from optsim.calibration.orientation import in_words
@@ -23,7 +23,7 @@ from optsim.optics.fringing import border_shares, fine_image
 from optsim.report.calibration_page import (
     INTERVAL_SIGMAS,
     CalibrationRecord,
-    Coverage,
+    HeldIntervals,
     HeldOut,
     Quantity,
     TruthScore,
@@ -56,7 +56,7 @@ def bench_camera(experiment: Experiment) -> CodedCamera:
     return planned(experiment)[0].camera.with_nd(1.0)
 
 
-def calibration_record(measured: Measured, bench: Bench, folder: Path) -> CalibrationRecord:
+def calibration_record(measured: BenchResult, bench: Bench, folder: Path) -> CalibrationRecord:
     """Collect the numbers of a calibration.
 
     Parameters
@@ -145,7 +145,7 @@ def _values(found: Calibration) -> dict[str, float]:
     }
 
 
-def _remarks(measured: Measured, bench: Bench) -> list[str]:
+def _remarks(measured: BenchResult, bench: Bench) -> list[str]:
     """Say what was extrapolated, could not be told, or looks unlike the model."""
     found, pixel_map = measured.calibration, measured.pixel_map
     beyond = pixel_map.beyond_dots()
@@ -221,7 +221,7 @@ def _remarks(measured: Measured, bench: Bench) -> list[str]:
 
 
 def with_truth(
-    record: CalibrationRecord, measured: Measured, bench: Bench, camera: CodedCamera, name: str
+    record: CalibrationRecord, measured: BenchResult, bench: Bench, camera: CodedCamera, name: str
 ) -> CalibrationRecord:
     """Add the deviations from the camera that the bench was of.
 
@@ -244,9 +244,8 @@ def with_truth(
     known = [each.holds for each in quantities if each.holds is not None]
     off_px = map_off_px(measured, camera)
     distance: Doubles = np.hypot(off_px[..., 0], off_px[..., 1])[found.valid]
-    same: Bools = (
-        found.valid & true.valid & (found.pick_row == true.pick_row) & (found.pick_col == true.pick_col)
-    )
+    same: Bools = found.valid & true.valid
+    same &= (found.centre_row == true.centre_row) & (found.centre_col == true.centre_col)
     relative = found.responsivity_dn / true.responsivity_dn - 1
     error_px = measured.pixel_map.error_px()[..., None]
     score = TruthScore(
@@ -297,7 +296,7 @@ def with_before(record: CalibrationRecord, compared: Sequence[Explained], before
     return record.model_copy(update={"held_out": found, "remarks": [found.said, *record.remarks]})
 
 
-def map_off_px(measured: Measured, camera: CodedCamera) -> Doubles:
+def map_off_px(measured: BenchResult, camera: CodedCamera) -> Doubles:
     """Give where the map has each panel pixel minus where its light is: (v, u, 2), panel pixels."""
     centres, places = light_places(camera)
     off = measured.pixel_map.on_ccd(centres) - places
@@ -348,13 +347,15 @@ def _cubic(places: Doubles) -> Doubles:
     return (v[:, :, None] * u[:, None, :]).reshape(len(places), 16)
 
 
-def _coverage(what: str, unit: str, off: Doubles | Floats, error: Doubles | float, where: Bools) -> Coverage:
+def _coverage(
+    what: str, unit: str, off: Doubles | Floats, error: Doubles | float, where: Bools
+) -> HeldIntervals:
     held = np.abs(off) <= INTERVAL_SIGMAS * error
     rms = float(np.sqrt(np.mean(np.square(off[where], dtype=np.float64))))
-    return Coverage(what=what, rms=rms, unit=unit, held=float(held[where].mean()))
+    return HeldIntervals(what=what, rms=rms, unit=unit, held=float(held[where].mean()))
 
 
-def field_images(measured: Measured) -> dict[str, tuple[Floats, str]]:
+def field_images(measured: BenchResult) -> dict[str, tuple[Floats, str]]:
     """Images over the panel for the page, with their units, by caption."""
     found = measured.calibration
     relative = found.responsivity_dn / np.median(found.responsivity_dn[found.valid])

@@ -23,9 +23,9 @@ def bench_noise(experiment: Experiment) -> Generator:
     return stream(experiment.seed, "laboratory")
 
 
-def calibrate(experiment: Experiment, known: CalibrationChoice | None = None) -> Calibration:
+def calibrate(experiment: Experiment, choice: CalibrationChoice | None = None) -> Calibration:
     """Make a calibration: from the bench, the true or ideal operator, or a file."""
-    return _calibrations(experiment, (known or experiment.calibration_choice,))[0]
+    return _calibrations(experiment, (choice or experiment.calibration_choice,))[0]
 
 
 def calibrate_all(experiment: Experiment) -> Calibrations:
@@ -46,13 +46,13 @@ def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -
     def bench() -> Bench:
         return measure_bench(camera, bench_noise(experiment))
 
-    def make(known: CalibrationChoice) -> Calibration:
-        if known.file is not None:
-            return kept_calibration(known, camera)
-        if known.operator == "true":
-            return true_calibration(camera, known.reading_px)
-        if known.operator == "ideal":
-            return ideal_calibration(camera, known.reading_px)
-        return bench_calibration(camera, experiment.seed, known.reading_px, bench)
+    def make(choice: CalibrationChoice) -> Calibration:
+        if choice.file is not None:
+            return kept_calibration(choice, camera)
+        if choice.operator == "true":
+            return true_calibration(camera, choice.reading_px)
+        if choice.operator == "ideal":
+            return ideal_calibration(camera, choice.reading_px)
+        return bench_calibration(camera, experiment.seed, choice.reading_px, bench)
 
-    return [make(known) for known in wanted]
+    return [make(choice) for choice in wanted]

@@ -47,12 +47,12 @@ def check_skips(
     radiance = render_truth(experiment, backend=backend, progress=progress)
     modelled, skipping = planned(experiment.model_copy(update={"n_frames": 1}))
     full, _ = planned(modelled.model_copy(update={"camera": experiment.camera, "tolerance": 0.0}))
-    known = calibrate_all(modelled)
-    camera, _ = set_light(modelled, radiance, known[modelled.calibration_choice])
+    calibrations = calibrate_all(modelled)
+    camera, _ = set_light(modelled, radiance, calibrations[modelled.calibration_choice])
     exact = full.at_work().with_nd(camera.objective.nd_transmission)
     truth, exact_truth = camera.form_image(radiance), exact.form_image(radiance)
     found: list[SkipCheck] = []
-    for name, frames in capture(modelled, camera, truth, known, progress=progress).items():
+    for name, frames in capture(modelled, camera, truth, calibrations, progress=progress).items():
         ours, _ = camera.expected_electrons(truth, 0, frames[0].code, None)
         whole, _ = exact.expected_electrons(exact_truth, 0, frames[0].code, None)
         usable = (ours < camera.sensor.most_e) & (whole < camera.sensor.most_e)

@@ -252,7 +252,7 @@ def _density_tables(found: dict[str, list[dict[str, Any]]]) -> list[object]:
             f"exposures of the mosaic ({', '.join(which)}), in slots of a panel held open; leak and "
             "transitions of the panel are what they are more or less",
             ("commanded", "effective", "effective over commanded"),
-            [(told, made, made / told) for told, made in rows],
+            [(commanded, made, made / commanded) for commanded, made in rows],
         )
         for rows, which in names.items()
     ]

@@ -14,7 +14,7 @@ from optsim.experiment.loop import Frames
 from optsim.experiment.scoring import Scorer
 from optsim.metrics import PHASES, LogRmse, LuminanceBin, Place, error_by_luminance, worst_place
 from optsim.report import light_code
-from optsim.report.shown import Moment, Shot, captured_pictures, still_pictures, write_viewer
+from optsim.report.shown import Moment, ViewedFrame, captured_pictures, still_pictures, write_viewer
 
 SHOWN_LAST = 1
 """Coded frames at the end of a run that every report shows."""
@@ -62,11 +62,11 @@ class Figures:
         self._moments = {k: moment for k, moment in self._moments.items() if k in (last, worst)}
         scale, floor = self.scorer.scale, light_code.floor_of(LogRmse().e_cd_m2)
         truth = scale.luminance_cd_m2(np.maximum(self.scorer.reference(index), 0))
-        shots: dict[str, Shot] = {}
+        shots: dict[str, ViewedFrame] = {}
         for name, video in videos.items():
             estimate = scale.luminance_cd_m2(video.irradiance_w_m2)
             frame = frames[name][index]
-            shots[name] = Shot(
+            shots[name] = ViewedFrame(
                 light=light_code.encode(estimate, floor),
                 marks=light_code.marks_of(video.valid, frame.code.moving),
                 levels=frame.code.levels,

@@ -51,11 +51,11 @@ from optsim.report.schema import (
     SCHEMA_VERSION,
     Latency,
     Ledger,
-    LightRule,
-    Plan,
+    LightRecord,
     Results,
     Resumed,
     SceneFacts,
+    SkipPlan,
     StageTime,
 )
 
@@ -63,13 +63,13 @@ from optsim.report.schema import (
 def check(experiment: Experiment, folder: Path | None, backend: str | None) -> dict[str, Any]:
     """Check before any long work for obstacles to a run: backend, scene, disk space."""
     check_truth(experiment)
-    if any(known.operator == "bench" for known in experiment.calibration_choices):
+    if any(choice.operator == "bench" for choice in experiment.calibration_choices):
         check_panel(experiment.camera)
     check_kept(experiment.calibration_choices, experiment.camera)
     experiment.check_methods(
         {
-            known: ideal_calibration(experiment.camera, known.reading_px)
-            for known in experiment.calibration_choices
+            choice: ideal_calibration(experiment.camera, choice.reading_px)
+            for choice in experiment.calibration_choices
         }
     )
     view, timing = experiment.camera.view, experiment.timing
@@ -136,12 +136,12 @@ def _execute(
         modelled, plan = planned(experiment)
     with watch.stage("calibrate"):
         progress("laboratory", 0, 1)
-        known = calibrate_all(modelled)
+        calibrations = calibrate_all(modelled)
         progress("laboratory", 1, 1)
-    experiment.check_methods(known)
+    experiment.check_methods(calibrations)
     with stated(folder, experiment), watch.stage("render"):
         radiance = render_truth(experiment, backend=backend, progress=progress)
-    calibration_files = write_calibrations(experiment, folder, known)
+    calibration_files = write_calibrations(experiment, folder, calibrations)
     objects = None
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
@@ -150,13 +150,13 @@ def _execute(
     experiment, names = modelled, [method.name for method in experiment.methods]
     captured = n_shots(kept, names)
     with watch.stage("capture"):
-        camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
+        camera, light = set_light(experiment, radiance, calibrations[experiment.calibration_choice])
         truth = camera.form_image(radiance)
-        frames = capture(experiment, camera, truth, known, progress, kept)
+        frames = capture(experiment, camera, truth, calibrations, progress, kept)
         write_frames(folder, frames)
         write_checksums(folder)
     scorer = Scorer(experiment, camera, truth, radiance)
-    saturation_dn = float(np.median(known[experiment.calibration_choice].saturation_dn))
+    saturation_dn = float(np.median(calibrations[experiment.calibration_choice].saturation_dn))
     figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
     # A report shows the last frame, and the worst one of those scored.
@@ -166,7 +166,7 @@ def _execute(
     again = () if figures.worst is None else (figures.worst,)
     with watch.stage("decode and score"):
         progress("decode", len(scored), experiment.n_frames)
-        for decoded in decode(experiment, frames, known, first=len(scored), again=again):
+        for decoded in decode(experiment, frames, calibrations, first=len(scored), again=again):
             if decoded.index < len(scored):
                 figures.add(decoded.index, decoded.videos, frames)
                 continue
@@ -222,8 +222,8 @@ def _execute(
         calibrations={m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         calibration_files=calibration_files,
         **scorer.results(),
-        readings=bench_readings(known[experiment.calibration_choice]),
-        plan=Plan.model_validate(plan_record(plan)),
+        readings=bench_readings(calibrations[experiment.calibration_choice]),
+        plan=SkipPlan.model_validate(plan_record(plan)),
         **scorer.masks(frames, objects),
         noise_ceiling=ceiling,
         evidence=evidence.status(),
@@ -277,8 +277,8 @@ def _ledgers(camera: CodedCamera, white_w_m2_sr: float) -> list[Ledger]:
     ]
 
 
-def _light(experiment: Experiment, light: LightLevel) -> LightRule:
-    return LightRule(
+def _light(experiment: Experiment, light: LightLevel) -> LightRecord:
+    return LightRecord(
         statement=(
             f"the interior's {experiment.light.percentile:g}th percentile under the all-on code reaches "
             f"{experiment.light.saturation_share:.0%} of measured saturation"

@@ -300,13 +300,13 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
             f"radiance: got {type(given).__name__}, expected a RadianceVideo; cure: render_truth(experiment)"
         )
     experiment, plan = planned(experiment)
-    known = calibrate_all(experiment)
-    experiment.check_methods(known)
-    camera, light = set_light(experiment, radiance, known[experiment.calibration_choice])
+    calibrations = calibrate_all(experiment)
+    experiment.check_methods(calibrations)
+    camera, light = set_light(experiment, radiance, calibrations[experiment.calibration_choice])
     truth = camera.form_image(radiance)
-    frames = capture(experiment, camera, truth, known, progress)
+    frames = capture(experiment, camera, truth, calibrations, progress)
     videos: dict[str, list[Reconstruction]] = {m.name: [] for m in experiment.methods}
-    for decoded in decode(experiment, frames, known):
+    for decoded in decode(experiment, frames, calibrations):
         for name, video in decoded.videos.items():
             videos[name].append(video)
         progress("decode", decoded.index + 1, experiment.n_frames)
@@ -315,7 +315,7 @@ def run(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress =
         plan,
         camera,
         light,
-        known,
+        calibrations,
         truth,
         radiance,
         frames,

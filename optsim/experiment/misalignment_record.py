@@ -36,9 +36,9 @@ def _screw(found: Quantity, pitch_m: float | None) -> str:
     """Say which part to move, how far and in which direction."""
     key, size, more = found.key, abs(found.value), found.value > 0
     if key.startswith("shift"):
-        way = f"{'last' if more else 'first'} {'row' if key == 'shift_y_px' else 'column'}"
+        border = f"{'last' if more else 'first'} {'row' if key == 'shift_y_px' else 'column'}"
         amount = f"{size:.4g} CCD pixels" if pitch_m is None else words.quantity("_m", size * pitch_m)
-        return f"move the CCD {amount} towards its {way}"
+        return f"move the CCD {amount} towards its {border}"
     if key == "rotation_rad":
         return f"turn the CCD {words.quantity(key, size)} {'' if more else 'anti'}clockwise in its picture"
     change = f"{100 * size:.3g} % {'smaller' if more == (key == 'magnification_error') else 'larger'}"

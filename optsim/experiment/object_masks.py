@@ -60,10 +60,10 @@ def _seen(scene: Scene, pixels: View, times_s: Doubles, backend: str | None, pro
     """Pixels that show a mover at any of a frame's times, (frame, slot): array (frame, v, u)."""
     from optsim.render.backend import activate
     from optsim.render.gbuffer import ObjectIds, camera_to_world, first_objects, sample_rays
-    from optsim.render.stage import Stage
+    from optsim.render.stage import RenderStage
 
     activate(backend)
-    stage, rays = Stage(scene, pixels), sample_rays(pixels)
+    stage, rays = RenderStage(scene, pixels), sample_rays(pixels)
     ids = ObjectIds(scene, stage.loaded)
     found = np.zeros((len(times_s), len(rays)), np.bool_)
     for done, ((frame, _), time_s) in enumerate(np.ndenumerate(times_s), start=1):

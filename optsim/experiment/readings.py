@@ -22,8 +22,8 @@ def bench_readings(calibration: Calibration) -> list[Reading]:
         "saturation": (_mean(calibration.saturation_dn[valid]), "DN"),
         "responsivity": (_mean(calibration.responsivity_dn[valid]), "DN/(W/m2)"),
         "crosstalk": (1 - _mean(own), "share"),
-        "pixel map, row": (_mean(calibration.pick_row[valid]), "px"),
-        "pixel map, column": (_mean(calibration.pick_col[valid]), "px"),
+        "pixel map, row": (_mean(calibration.centre_row[valid]), "px"),
+        "pixel map, column": (_mean(calibration.centre_col[valid]), "px"),
     }
     return [Reading(name=name, value=value, unit=unit) for name, (value, unit) in values.items()]
 

@@ -55,13 +55,13 @@ def kept_shot(
             "negative_light": np.asarray(frame.negative_light),
             "retardance_rad": panel.retardance_rad,
             "levels": panel.levels,
-            "slots_shown": np.asarray(panel.slots_shown),
+            "slots_displayed": np.asarray(panel.slots_displayed),
         }
 
     # In memory: the folder is deleted when the run is done.
     found = {name: np.array(array) for name, array in kept.get(_shot_key(method, index), arrays).items()}
     frame = CodedFrame(index, found["dn"], code, int(found["negative_light"]))
-    return frame, PanelState(found["retardance_rad"], found["levels"], int(found["slots_shown"]))
+    return frame, PanelState(found["retardance_rad"], found["levels"], int(found["slots_displayed"]))
 
 
 def n_shots(kept: Cache, methods: Sequence[str]) -> int:

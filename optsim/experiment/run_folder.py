@@ -97,14 +97,14 @@ def write_calibrations(
 ) -> list[CalibrationFile]:
     """Write all calibrations of a run into its folder; return their entry of results.json."""
     records: list[CalibrationFile] = []
-    for known, name in calibration_names(experiment).items():
-        write_calibration(folder / name, calibrations[known])
+    for choice, name in calibration_names(experiment).items():
+        write_calibration(folder / name, calibrations[choice])
         records.append(
             CalibrationFile(
-                calibration=str(known),
+                calibration=str(choice),
                 file=name,
                 sha256=content_hash(folder / name),
-                methods=[m.name for m in experiment.methods if experiment.choice_of(m) == known],
+                methods=[m.name for m in experiment.methods if experiment.choice_of(m) == choice],
             )
         )
     return records
@@ -192,10 +192,10 @@ def commit() -> str | None:
     said: list[str] = []
     for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
         try:
-            told = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True)
+            output = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True)
         except (OSError, subprocess.CalledProcessError):
             return None
-        said.append(told.stdout.strip())
+        said.append(output.stdout.strip())
     return said[0] + ("+" if said[1] else "")
 
 

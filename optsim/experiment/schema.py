@@ -32,8 +32,8 @@ def experiment_schema() -> dict[str, Any]:
                 about["description"] += f" Typical: {value}{' (prototype)' if of_camera else ''}."
             source = sources.get((name, key), "No source: a default of this project")
             if of_camera and "ource" not in about["description"]:
-                told = source if source.startswith("No source") else f"Source: {source}"
-                about["description"] += f" {told.rstrip('.')}."
+                found_lines = source if source.startswith("No source") else f"Source: {source}"
+                about["description"] += f" {found_lines.rstrip('.')}."
     return schema
 
 
@@ -75,13 +75,17 @@ def explain_key(path: str) -> list[str]:
             tables = _tables(schema["properties"]["camera"], schema["$defs"])
             continue
         tables = [table for about in abouts for table in _tables(about, schema["$defs"])]
-    told = dict.fromkeys(_line(".".join(done), about) for about in abouts)
+    found_lines = dict.fromkeys(_line(".".join(done), about) for about in abouts)
     for table in {table["title"]: table for table in tables}.values():
         keys: Table = table["properties"]
         if "kind" in keys:
-            told |= dict.fromkeys([f"  kind = {keys['kind'].get('const')}: {keys['kind']['description']}"])
-        told |= dict.fromkeys(f"    {_line(key, about)}" for key, about in keys.items() if key != "kind")
-    return list(told)
+            found_lines |= dict.fromkeys(
+                [f"  kind = {keys['kind'].get('const')}: {keys['kind']['description']}"]
+            )
+        found_lines |= dict.fromkeys(
+            f"    {_line(key, about)}" for key, about in keys.items() if key != "kind"
+        )
+    return list(found_lines)
 
 
 def _line(key: str, about: Table) -> str:

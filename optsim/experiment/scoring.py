@@ -237,7 +237,7 @@ class Scorer:
         rows: list[Photons] = []
         for method in self.experiment.methods:
             name, taken, side = method.name, frames[method.name], self.experiment.choice_of(method).reading_px
-            square = pixel.pick_row, pixel.pick_col, side
+            square = pixel.centre_row, pixel.centre_col, side
             raw = np.stack([mean_reading(f.dn, *square)[pixel.valid] for f in taken])
             most = np.stack([brightest(f.dn, *square)[pixel.valid] for f in taken])
             electrons = (raw - pixel.black_dn[pixel.valid]) * side**2 / pixel.dn_per_e

@@ -21,18 +21,18 @@ from scipy.special import gammaln
 
 from optsim.camera.camera import CodedCamera
 from optsim.core.quantities import Doubles, ExposureCode, Floats, IrradianceVideo, PanelState, Video
+from optsim.optics.fringe_correction import cell_weights
 from optsim.optics.fringing import fine_image, fine_image_adjoint, whole_cells
-from optsim.optics.rims import cell_weights
-from optsim.report.trace_record import Reading, Target
+from optsim.report.trace_record import ConvertedReading, OwnPixel
 
 NEAR_PX = 5
 _SIGMAS = 9.0  # 1e-18 of a Poisson distribution lies beyond
 
 # In the order of the light path; each electron has exactly one origin.
 ORIGINS: dict[str, str] = {
-    "own_open": "own panel pixel while it is told to be open, at any level above 0",
-    "own_leak": "own panel pixel while it is told to be dark: what the finite contrast lets through, settled",
-    "own_late": "own panel pixel while it is told to be dark: what it lets through beyond that, because the "
+    "own_open": "own panel pixel while it is commanded open, at any level above 0",
+    "own_leak": "own panel pixel while it is commanded dark: what the finite contrast lets through, settled",
+    "own_late": "own panel pixel while it is commanded dark: what it lets through beyond that, because the "
     "crystal has not relaxed yet, its row's turn has not come, or it stands still",
     "neighbours": "the 8 panel pixels around it, open or dark",
     "near_field": f"panel pixels 2 to {NEAR_PX} away",
@@ -92,8 +92,8 @@ def count_electrons(
     n_sub, slots, coded = truth.instants_per_slot, camera.slots_per_frame, camera.coded_slots
     weights, _ = camera.panel_weights(code, panel, n_sub)
     shutter, _ = camera.shutter(code, panel, n_sub, truth.samples_per_pitch)
-    borders, rims = shutter.borders, shutter.rims
-    cells = cell_weights(rims, shutter.weights, truth.slots_per_segment) if rims else None
+    borders, fringe = shutter.borders, shutter.fringe_correction
+    cells = cell_weights(fringe, shutter.weights, truth.slots_per_segment) if fringe else None
     fully_on = whole_cells(camera.panel_gain, truth.samples_per_pitch) * np.float64(truth.slot_s / n_sub)
     leak = camera.column_leaks[own[1]]
     v, u = np.indices(truth.panel_shape)
@@ -128,7 +128,7 @@ def count_electrons(
     return Electrons(by_slot, by_pixel, weight)
 
 
-def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> Target:
+def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> OwnPixel:
     """Find the panel pixel that a CCD pixel belongs to."""
     geometry = camera.relay_geometry(pitch)
     row, col, on_ccd = geometry.ccd_pixels(pitch)
@@ -141,7 +141,7 @@ def look_at(camera: CodedCamera, y: int, x: int, pitch: int, even: Doubles) -> T
         relation, at = "outside", int(np.hypot(row - y, col - x).argmin())
     v, u = divmod(at, even.shape[1])
     centre_y, centre_x = geometry.place(np.array((v + 0.5) * pitch), np.array((u + 0.5) * pitch))
-    return Target(
+    return OwnPixel(
         v=v,
         u=u,
         relation=relation,
@@ -161,7 +161,7 @@ def seen_per_slot(video: Video, first_slot: int, n_slots: int, seen: Doubles) ->
     return means / np.where(whole > 0, whole, np.nan)[:, None]
 
 
-def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn: int) -> Reading:
+def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn: int) -> ConvertedReading:
     """Convert the expected electrons of a frame, (y, x), to the digital number of one pixel."""
     ccd, mean_e = camera.sensor, float(expected_e[y, x])
     smear_e = float(ccd.smear_e(expected_e, camera.exposure_s)[x])
@@ -175,7 +175,7 @@ def read_out(camera: CodedCamera, expected_e: Doubles, y: int, x: int, drawn_dn:
     sigma_e = np.sqrt(shot_e**2 + smear_e + ccd.read_noise_e**2 + quantisation_e**2)
     dn = (bent_e + dsnu_e) / ccd.step_e + ccd.zero_dn
     at_well = "at the full well" if mean_e >= ccd.full_well_e else "no"
-    return Reading(
+    return ConvertedReading(
         collected_e=mean_e,
         lost_at_well_e=float(chance @ (counts - held)),
         smear_e=smear_e,

@@ -27,7 +27,7 @@ from optsim.experiment.signal_breakdown import (
 from optsim.experiment.truth import render_truth
 from optsim.metrics import first_steady, phase_of
 from optsim.optics.fringing import border_shares, fine_image_adjoint
-from optsim.report.trace_record import SignalShare, Slots, Source, Trace, open_slots, sentences
+from optsim.report.trace_record import Contributor, SignalShare, Slots, Trace, open_slots, sentences
 
 _SOURCES = 12
 NOTES = (
@@ -119,11 +119,11 @@ def trace_experiment(
     progress("laboratory", 0, 1)
     method = next(each for each in experiment.methods if each.name == traced.method)
     modelled = planned(experiment)[0].model_copy(update={"methods": (method,)})
-    known = calibrate_all(modelled)
+    calibrations = calibrate_all(modelled)
     progress("laboratory", 1, 1)
-    camera, _ = set_light(modelled, radiance, known[modelled.calibration_choice])
+    camera, _ = set_light(modelled, radiance, calibrations[modelled.calibration_choice])
     truth = camera.form_image(radiance)
-    taken = shots(modelled, method, camera, truth, known[modelled.choice_of(method)])
+    taken = shots(modelled, method, camera, truth, calibrations[modelled.choice_of(method)])
     for index in range(traced.frame):
         next(taken)
         progress("capture", index + 1, traced.frame + 1)
@@ -214,10 +214,10 @@ def _on_own_pixel(direct: Doubles, own: tuple[int, int], pitch: int) -> Doubles:
 
 def _sources(
     by_pixel: Doubles, even: Doubles, levels: Bytes, own: tuple[int, int], total_e: float
-) -> tuple[Source, ...]:
+) -> tuple[Contributor, ...]:
     others = by_pixel.copy()
     others[own] = 0
-    found: list[Source] = []
+    found: list[Contributor] = []
     for at in np.argsort(-others.ravel(), kind="stable")[:_SOURCES]:
         v, u = divmod(int(at), others.shape[1])
         if others[v, u] > 0:
@@ -225,7 +225,7 @@ def _sources(
             even_share = float(even[v, u] / even.sum())
             offset = (v - own[0], u - own[1])
             found.append(
-                Source(v, u, *offset, float(others[v, u]), share, even_share, _levels(levels, (v, u)))
+                Contributor(v, u, *offset, float(others[v, u]), share, even_share, _levels(levels, (v, u)))
             )
     return tuple(found)
 

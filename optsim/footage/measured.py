@@ -90,8 +90,8 @@ def _slot_stacks(path: Path, said: str) -> NDArray[Any]:
 def _slots(channels: Mapping[str, NDArray[Any]], what: str) -> NDArray[Any]:
     """Channels of an EXR in the order of the numbers in their names, (slot, v, u); none may be missing."""
     names = sorted(channels, key=by_number)
-    told = [[number for number, word in by_number(name) if not word] for name in names]
-    numbers = [each[-1] for each in told if each]
+    numbers_in_names = [[number for number, word in by_number(name) if not word] for name in names]
+    numbers = [each[-1] for each in numbers_in_names if each]
     if 0 < len(numbers) < len(names):
         raise ValueCheckError(
             f"{what}: got channels {', '.join(names)}, expected slots alone, all with numbers in their names "

@@ -13,7 +13,7 @@ from optsim.core.config import Part
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.quantities import Doubles
 from optsim.core.units import REC709_Y
-from optsim.footage.recording import Says
+from optsim.footage.recording import FileStatement
 from optsim.optics.srgb import srgb_to_linear
 
 # Curves that no linearisation here inverts.
@@ -108,7 +108,7 @@ class FootageSource(Part):
             raise ValueError(f"channel_weights: got {weights}; expected weights >= 0, not all zero")
         return self
 
-    def check_says(self, says: Says, name: str) -> None:
+    def check_says(self, says: FileStatement, name: str) -> None:
         """Refuse a statement that the file itself contradicts.
 
         Raises

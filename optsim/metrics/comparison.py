@@ -33,7 +33,7 @@ Values = Mapping[tuple[int, int], float]
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Advantage:
     """Mean advantage of the second side, with its standard error.
 
     Parameters
@@ -100,7 +100,7 @@ def row_level(n_rows: int, confidence: float = CONFIDENCE) -> float:
     return -math.expm1(math.log(confidence) / max(1, n_rows))
 
 
-def estimate(before: Values, after: Values, higher_is_better: bool) -> Estimate | None:
+def estimate(before: Values, after: Values, higher_is_better: bool) -> Advantage | None:
     """Estimate the advantage of ``after`` from the units that both sides share.
 
     Parameters
@@ -131,7 +131,7 @@ def estimate(before: Values, after: Values, higher_is_better: bool) -> Estimate 
         error, freedom = _welch(a, b)
         scatter, p = _free_scatter(a, b)
         counts = min(a.size, b.size), min(a.size, b.size)
-    return Estimate(
+    return Advantage(
         before=float(a.mean()),
         after=float(b.mean()),
         # Never a negative zero.
@@ -146,7 +146,7 @@ def estimate(before: Values, after: Values, higher_is_better: bool) -> Estimate 
     )
 
 
-def judge(found: Estimate, tolerance: float | None, level: float, *, either_way: bool = False) -> Judgement:
+def judge(found: Advantage, tolerance: float | None, level: float, *, either_way: bool = False) -> Judgement:
     """Judge an estimate against the tolerance of its metric.
 
     Parameters
@@ -179,12 +179,12 @@ def judge(found: Estimate, tolerance: float | None, level: float, *, either_way:
     return Judgement(low, high, verdict, alarm, why, detectable)
 
 
-def _loss(found: Estimate, either_way: bool) -> float:
+def _loss(found: Advantage, either_way: bool) -> float:
     return abs(found.advantage) if either_way else -found.advantage
 
 
 def _alarm(
-    found: Estimate, tolerance: float, level: float, verdict: Change, significant: bool, loss: float
+    found: Advantage, tolerance: float, level: float, verdict: Change, significant: bool, loss: float
 ) -> tuple[Alarm, str]:
     grown = found.scatter is not None and found.scatter > 1 and found.scatter_p < level
     scatter = f"scatter grew {found.scatter:.1f} times" if grown else ""

@@ -117,7 +117,12 @@ def crosstalk_kernels(dots: Sequence[Dots], offset_px: Doubles, good: Bools, rea
 
 
 def seen_by_ccd_pixels(
-    panel: Doubles, operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, side: int = 1
+    panel: Doubles,
+    operator: RelayOperator,
+    borders: Doubles,
+    centre_row: Ints,
+    centre_col: Ints,
+    side: int = 1,
 ) -> Doubles:
     """Light of a panel pattern in each panel pixel's reading, without veil: array (v, u).
 
@@ -125,15 +130,15 @@ def seen_by_ccd_pixels(
     ----------
     panel : ndarray of shape (v, u), float64
         The pattern, from 0 to 1.
-    operator, borders, pick_row, pick_col, side
+    operator, borders, centre_row, centre_col, side
         As of :func:`true_dots`.
     """
     image = operator.project(operator.blur.apply(fine_image(panel, borders)))
-    return mean_reading(image, pick_row, pick_col, side)
+    return mean_reading(image, centre_row, centre_col, side)
 
 
 def true_dots(
-    operator: RelayOperator, borders: Doubles, pick_row: Ints, pick_col: Ints, reach: int, side: int = 1
+    operator: RelayOperator, borders: Doubles, centre_row: Ints, centre_col: Ints, reach: int, side: int = 1
 ) -> list[Dots]:
     """Dot lattices seen through fringing and the true operator, without veil: enough for a fit.
 
@@ -143,15 +148,15 @@ def true_dots(
         From the fine panel grid to the CCD.
     borders : ndarray of shape (fine cells to a panel pixel, 3), float64
         From :func:`optsim.optics.fringing.border_shares`.
-    pick_row, pick_col : ndarray of shape (v, u), int64
+    centre_row, centre_col : ndarray of shape (v, u), int64
         Pixel map: CCD row and column of each panel pixel.
     reach : int
         Least distance of a dot from the panel's edge.
     side : int
         Side of the readout window, CCD pixels.
     """
-    rows, cols = pick_row.shape
-    ccd_pixels = pick_row, pick_col, side
+    rows, cols = centre_row.shape
+    ccd_pixels = centre_row, centre_col, side
     flat = np.maximum(seen_by_ccd_pixels(np.ones((rows, cols)), operator, borders, *ccd_pixels), 1e-30)
     found: list[Dots] = []
     n_dots = 0

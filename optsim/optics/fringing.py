@@ -10,7 +10,7 @@ deviation sigma, at a distance x into the black pixel,
 
 That share is taken for all levels and times, row by column: weights are mixed with those of the
 neighbours, linearly. What that leaves out, on grey levels, in corners, in passing from level to level and in
-light of which white is no half wave, :mod:`optsim.optics.rims` finds.
+light of which white is no half wave, :mod:`optsim.optics.fringe_correction` finds.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from optsim.core.compiled import FEW, compiled
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Doubles, Floats, PanelState, Segment, Video
 from optsim.core.threads import in_bands
+from optsim.optics.fringe_correction import FringeCorrection, fine_weights, relaxed
 from optsim.optics.fringing import fine_image
-from optsim.optics.rims import Rims, fine_weights, relaxed
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +31,13 @@ class Shutter:
     borders : ndarray of shape (samples_per_pitch, 3), float64
         Shares of the neighbours' weights in the fine samples of a pixel, from
         :func:`optsim.optics.fringing.border_shares`; beyond the panel's edge the nearest pixel counts.
-    rims : Rims, optional
+    fringe_correction : FringeCorrection, optional
         Where these shares are not enough: what the weights of fine samples follow from.
     """
 
     weights: Floats
     borders: Doubles
-    rims: Rims | None = None
+    fringe_correction: FringeCorrection | None = None
 
 
 def integrate_exposure(video: Video, first_slot: int, shutter: Shutter) -> Floats:
@@ -62,7 +62,7 @@ def integrate_exposure(video: Video, first_slot: int, shutter: Shutter) -> Float
     ValueCheckError
         When the weights are not whole segments of the video, or of another panel.
     """
-    weights, rims = shutter.weights, shutter.rims
+    weights, fringe = shutter.weights, shutter.fringe_correction
     n_instants = weights.shape[0]
     if weights.shape[1:] != video.panel_shape or n_instants % video.instants_per_slot:
         raise ValueCheckError(
@@ -71,18 +71,18 @@ def integrate_exposure(video: Video, first_slot: int, shutter: Shutter) -> Float
         )
     energy = np.zeros((video.rows, video.cols), np.float64)
     last_slot = first_slot + n_instants // video.instants_per_slot
-    panel = rims.start if rims else None
+    panel = fringe.start if fringe else None
     for slot, segment in video.segments(first_slot, last_slot):
         first = slot - first_slot
-        shown = weights[first * video.instants_per_slot :][: segment.n_instants]
-        if rims is None or panel is None:
-            _add_segment(energy, segment, shown, shutter.borders)
+        open_weights = weights[first * video.instants_per_slot :][: segment.n_instants]
+        if fringe is None or panel is None:
+            _add_segment(energy, segment, open_weights, shutter.borders)
         elif not (segment.blocks or segment.start.any() or segment.stop.any()):
-            panel = relaxed(rims, panel, first, min(first + video.slots_per_segment, len(rims.levels)))
-        elif first < len(rims.levels):
+            panel = relaxed(fringe, panel, first, min(first + video.slots_per_segment, len(fringe.levels)))
+        elif first < len(fringe.levels):
             # After the last coded slot the shutter is closed.
-            shown = shown[: (len(rims.levels) - first) * video.instants_per_slot]
-            panel = _fine_segment(energy, rims, segment, shown, panel, first)
+            open_weights = open_weights[: (len(fringe.levels) - first) * video.instants_per_slot]
+            panel = _fine_segment(energy, fringe, segment, open_weights, panel, first)
     energy *= video.slot_s / video.instants_per_slot
     return energy.astype(np.float32)
 
@@ -123,10 +123,15 @@ def _add_small_segment(energy: Doubles, segment: Segment, weights: Floats, share
 
 
 def _fine_segment(
-    energy: Doubles, rims: Rims, segment: Segment, weights: Floats, panel: PanelState, first: int
+    energy: Doubles,
+    fringe: FringeCorrection,
+    segment: Segment,
+    weights: Floats,
+    panel: PanelState,
+    first: int,
 ) -> PanelState:
-    """Add a segment's first instants, with the rims of pixels; return the panel after them."""
-    n, pitch = len(weights), rims.pitch
+    """Add a segment's first instants, with the fringe correction; return the panel after them."""
+    n, pitch = len(weights), fringe.pitch
     rising = (np.arange(n, dtype=np.float64) + 0.5) / segment.n_instants
     lines = [(1 - rising, segment.start), (rising, segment.stop)]
     if segment.stop is segment.start:
@@ -149,7 +154,7 @@ def _fine_segment(
                 add_products(energy, above, below, block.excess, block.row, block.col, cells, top)
 
     keys = np.stack([line for line, _ in lines]).astype(np.float32)
-    return fine_weights(rims, weights, keys, moving, add, panel, first)
+    return fine_weights(fringe, weights, keys, moving, add, panel, first)
 
 
 def _add_few_products(

@@ -125,13 +125,13 @@ def first_panel(levels: Bytes, response: PanelResponse, slot_s: float) -> PanelS
     return slot_weights(levels, dark, response, slot_s)[1]
 
 
-def drive_targets(response: PanelResponse, slots_shown: int, n_slots: int) -> Doubles:
+def drive_targets(response: PanelResponse, slots_displayed: int, n_slots: int) -> Doubles:
     """Target retardance of each level, from the slot before the first to that after the last.
 
     Array (slot + 2, 256).
     """
     n_fields = len(response.field_drive)
-    drive = [response.field_drive[(slots_shown + k) % n_fields] for k in range(-1, n_slots + 1)]
+    drive = [response.field_drive[(slots_displayed + k) % n_fields] for k in range(-1, n_slots + 1)]
     return np.array(drive)[:, None] * _curve(response)
 
 
@@ -140,14 +140,16 @@ def early_rows(response: PanelResponse, rows: int) -> int:
     return int(np.count_nonzero(response.row_delays_s(rows) < 0))
 
 
-def row_turns(response: PanelResponse, rows: int, instant_s: float, slot_s: float) -> tuple[Ints, Doubles]:
+def row_switching(
+    response: PanelResponse, rows: int, instant_s: float, slot_s: float
+) -> tuple[Ints, Doubles]:
     """Instant of a slot in which each row is driven (early rows to the next slot), and the time after it."""
     delays_s = response.row_delays_s(rows) % slot_s
-    turn = np.floor(delays_s / instant_s).astype(np.int64)
-    return turn, delays_s - turn * instant_s
+    switch_at = np.floor(delays_s / instant_s).astype(np.int64)
+    return switch_at, delays_s - switch_at * instant_s
 
 
-def turned_to(levels: Bytes, panel: PanelState, response: PanelResponse) -> tuple[Bytes, PanelState]:
+def switched(levels: Bytes, panel: PanelState, response: PanelResponse) -> tuple[Bytes, PanelState]:
     """Level to which each row is driven within each slot, and the panel when the first slot begins.
 
     A late row is driven to the slot's own level. An early one shows that already, and is driven to the next
@@ -156,9 +158,9 @@ def turned_to(levels: Bytes, panel: PanelState, response: PanelResponse) -> tupl
     early = slice(0, early_rows(response, levels.shape[1]))
     if not early.stop:
         return levels, panel
-    shown, turned = panel.levels.copy(), levels.copy()
-    shown[early], turned[:, early] = levels[0, early], np.roll(levels[:, early], -1, axis=0)
-    return turned, PanelState(panel.retardance_rad, shown, panel.slots_shown)
+    displayed, driven = panel.levels.copy(), levels.copy()
+    displayed[early], driven[:, early] = levels[0, early], np.roll(levels[:, early], -1, axis=0)
+    return driven, PanelState(panel.retardance_rad, displayed, panel.slots_displayed)
 
 
 def settled_weight(levels: Bytes, response: PanelResponse) -> Floats:
@@ -253,24 +255,24 @@ def slot_weights(
         raise ValueCheckError(
             f"white_rad x field_drive: got {most_rad:.3g} rad, expected at most a whole wave, 2 pi"
         )
-    targets = drive_targets(response, panel.slots_shown, n_slots)
+    targets = drive_targets(response, panel.slots_displayed, n_slots)
     instant_s = slot_s / instants_per_slot
-    turn, early_s = row_turns(response, rows, instant_s, slot_s)
-    levels, panel = turned_to(levels, panel, response)
+    switch_at, early_s = row_switching(response, rows, instant_s, slot_s)
+    levels, panel = switched(levels, panel, response)
     taus = np.array([response.tau_on_s, response.tau_off_s])
     leaks = np.full(cols, response.leak) if leak is None else np.asarray(leak, np.float64)
     spans = (1 - leaks) / response.white
     weights = np.empty((n_slots * instants_per_slot, rows, cols), np.float32)
-    retardance, shown = panel.retardance_rad.copy(), panel.levels.copy()
+    retardance, displayed = panel.retardance_rad.copy(), panel.levels.copy()
 
     n_early = early_rows(response, rows)
     for part, ahead in ((slice(0, n_early), 1), (slice(n_early, rows), 0)):
         if part.start < part.stop:
             walk(
-                levels[:, part], retardance[part], shown[part], targets[ahead : ahead + n_slots + 1], taus,
-                turn[part], early_s[part], instant_s, leaks, spans, weights[:, part],
+                levels[:, part], retardance[part], displayed[part], targets[ahead : ahead + n_slots + 1],
+                taus, switch_at[part], early_s[part], instant_s, leaks, spans, weights[:, part],
             )  # fmt: skip
-    return weights, PanelState(retardance, shown, panel.slots_shown + n_slots)
+    return weights, PanelState(retardance, displayed, panel.slots_displayed + n_slots)
 
 
 def _curve(response: PanelResponse) -> Doubles:

@@ -67,10 +67,10 @@ class Drive(NamedTuple):
 def walk(
     levels: Bytes,
     retardance: Floats,
-    shown: Bytes,
+    displayed: Bytes,
     targets: Doubles,
     taus: Doubles,
-    turn: Ints,
+    switch_at: Ints,
     early_s: Doubles,
     instant_s: float,
     leaks: Doubles,
@@ -79,13 +79,13 @@ def walk(
 ) -> None:
     """Fill the weights of a code's instants, and advance the panel to the end of the last slot."""
     if weights.size < FEW:
-        delays_s = np.broadcast_to((turn * instant_s + early_s)[:, None], shown.shape)
-        first, alike = _different(levels, retardance, shown, delays_s)
-        each = levels.reshape(len(levels), -1)[:, first], retardance.flat[first], shown.flat[first]
+        delays_s = np.broadcast_to((switch_at * instant_s + early_s)[:, None], displayed.shape)
+        first, alike = _different(levels, retardance, displayed, delays_s)
+        each = levels.reshape(len(levels), -1)[:, first], retardance.flat[first], displayed.flat[first]
         lengths_s = instant_s, delays_s.flat[first]
         light, after = _walk_together(*each, targets, taus, *lengths_s, len(weights) // len(levels))
         weights[:] = leaks + spans * light[:, alike].reshape(weights.shape)
-        retardance[:], shown[:] = after[alike].reshape(shown.shape), levels[-1]
+        retardance[:], displayed[:] = after[alike].reshape(displayed.shape), levels[-1]
         return
 
     drives = Drive(targets, np.cos(targets), np.sin(targets))
@@ -93,21 +93,21 @@ def walk(
     def band(first: int, end: int) -> None:
         part = slice(first, end)
         _run(
-            levels[:, part], retardance[part], shown[part], drives, taus, turn[part], early_s[part],
+            levels[:, part], retardance[part], displayed[part], drives, taus, switch_at[part], early_s[part],
             instant_s, leaks, spans, weights[:, part],
         )  # fmt: skip
 
-    in_bands(len(shown), band)
+    in_bands(len(displayed), band)
 
 
-def _different(levels: Bytes, retardance: Floats, shown: Bytes, delays_s: Doubles) -> tuple[Ints, Ints]:
+def _different(levels: Bytes, retardance: Floats, displayed: Bytes, delays_s: Doubles) -> tuple[Ints, Ints]:
     """Find the distinct pixels by level and delay: one of each kind, and the kind of each pixel.
 
     Periodic codes have few kinds, and arrays of few pixels cost little more than the calls.
     """
     course = [
-        np.ascontiguousarray(each.reshape(shown.size, -1)).view(np.uint8)
-        for each in (np.moveaxis(levels, 0, -1), shown, retardance, delays_s)
+        np.ascontiguousarray(each.reshape(displayed.size, -1)).view(np.uint8)
+        for each in (np.moveaxis(levels, 0, -1), displayed, retardance, delays_s)
     ]
     rows = np.concatenate(course, axis=1)
     _, first, alike = np.unique(
@@ -119,7 +119,7 @@ def _different(levels: Bytes, retardance: Floats, shown: Bytes, delays_s: Double
 def _walk_together(
     levels: Bytes,
     retardance: Floats,
-    shown: Bytes,
+    displayed: Bytes,
     targets: Doubles,
     taus: Doubles,
     instant_s: float,
@@ -133,7 +133,7 @@ def _walk_together(
     lengths_s = np.stack([before_s, instant_s - before_s], axis=1)
     # Target in each interval, (slot, 2, pixel).
     slots = np.indices((n_slots, 1))[0]
-    before = np.concatenate([shown[None], levels[:-1]])
+    before = np.concatenate([displayed[None], levels[:-1]])
     target = np.stack([targets[slots, before], targets[slots + 1, levels]], axis=1)
     gamma = retardance.astype(np.float64)
     steps = np.zeros((n_slots, n_sub, 2, n_pixels))
@@ -198,17 +198,17 @@ def _relax(
 def _run(
     levels: Bytes,
     retardance: Floats,
-    shown: Bytes,
+    displayed: Bytes,
     drives: Drive,
     taus: Doubles,
-    turn: Ints,
+    switch_at: Ints,
     early_s: Doubles,
     instant_s: float,
     leaks: Doubles,
     spans: Doubles,
     weights: Floats,
 ) -> None:
-    """Step through the slots; a row is driven in instant ``turn``, ``early_s`` after its start."""
+    """Step through the slots; a row is driven in instant ``switch_at``, ``early_s`` after its start."""
     n_slots, rows, cols = levels.shape
     n_sub = weights.shape[0] // n_slots
     swept, asked, half = np.empty(cols), np.empty((3, cols)), 0.5 / instant_s
@@ -218,14 +218,14 @@ def _run(
         for v in range(rows):
             for sub in range(n_sub):
                 # Lengths before and after the row is driven; one of them is usually zero.
-                before_s = early_s[v] if sub == turn[v] else instant_s if sub < turn[v] else 0.0
+                before_s = early_s[v] if sub == switch_at[v] else instant_s if sub < switch_at[v] else 0.0
                 swept[:] = 0
                 if before_s > 0:
-                    _relax(retardance[v], shown[v], old, before_s, taus, asked, swept)
+                    _relax(retardance[v], displayed[v], old, before_s, taus, asked, swept)
                 if before_s < instant_s:
                     _relax(retardance[v], levels[slot, v], new, instant_s - before_s, taus, asked, swept)
                 row = weights[slot * n_sub + sub, v]
                 for u in range(cols):
                     # Rounding must not make light negative.
                     row[u] = leaks[u] + spans[u] * max(0.5 - half * swept[u], 0.0)
-            shown[v] = levels[slot, v]
+            displayed[v] = levels[slot, v]

@@ -27,7 +27,7 @@ from optsim.core.quantities import Bools, Doubles, Floats, Ints, Timing, View
 from optsim.render.channels import Channels, three_channels
 from optsim.render.full import poses_per_instant
 from optsim.render.nearby import boxes_around
-from optsim.render.plan import Plan, measured_error, seed_of
+from optsim.render.plan import RenderPlan, measured_error, seed_of
 from optsim.render.settings import RenderSettings
 from optsim.scene.bands import Band
 from optsim.scene.bright import light_ratio
@@ -126,12 +126,12 @@ class BandLight:
         self._names, self._seen = [band.name for band in scene.bands], seen
         self._scene, self._slots, self._backend, self._progress = scene, list(slots), backend, progress
         self._rendered: dict[int, dict[str, tuple[Floats, Floats]]] = {}
-        self._plan = Plan(
+        self._plan = RenderPlan(
             scene.in_band(seen), view, timing, settings, None, Cache(), silent, "bands of a slot"
         )
         self._keeps = shared and not scene.camera.moves
         self.samples = samples if shared else samples * _ALONE_FACTOR
-        self._threes: list[_Three] = []
+        self._threes: list[_ThreeBands] = []
 
     def of(self, slot: int, truth: Floats, half_difference: Floats | None = None) -> BandPictures:
         """Render a slot.
@@ -179,24 +179,25 @@ class BandLight:
                     self._rendered[each] |= three.slot(each)
                 self._progress("bands", self._slots.index(each) + 1, len(self._slots))
 
-    def _loaded(self) -> list[_Three]:
+    def _loaded(self) -> list[_ThreeBands]:
         first = next(band for band in self._scene.bands if band.name == self._seen)
         others = [band for band in self._scene.bands if band.name != self._seen]
         # A launch has three channels: the last one may hold a band twice.
         pairs = [(others[i], others[min(i + 1, len(others) - 1)]) for i in range(0, len(others), 2)]
         return [
-            _Three(self._scene, (first, *pair), self._plan, self.samples, keeps=self._keeps) for pair in pairs
+            _ThreeBands(self._scene, (first, *pair), self._plan, self.samples, keeps=self._keeps)
+            for pair in pairs
         ]
 
 
-class _Three:
+class _ThreeBands:
     """Three bands, the seen one first, by groups of lamps with the same flicker."""
 
     def __init__(
         self,
         scene: Scene,
         bands: tuple[Band, ...],
-        plan: Plan,
+        plan: RenderPlan,
         samples: int,
         *,
         keeps: bool,

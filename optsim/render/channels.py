@@ -13,7 +13,7 @@ from optsim.core.quantities import Doubles, Ints, View
 from optsim.render.backend import activate
 from optsim.render.nearby import Boxes
 from optsim.render.rays import camera_rays, pieces, starts
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.bands import Band
 from optsim.scene.scene import Scene
 
@@ -64,7 +64,7 @@ class Channels:
         seen = [scene.in_band(band.name) for band in bands]
         if self._at_once:
             seen = [scene.model_copy(update={"bands": bands})]
-        self._stages = [Stage(each, view, movers=movers, boxes=boxes, glow=glow) for each in seen]
+        self._stages = [RenderStage(each, view, movers=movers, boxes=boxes, glow=glow) for each in seen]
 
     def pose(self, time_s: float) -> None:
         """Move the camera and all movers to their positions at a time."""

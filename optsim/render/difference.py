@@ -14,8 +14,8 @@ import numpy as np
 from optsim.core.quantities import Bools, Doubles, Floats, Ints
 from optsim.render.allocation import Statistics, smoothed, tally
 from optsim.render.nearby import boxes_around
-from optsim.render.plan import Plan
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan
+from optsim.render.stage import RenderStage
 
 _MOST = 32
 _PILOT_SAMPLES = 2
@@ -34,14 +34,14 @@ class _TracedPaths:
 class Difference:
     """The scene with movers, without them, and with boxes around them; caches paths traced without them."""
 
-    def __init__(self, plan: Plan, static: Floats) -> None:
+    def __init__(self, plan: RenderPlan, static: Floats) -> None:
         times_s = np.asarray([plan.time_s(slot) for slot in range(plan.timing.n_slots + 1)])
         boxes = boxes_around(plan.scene, times_s, plan.view.aperture_m / 2)
         seen, azimuth_rad = (plan.scene, plan.view), plan.azimuth_rad
-        self.moving = Stage(*seen, boxes=boxes, azimuth_rad=azimuth_rad)
+        self.moving = RenderStage(*seen, boxes=boxes, azimuth_rad=azimuth_rad)
         self._plan, self._boxes, self._static = plan, boxes, static.mean(axis=0).ravel()
-        self._still = Stage(*seen, movers=False, boxes=boxes, azimuth_rad=azimuth_rad)
-        self._around = Stage(*seen, movers=False, boxes=boxes, glow=True, azimuth_rad=azimuth_rad)
+        self._still = RenderStage(*seen, movers=False, boxes=boxes, azimuth_rad=azimuth_rad)
+        self._around = RenderStage(*seen, movers=False, boxes=boxes, glow=True, azimuth_rad=azimuth_rad)
         # (turn, half, level) -> row of each pixel, and its paths. Only a cache: paths are keyed by pixel, so
         # the order of tracing has no effect.
         self._traced: dict[tuple[object, int, int], tuple[Ints, _TracedPaths]] = {}

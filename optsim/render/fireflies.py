@@ -20,7 +20,7 @@ from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Doubles, Floats, Ints, View
 from optsim.render.backend import activate
 from optsim.render.plan import seed_of
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.bands import mono
 from optsim.scene.scene import SKY, Scene
 
@@ -207,7 +207,7 @@ def pilot(
         def step(done: int, before: int = index * samples) -> None:
             progress("pilot", before + done, total)
 
-        values = all_paths(Stage(scene, view, movers=movers), samples, number, step)
+        values = all_paths(RenderStage(scene, view, movers=movers), samples, number, step)
         found.append(_judged(scene, view, values, bound, number, movers=movers))
     return tuple(found)
 
@@ -220,7 +220,7 @@ def relative_variance(values: Floats, floor_w_m2_sr: float = 0.0) -> Doubles:
     return np.where(lit, exact.var(axis=1, ddof=1) / np.where(lit, mean + floor_w_m2_sr, 1.0) ** 2, 0.0)
 
 
-def all_paths(stage: Stage, samples: int, seed: int, step: Callable[[int], None]) -> Floats:
+def all_paths(stage: RenderStage, samples: int, seed: int, step: Callable[[int], None]) -> Floats:
     """Radiance of every path of every pixel, (n, sample); ``step`` gets the number of samples done."""
     n = stage.view.rows * stage.view.cols
     values = np.empty((n, samples), np.float32)
@@ -238,7 +238,7 @@ def origins(
     """Trace paths again, cut short and lamp by lamp, to split their radiance by bounces and by lamp."""
 
     def again(changed: Scene) -> Doubles:
-        return _single(Stage(changed, view, movers=movers), pixels, numbers, seed)
+        return _single(RenderStage(changed, view, movers=movers), pixels, numbers, seed)
 
     # A path of n segments has n - 1 surfaces between lamp and camera.
     up_to = [again(scene.model_copy(update={"max_depth": n})) for n in range(1, scene.max_depth + 1)]
@@ -246,7 +246,7 @@ def origins(
     return np.diff(up_to, axis=0, prepend=0.0), by_lamp
 
 
-def _single(stage: Stage, pixels: Ints, numbers: Ints, seed: int) -> Doubles:
+def _single(stage: RenderStage, pixels: Ints, numbers: Ints, seed: int) -> Doubles:
     return stage.paths(pixels, np.ones(len(pixels), np.int64), np.full(len(pixels), seed), numbers)
 
 

@@ -25,7 +25,7 @@ from optsim.render.gbuffer import (
     sample_rays,
 )
 from optsim.render.lens import distorted, radial_k1
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.bodies import bodies
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
@@ -50,7 +50,7 @@ class PassRenderer:
     def __init__(self, scene: Scene, view: View, *, backend: str | None = None) -> None:
         activate(backend)
         self._scene, self._view = scene, view
-        self._stage = Stage(scene, view)
+        self._stage = RenderStage(scene, view)
         self._ids = ObjectIds(scene, self._stage.loaded)
         self._movers = scene.singles()
         self._faces = {name: mover.rest().faces for name, mover in self._movers.items()}
@@ -136,8 +136,8 @@ class PassRenderer:
             corners = self._faces[name][hits.face[mine]]
             second, third = hits.weights[mine].T
             weights = np.stack([1 - second - third, second, third], axis=-1)
-            way = end.vertices_m[name] - now.vertices_m[name]
-            reprojected[mine] += np.einsum("nk,nkx->nx", weights, way[corners])
+            displacement_m = end.vertices_m[name] - now.vertices_m[name]
+            reprojected[mine] += np.einsum("nk,nkx->nx", weights, displacement_m[corners])
         return reprojected
 
     def _places(self, points: Doubles, moment: _Moment) -> Doubles:
@@ -160,10 +160,10 @@ class PassRenderer:
         flow = np.where(sensible[:, None], (after - before)[:, :2], 0.0)
         seen = sensible & (row >= 0) & (row < self._view.rows) & (col >= 0) & (col < self._view.cols)
         lanes = np.flatnonzero(seen)
-        ways = reprojected[lanes] - end.matrix[:3, 3]
-        distance = np.linalg.norm(ways, axis=1)
+        rays_m = reprojected[lanes] - end.matrix[:3, 3]
+        distance = np.linalg.norm(rays_m, axis=1)
         self._stage.pose(end.time_s)
-        met, *place = first_objects(self._stage, end.pose, ways / distance[:, None])
+        met, *place = first_objects(self._stage, end.pose, rays_m / distance[:, None])
         same = self._ids.of(*place) == numbers[lanes]
         seen[lanes] = same & (np.abs(met - distance) <= SAME_POINT * distance)
         return flow, ~seen

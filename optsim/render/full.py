@@ -12,10 +12,10 @@ from optsim.core.quantities import Block, Doubles, Floats, Segment, Timing, View
 from optsim.render.allocation import MOST, Statistics
 from optsim.render.backend import activate
 from optsim.render.footprint import path_px
-from optsim.render.plan import Plan, measured_error, seed_of
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan, measured_error, seed_of
+from optsim.render.stage import RenderStage
 from optsim.render.still import halves_tally
-from optsim.render.trajectories import way_px
+from optsim.render.trajectories import mover_path_px
 from optsim.scene.scene import Scene
 
 _PILOT_SAMPLES = 4
@@ -34,21 +34,21 @@ _MOST_PICTURES = 16
 _MOST_PURSUED = 2.0**20
 
 
-def poses_per_instant(plan: Plan, slot: int) -> int:
+def poses_per_instant(plan: RenderPlan, slot: int) -> int:
     """Count the poses whose mean is an instant of a slot, by the longest visible path.
 
     A power of two.
     """
     times_s = plan.times_s(slot, slot + 1, 1)
-    ways = [path_px(lambda _, v=v: v, times_s, plan.scene.camera, plan.view) for v in plan.still_m]
-    ways += [way_px(plan, name, slot, slot + 1) for name in plan.scene.singles()]
-    way = max(ways, default=0.0) / plan.settings.instants_per_slot
-    needed = way * _ERROR_PER_PX / plan.settings.interpolation_error
+    paths_px = [path_px(lambda _, v=v: v, times_s, plan.scene.camera, plan.view) for v in plan.still_m]
+    paths_px += [mover_path_px(plan, name, slot, slot + 1) for name in plan.scene.singles()]
+    longest_px = max(paths_px, default=0.0) / plan.settings.instants_per_slot
+    needed = longest_px * _ERROR_PER_PX / plan.settings.interpolation_error
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))
 
 
 def render_slot(
-    plan: Plan, stage: Stage, slot: int, n_poses: int, before: Statistics, most: float = MOST
+    plan: RenderPlan, stage: RenderStage, slot: int, n_poses: int, before: Statistics, most: float = MOST
 ) -> dict[str, Floats]:
     """Render both halves of every instant of a slot, samples allocated by an earlier picture.
 
@@ -63,12 +63,14 @@ def render_slot(
     size, samples = np.maximum(n_poses // counts, 1), np.maximum(counts // n_poses, 1)
     light = np.zeros((2, n_instants, len(pixels)))
     for instant in range(n_instants):
-        luck = np.stack([plan.luck("slot", slot, instant, group) for group in range(n_poses)])
+        uniform_draws = np.stack(
+            [plan.uniform_draws("slot", slot, instant, group) for group in range(n_poses)]
+        )
         seeds = np.asarray(plan.seeds("slot", slot, instant), np.int64)
         for pose in range(n_poses):
             stage.pose(plan.time_s(slot + (instant + (pose + 0.5) / n_poses) / n_instants))
             group = pose // size
-            chance = luck[group, :, pixels].T
+            chance = uniform_draws[group, :, pixels].T
             half, where = np.nonzero(pose % size == np.floor(chance * size))
             seen = stage.paths(where, samples[where], seeds[half], group[where] * samples[where])
             light[half, instant, where] += seen * samples[where] / counts[where]
@@ -81,9 +83,9 @@ def render_slot(
     }
 
 
-def load_slots(plan: Plan) -> list[str]:
+def load_slots(plan: RenderPlan) -> list[str]:
     """Render the slots that the cache lacks; return the cache keys."""
-    stage = Stage(plan.scene, plan.view, azimuth_rad=plan.azimuth_rad)
+    stage = RenderStage(plan.scene, plan.view, azimuth_rad=plan.azimuth_rad)
     keys: list[str] = [plan.key("pilot", "slots")]
     chosen = plan.settings
     for slot in range(plan.timing.n_slots):
@@ -97,14 +99,16 @@ def load_slots(plan: Plan) -> list[str]:
     return keys[1:]
 
 
-def _pilot(plan: Plan, stage: Stage) -> dict[str, Floats]:
+def _pilot(plan: RenderPlan, stage: RenderStage) -> dict[str, Floats]:
     """Render the statistics for allocating the first slot's samples."""
     stage.pose(0.0)
     light = stage.radiance(plan.pixels, _PILOT_SAMPLES, plan.seeds("pilot", "slots"))
     return {"tiles": halves_tally(plan, plan.pixels, light, float(_PILOT_SAMPLES)).arrays()}
 
 
-def slot_to_error(groups: Sequence[tuple[Plan, Stage, Floats]], slot: int, error: float) -> dict[str, Floats]:
+def slot_to_error(
+    groups: Sequence[tuple[RenderPlan, RenderStage, Floats]], slot: int, error: float
+) -> dict[str, Floats]:
     """Render a slot by itself, with its own random numbers, until its target error is reached.
 
     Pictures are weighted by their allocated samples. The whole picture's error decides when to stop. Stopping
@@ -145,7 +149,7 @@ def slot_segment(images: Floats) -> Segment:
 
 
 def slot_image(
-    stage: Stage, first_s: float, slot_s: float, samples: int, poses: int, seeds: tuple[int, ...]
+    stage: RenderStage, first_s: float, slot_s: float, samples: int, poses: int, seeds: tuple[int, ...]
 ) -> Doubles:
     """Mean radiance during a slot, from poses at the centres of its equal parts, all pixels equal.
 
@@ -187,7 +191,7 @@ def render_footage(
     """Slot means of radiance at panel resolution, by a plain loop: training footage for priors."""
     activate(backend)
     n = view.samples_per_pitch
-    stage = Stage(scene, replace(view, rows=view.rows // n, cols=view.cols // n, samples_per_pitch=1))
+    stage = RenderStage(scene, replace(view, rows=view.rows // n, cols=view.cols // n, samples_per_pitch=1))
     frames = np.empty((timing.n_slots, stage.view.rows, stage.view.cols), np.float32)
     share = max(1, samples // poses_per_slot)
     for slot in range(timing.n_slots):

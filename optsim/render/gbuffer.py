@@ -17,7 +17,7 @@ from optsim.core.quantities import Doubles, Ids, Ints, View
 from optsim.render.describe import unit_m
 from optsim.render.first_hit import first_hit, first_place
 from optsim.render.lens import undistorted
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.bodies import bodies
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.scene import Scene
@@ -66,7 +66,7 @@ def sample_rays(view: View) -> Doubles:
     return np.stack([across / length, down / length, 1 / length], axis=-1)
 
 
-def cast(stage: Stage, pose: CameraPose, directions: Doubles) -> Hits:
+def cast(stage: RenderStage, pose: CameraPose, directions: Doubles) -> Hits:
     """Find the first surface along unit directions (n, 3) from the pinhole, within the depth range."""
     found, before, unit = _along(stage, pose, directions, _surface_columns)
     hit = np.isfinite(found[:, 0])
@@ -86,7 +86,7 @@ def cast(stage: Stage, pose: CameraPose, directions: Doubles) -> Hits:
     )
 
 
-def first_objects(stage: Stage, pose: CameraPose, directions: Doubles) -> tuple[Doubles, Ints, Ints]:
+def first_objects(stage: RenderStage, pose: CameraPose, directions: Doubles) -> tuple[Doubles, Ints, Ints]:
     """Distance, m, shape and face as of :func:`cast`, in a third of its time."""
     found, before, unit = _along(stage, pose, directions, _place_columns)
     hit = np.isfinite(found[:, 0])
@@ -96,7 +96,7 @@ def first_objects(stage: Stage, pose: CameraPose, directions: Doubles) -> tuple[
 
 
 def _along(
-    stage: Stage, pose: CameraPose, directions: Doubles, columns: Callable[[Any, Any, Any], list[Any]]
+    stage: RenderStage, pose: CameraPose, directions: Doubles, columns: Callable[[Any, Any, Any], list[Any]]
 ) -> tuple[Doubles, Doubles, float]:
     """Trace rays within the depth range: columns found, distance where each ray starts, m, unit of length."""
     unit = unit_m(stage.scene)

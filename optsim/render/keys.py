@@ -12,8 +12,8 @@ from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Statistics
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of, project, vertices_at
-from optsim.render.plan import Plan
-from optsim.render.reprojection import Key, filled, seen_at
+from optsim.render.plan import RenderPlan
+from optsim.render.reprojection import KeyPoseLight, filled, seen_at
 from optsim.render.still import halves_tally
 from optsim.render.trajectories import Trajectory
 from optsim.scene.materials import Diffuse
@@ -35,7 +35,7 @@ class Span:
         Visible movers, the one with the most poses first: its poses include all others.
     """
 
-    plan: Plan
+    plan: RenderPlan
     difference: Difference
     static: Floats
     first_slot: int
@@ -110,7 +110,7 @@ class KeyPose:
     """
 
     places: dict[str, Doubles]
-    light: Key
+    light: KeyPoseLight
     beside: dict[str, Floats]
 
 
@@ -126,7 +126,7 @@ def render_keys(
     poses = [pose for pose in range(span.n_poses + 1) if span.due_keys(pose)]
     counts = _counts_beside(span, change[: len(poses)])
     places: dict[int, dict[str, Doubles]] = {}
-    light: dict[int, Key] = {}
+    light: dict[int, KeyPoseLight] = {}
     beside: dict[int, dict[str, Floats]] = {}
     for number, pose in enumerate(poses):
         turn = number % len(change)
@@ -167,7 +167,7 @@ def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, F
 
 def _own_light(
     span: Span, pose: int, places: dict[str, Doubles], own: Statistics
-) -> tuple[Key, Doubles, Statistics]:
+) -> tuple[KeyPoseLight, Doubles, Statistics]:
     """Trace whole paths where movers have a key pose, and pool their statistics.
 
     Also return each path's first hit in the ideal image, row and column; NaN if it is no such mover.
@@ -192,11 +192,13 @@ def _own_light(
         own = own.and_then(halves_tally(plan, pixels, light, wanted[pixels].astype(np.float64)))
     first = np.concatenate([[0], np.cumsum(np.tile(wanted, 2))])
     depth = met[:, 2].astype(np.float32)
-    key = Key((0, 0), plan.shape, first, hits.shape, depth, hits.albedo, hits.light)
+    key = KeyPoseLight((0, 0), plan.shape, first, hits.shape, depth, hits.albedo, hits.light)
     return key, met[:, :2].T, own
 
 
-def _beside(span: Span, pose: int, turn: int, counts: dict[str, Floats], light: Key) -> dict[str, Floats]:
+def _beside(
+    span: Span, pose: int, turn: int, counts: dict[str, Floats], light: KeyPoseLight
+) -> dict[str, Floats]:
     """Radiance beside the movers at a key pose of some trajectories; NaN where movers cover all."""
     due, time_s = span.due_keys(pose), span.times_s[pose]
     pixels = np.concatenate([trajectory.pixels for trajectory in due])

@@ -16,12 +16,12 @@ from optsim.render.allocation import Statistics
 from optsim.render.difference import Difference
 from optsim.render.footprint import faces_of
 from optsim.render.keys import KeyPose, Span, ends, render_keys
-from optsim.render.plan import Plan
+from optsim.render.plan import RenderPlan
 from optsim.render.pose_sampling import Trial, assumed
 from optsim.render.reprojection import between
-from optsim.render.stage import PrimaryHits, Stage
+from optsim.render.stage import PrimaryHits, RenderStage
 from optsim.render.still import halves_tally
-from optsim.render.trajectories import Density, Trajectory, trajectories
+from optsim.render.trajectories import PoseDensity, Trajectory, trajectories
 
 Half = Callable[[Floats], Floats]
 
@@ -45,14 +45,14 @@ class MoverHistory:
     """
 
     own: Statistics
-    density: dict[str, Density]
+    density: dict[str, PoseDensity]
 
     @staticmethod
     def of(arrays: dict[str, Any]) -> MoverHistory:
         """Read them from a segment's arrays."""
         tail = "_density"
         found = {
-            key.removesuffix(tail): Density(*arrays[key].tolist()) for key in arrays if key.endswith(tail)
+            key.removesuffix(tail): PoseDensity(*arrays[key].tolist()) for key in arrays if key.endswith(tail)
         }
         return MoverHistory(Statistics.of(arrays["tiles"]), found)
 
@@ -62,7 +62,7 @@ class MoverHistory:
         return {"tiles": self.own.arrays()} | density
 
 
-def pilot(plan: Plan, moving: Stage, time_s: float) -> MoverHistory:
+def pilot(plan: RenderPlan, moving: RenderStage, time_s: float) -> MoverHistory:
     """Estimate statistics of the movers' own pixels at an instant, from separate random numbers."""
     pixels = np.flatnonzero(plan.own(time_s))
     moving.pose(time_s)
@@ -71,7 +71,7 @@ def pilot(plan: Plan, moving: Stage, time_s: float) -> MoverHistory:
 
 
 def render_segment(
-    plan: Plan,
+    plan: RenderPlan,
     difference: Difference,
     static: Floats,
     first_slot: int,
@@ -87,7 +87,7 @@ def render_segment(
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     bound = plan.settings.interpolation_error
 
-    def density(name: str) -> Density:
+    def density(name: str) -> PoseDensity:
         return before.density.get(name, assumed(bound))
 
     found = trajectories(plan, first_slot, first_slot + plan.segment_slots, density)

@@ -34,7 +34,7 @@ def measured_error(mean: Floats, half_difference: Floats, white_w_m2_sr: float) 
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class RenderPlan:
     """Plan of one truth, or of its part by one group of lamps.
 
     Parameters
@@ -62,7 +62,7 @@ class Plan:
     segment_slots: int = 1
     azimuth_rad: float | None = None
 
-    def lit_by(self, lamps: tuple[str, ...]) -> Plan:
+    def lit_by(self, lamps: tuple[str, ...]) -> RenderPlan:
         """Plan of the same truth with these lamps only."""
         return replace(self, scene=self.scene.only_lamps(lamps), identity=hash_of(self.identity, lamps))
 
@@ -92,14 +92,14 @@ class Plan:
 
     def times_s(self, first_slot: int, last_slot: int, steps: int) -> list[float]:
         """List the ends of equal steps from the start of one slot to that of another."""
-        way = last_slot - first_slot
-        return [self.time_s(first_slot + way * step / steps) for step in range(steps + 1)]
+        n_slots = last_slot - first_slot
+        return [self.time_s(first_slot + n_slots * step / steps) for step in range(steps + 1)]
 
     def seeds(self, *purpose: object) -> tuple[int, int]:
         """Two independent seeds, of half A and half B."""
         return seed_of(self.settings.seed, *purpose, "A"), seed_of(self.settings.seed, *purpose, "B")
 
-    def luck(self, *purpose: object) -> Doubles:
+    def uniform_draws(self, *purpose: object) -> Doubles:
         """Uniform random numbers for both halves and all pixels, (2, n): they assign poses to samples."""
         rng = np.random.Generator(np.random.Philox(seed_of(self.settings.seed, *purpose, "luck")))
         return rng.random((2, self.view.rows * self.view.cols))

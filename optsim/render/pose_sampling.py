@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from optsim.core.quantities import Bools, Doubles
-from optsim.render.trajectories import Density, Trajectory
+from optsim.render.trajectories import PoseDensity, Trajectory
 
 # Relative error on a mover's own pixels for one fine sample of path between poses, or between keys. It is the
 # worst over all scenes with movers: glossy_floor's dark rod before a bright wall (chart's bars, 10 : 1, have
@@ -28,9 +28,9 @@ _FEWER = 0.5
 _TILE = 4
 
 
-def assumed(bound: float) -> Density:
+def assumed(bound: float) -> PoseDensity:
     """Density of poses and keys before a mover has been measured."""
-    return Density(_per_px(bound, _POSES_AT_ONE_PX), _per_px(bound, _KEYS_AT_ONE_PX))
+    return PoseDensity(_per_px(bound, _POSES_AT_ONE_PX), _per_px(bound, _KEYS_AT_ONE_PX))
 
 
 def _per_px(bound: float, at_one_px: float, before: float = 0.0) -> float:
@@ -77,7 +77,7 @@ class Trial:
         self._between.append(first * second * np.bincount(tile)[present])
         self._n_between += len(tile)
 
-    def density(self, bound: float, before: Density) -> Density:
+    def density(self, bound: float, before: PoseDensity) -> PoseDensity:
         """Density of the next segment's poses and keys for a bound on the relative error."""
         poses, keys = before.poses, before.keys
         if self._covered:
@@ -92,13 +92,13 @@ class Trial:
             # Midway between two keys a parabola's error is largest: its mean square is 8/15 of that squared.
             twice_as_far = np.sqrt(8 / 15 * _certain_sum(products) / self._n_between)
             keys = _per_px(bound, self._at_one_px(twice_as_far, self._trajectory.n_keys), keys)
-        return Density(poses, keys)
+        return PoseDensity(poses, keys)
 
     def _about(self, light: Doubles) -> Doubles:
         return np.maximum(light, 0) + self._floor
 
     def _at_one_px(self, twice_as_far: float, n: int) -> float:
-        return float(twice_as_far) * (n / 2 / max(self._trajectory.way_px, 1e-9)) ** _POWER
+        return float(twice_as_far) * (n / 2 / max(self._trajectory.length_px, 1e-9)) ** _POWER
 
 
 def _certain_sum(products: Doubles) -> float:

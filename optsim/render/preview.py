@@ -7,7 +7,7 @@ import numpy as np
 from optsim.core.quantities import Doubles, Floats, View
 from optsim.render.backend import activate
 from optsim.render.channels import Channels, three_channels
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.scene import Scene
 
 _ROWS, _COLS, _TAN = 360, 480, 0.36
@@ -44,7 +44,7 @@ def preview(scene: Scene, *, time_s: float = 0.0, samples: int = 64) -> Floats:
             counts = np.full(_ROWS * _COLS, samples)
             light = channels.radiance(counts, np.ones_like(counts), np.zeros_like(counts)) / samples
         return np.ascontiguousarray(light.T.reshape(_ROWS, _COLS, 3), np.float32)
-    stage = Stage(scene.in_band(), view)
+    stage = RenderStage(scene.in_band(), view)
     stage.pose(time_s)
     return stage.picture(samples, 1)[..., None]
 

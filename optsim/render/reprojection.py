@@ -33,7 +33,7 @@ _DEPTH_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Key:
+class KeyPoseLight:
     """Light at a key pose, path by path: those of half A sorted by fine sample, then those of half B.
 
     Parameters
@@ -66,7 +66,7 @@ class Key:
             mean = np.bincount(sample, self.light[past], n) / np.bincount(sample, minlength=n)
         return mean.astype(np.float32).reshape(2, -1)
 
-    def by_place(self, row: Doubles, col: Doubles) -> Key:
+    def by_place(self, row: Doubles, col: Doubles) -> KeyPoseLight:
         """Sort the paths by their hits' positions in the ideal image, instead of by their samples.
 
         The two differ by defocus and distortion. The result has its own grid, which extends a picture's size
@@ -84,7 +84,9 @@ class Key:
             order = np.argsort(sample, kind="stable")
             first = np.searchsorted(sample[order], np.arange(2 * size[0] * size[1] + 1))
             at = kept[order]
-        return Key(corner, size, first, self.shape[at], self.depth_m[at], self.albedo[at], self.light[at])
+        return KeyPoseLight(
+            corner, size, first, self.shape[at], self.depth_m[at], self.albedo[at], self.light[at]
+        )
 
     def irradiance(
         self,

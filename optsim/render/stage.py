@@ -48,7 +48,7 @@ class PrimaryHits:
     light: Floats
 
 
-class Stage:
+class RenderStage:
     """A scene in the active Mitsuba variant, with a view.
 
     Parameters
@@ -269,7 +269,7 @@ def outside_mask(scene: Scene, view: View) -> Bools:
         return np.zeros((view.rows, view.cols), np.bool_)
     # Without other lamps and without bounces, only these are not black.
     alone = scene.only_lamps(pictures).model_copy(update={"max_depth": 1})
-    return Stage(alone, replace(view, aperture_m=0.0), movers=False).picture(1, 0) > 0
+    return RenderStage(alone, replace(view, aperture_m=0.0), movers=False).picture(1, 0) > 0
 
 
 @contextmanager

@@ -12,8 +12,8 @@ import numpy as np
 
 from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.render.allocation import Statistics, tally
-from optsim.render.plan import Plan
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan
+from optsim.render.stage import RenderStage
 
 _ReportShare = Callable[[float], None]
 
@@ -23,12 +23,12 @@ _MOST_SAMPLES = 4096
 _PASSES = (0, 8, 32, 128, 256, 512, 1024, 1536, 2048, 2560, 3072, 3584, 4096)
 
 
-def halves_tally(plan: Plan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
+def halves_tally(plan: RenderPlan, pixels: Ints, light: Doubles, samples: Doubles | float) -> Statistics:
     """Sample statistics of plain estimates: the variance of one sample from the difference of the halves."""
     return tally(plan.shape, pixels, samples * (light[0] - light[1]) ** 2 / 2, light.mean(axis=0))
 
 
-def static_light(plan: Plan, still: Stage) -> Floats:
+def static_light(plan: RenderPlan, still: RenderStage) -> Floats:
     """Both halves of the radiance without movers."""
     pixels, target = plan.pixels, plan.settings.static_error
 
@@ -69,7 +69,7 @@ def static_light(plan: Plan, still: Stage) -> Floats:
     return (total / counts).reshape(2, *plan.shape).astype(np.float32)
 
 
-def _report_part(plan: Plan, stage: str, before: float, share: float) -> _ReportShare:
+def _report_part(plan: RenderPlan, stage: str, before: float, share: float) -> _ReportShare:
     """Convert the progress of a part to that of the whole stage."""
 
     def report_share(done: float) -> None:

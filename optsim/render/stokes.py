@@ -25,7 +25,7 @@ from optsim.core.quantities import Floats, Ints, View
 from optsim.render.analyser import stokes_vector
 from optsim.render.backend import activate
 from optsim.render.rays import camera_rays, pieces, starts
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene.scene import Scene
 
 
@@ -87,7 +87,7 @@ def render_stokes(
         When no vectorised backend works.
     """
     with polarised(backend) as mi:
-        stage = Stage(scene, view)
+        stage = RenderStage(scene, view)
         stage.pose(time_s)
         return stokes_image(mi, stage.loaded, view, samples, seed, max_depth=scene.max_depth)
 

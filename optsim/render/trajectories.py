@@ -10,7 +10,7 @@ import numpy as np
 
 from optsim.core.quantities import Bools, Ints
 from optsim.render.footprint import path_px, vertices_at
-from optsim.render.plan import Plan
+from optsim.render.plan import RenderPlan
 
 # Relative error of linear interpolation between key instants, in the light that movers change elsewhere, per
 # fine sample of their path. Measured on window_room, wheel and half_moving
@@ -22,7 +22,7 @@ _STEPS = sorted(2**a * 3**b for a in range(1, 15) for b in range(3))
 
 
 @dataclass(frozen=True)
-class Density:
+class PoseDensity:
     """Poses and key poses of a mover per fine sample of its path."""
 
     poses: float
@@ -37,7 +37,7 @@ class Trajectory:
     ----------
     name : str
         Name of the mover.
-    way_px : float
+    length_px : float
         Length of its path, fine samples.
     n_steps : int
         Number of equal steps.
@@ -48,7 +48,7 @@ class Trajectory:
     """
 
     name: str
-    way_px: float
+    length_px: float
     n_steps: int
     n_keys: int
     mask: Bools
@@ -59,13 +59,15 @@ class Trajectory:
         return np.flatnonzero(self.mask)
 
 
-def way_px(plan: Plan, name: str, first_slot: int, last_slot: int, margin_px: float = 0.0) -> float:
+def mover_path_px(
+    plan: RenderPlan, name: str, first_slot: int, last_slot: int, margin_px: float = 0.0
+) -> float:
     """Measure the longest path of a mover's visible point between two slots, fine samples."""
     mover, times_s = plan.scene.singles()[name], plan.times_s(first_slot, last_slot, last_slot - first_slot)
     return path_px(partial(vertices_at, mover), times_s, plan.scene.camera, plan.view, margin_px)
 
 
-def slots_per_segment(plan: Plan) -> int:
+def slots_per_segment(plan: RenderPlan) -> int:
     """Choose the slots between key instants by the interpolation bound and the fastest mover's path.
 
     The path is measured in every third slot of the whole experiment, up to a picture's width outside the
@@ -76,7 +78,7 @@ def slots_per_segment(plan: Plan) -> int:
         return plan.settings.slots_per_segment
     fastest = max(
         (
-            way_px(plan, name, s, s + 1, plan.view.cols)
+            mover_path_px(plan, name, s, s + 1, plan.view.cols)
             for name in plan.scene.singles()
             for s in range(0, plan.timing.n_slots, 3)
         ),
@@ -87,12 +89,12 @@ def slots_per_segment(plan: Plan) -> int:
 
 
 def trajectories(
-    plan: Plan, first_slot: int, last_slot: int, density: Callable[[str], Density]
+    plan: RenderPlan, first_slot: int, last_slot: int, density: Callable[[str], PoseDensity]
 ) -> list[Trajectory]:
     """Find the movers seen in a segment, the one with the most poses first."""
     names = list(plan.scene.singles())
-    ways = {name: way_px(plan, name, first_slot, last_slot) for name in names}
-    needed = {name: min(ways[name] * density(name).poses, _STEPS[-1]) for name in names}
+    lengths_px = {name: mover_path_px(plan, name, first_slot, last_slot) for name in names}
+    needed = {name: min(lengths_px[name] * density(name).poses, _STEPS[-1]) for name in names}
     finest = next(n for n in _STEPS if n >= max(needed.values(), default=0.0))
     steps = {
         name: next(n for n in _STEPS if finest % n == 0 and n >= least) for name, least in needed.items()
@@ -101,11 +103,11 @@ def trajectories(
     found: list[Trajectory] = []
     for name, n_steps in sorted(steps.items(), key=lambda item: (-item[1], item[0])):
         # A sample crossed by two movers belongs to the one with more poses: a render shows both anyway.
-        n_hits = int(min(max(n_steps, np.ceil(ways[name])), _STEPS[-1]))
+        n_hits = int(min(max(n_steps, np.ceil(lengths_px[name])), _STEPS[-1]))
         mask = plan.own(*plan.times_s(first_slot, last_slot, n_hits), movers=[name])
         if mask.any():
-            reprojected = min(ways[name] * density(name).keys, n_steps)
+            reprojected = min(lengths_px[name] * density(name).keys, n_steps)
             n_keys = next(n for n in _STEPS if n_steps % n == 0 and n >= reprojected)
-            found.append(Trajectory(name, ways[name], n_steps, n_keys, mask & ~taken))
+            found.append(Trajectory(name, lengths_px[name], n_steps, n_keys, mask & ~taken))
         taken |= mask
     return found

@@ -38,9 +38,9 @@ from optsim.render.backend import activate, versions
 from optsim.render.difference import Difference
 from optsim.render.full import load_slots, slot_image, slot_segment, slot_to_error
 from optsim.render.moving import Half
-from optsim.render.plan import Plan
+from optsim.render.plan import RenderPlan
 from optsim.render.settings import CameraNoise, RenderSettings
-from optsim.render.stage import Stage, outside_mask
+from optsim.render.stage import RenderStage, outside_mask
 from optsim.render.still import static_light
 from optsim.render.stokes import polarised
 from optsim.render.trajectories import slots_per_segment
@@ -85,7 +85,9 @@ def render_truth(
     identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), hash_files(_CODE))
     if azimuth_rad is not None:
         identity = hash_of(identity, "twice the analysed component", azimuth_rad)
-    plan = Plan(scene, view, timing, settings, noise, cache, progress, identity, azimuth_rad=azimuth_rad)
+    plan = RenderPlan(
+        scene, view, timing, settings, noise, cache, progress, identity, azimuth_rad=azimuth_rad
+    )
     outside = cache.get(plan.key("outside"), lambda: {"outside": outside_mask(scene, view)})["outside"]
     n_instants, n_slots = settings.instants_per_slot, 1
     # All is rendered inside this block; later loads read the cache.
@@ -124,9 +126,9 @@ def _half_difference(halves: Floats) -> Floats:
     return np.asarray((halves[0] - halves[1]) * np.float32(0.5))
 
 
-def _load_movers(plan: Plan) -> _Load:
+def _load_movers(plan: RenderPlan) -> _Load:
     """Render the parts that the cache lacks, under steady lamps; return the loader of segments."""
-    still = Stage(plan.scene, plan.view, movers=False, azimuth_rad=plan.azimuth_rad)
+    still = RenderStage(plan.scene, plan.view, movers=False, azimuth_rad=plan.azimuth_rad)
     static = static_light(plan, still)
     n_instants = plan.segment_slots * plan.settings.instants_per_slot
     if not plan.scene.singles():
@@ -146,14 +148,14 @@ def _load_movers(plan: Plan) -> _Load:
     return load
 
 
-def _key(plan: Plan, index: int) -> str:
+def _key(plan: RenderPlan, index: int) -> str:
     """Cache key of a key instant."""
     chosen, slot = plan.settings, index * plan.segment_slots
     what = chosen.static_error, chosen.change_error, chosen.key_seeds
     return plan.key("key", slot, plan.segment_slots, *what, plan.stop())
 
 
-def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, total: int) -> str:
+def _key_instant(plan: RenderPlan, difference: Callable[[], Difference], index: int, total: int) -> str:
     """Render the movers' change at a key instant, both halves; return its cache key."""
     time_s, turn = plan.time_s(index * plan.segment_slots), index % plan.settings.key_seeds
 
@@ -174,7 +176,7 @@ def _key_instant(plan: Plan, difference: Callable[[], Difference], index: int, t
     return _key(plan, index)
 
 
-def _others(plan: Plan, before: int, turn: int) -> Statistics:
+def _others(plan: RenderPlan, before: int, turn: int) -> Statistics:
     """Pool the statistics of earlier key instants with other random numbers than this turn's.
 
     Samples must not decide their own number: that would be a bias.
@@ -186,7 +188,9 @@ def _others(plan: Plan, before: int, turn: int) -> Statistics:
     return statistics
 
 
-def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, index: int, total: int) -> str:
+def _segment(
+    plan: RenderPlan, difference: Callable[[], Difference], static: Floats, index: int, total: int
+) -> str:
     """Render the samples touched by movers in a segment, both halves; return the cache key."""
     chosen, first = plan.settings, index * plan.segment_slots
 
@@ -208,10 +212,10 @@ def _segment(plan: Plan, difference: Callable[[], Difference], static: Floats, i
     return key(first)
 
 
-def _load_lamps(plan: Plan) -> _Load:
+def _load_lamps(plan: RenderPlan) -> _Load:
     """Render each group of lamps with the same flicker; a slot adds them at their brightness."""
     n_instants = plan.settings.instants_per_slot
-    groups: list[tuple[str, Plan, _Load]] = []
+    groups: list[tuple[str, RenderPlan, _Load]] = []
     for names in plan.scene.light_groups().values():
         lit = plan.lit_by(names)
         lit = replace(lit, segment_slots=slots_per_segment(lit))
@@ -230,7 +234,7 @@ def _load_lamps(plan: Plan) -> _Load:
     return load
 
 
-def _load_camera(plan: Plan) -> _Load:
+def _load_camera(plan: RenderPlan) -> _Load:
     """Render every slot by itself, with each group of lamps at its brightness."""
     groups = plan.scene.light_groups().values()
     keys = [(names[0], load_slots(plan.lit_by(names) if len(groups) > 1 else plan)) for names in groups]
@@ -245,14 +249,14 @@ def _load_camera(plan: Plan) -> _Load:
     return load
 
 
-def _load_alone(plan: Plan, error: float) -> _Load:
+def _load_alone(plan: RenderPlan, error: float) -> _Load:
     """Render a slot when it is read, with independent noise in every pixel."""
     chosen, names = plan.settings, list(plan.scene.light_groups().values())
     lit = [plan.lit_by(each) if len(names) > 1 else plan for each in names]
 
     @functools.cache
-    def stage(group: int) -> Stage:
-        return Stage(lit[group].scene, plan.view)
+    def stage(group: int) -> RenderStage:
+        return RenderStage(lit[group].scene, plan.view)
 
     def load(slot: int, half: Half) -> Segment:
         def make() -> dict[str, Floats]:
@@ -265,17 +269,17 @@ def _load_alone(plan: Plan, error: float) -> _Load:
     return load
 
 
-def _gains(plan: Plan, lamp: str, slot: int) -> Floats:
+def _gains(plan: RenderPlan, lamp: str, slot: int) -> Floats:
     """Relative brightness of a lamp in each instant of a slot."""
     n = plan.settings.instants_per_slot
     edges = [plan.time_s(slot + i / n) for i in range(n + 1)]
     return np.array([plan.scene.gain(lamp, *ends) for ends in pairwise(edges)], np.float32)
 
 
-def _load_preview(plan: Plan) -> _Load:
+def _load_preview(plan: RenderPlan) -> _Load:
     """Render the scalar fallback: every slot by itself with few samples, one pose a slot."""
     groups = plan.scene.light_groups().values()
-    stages = [(names[0], Stage(plan.scene.only_lamps(names), plan.view)) for names in groups]
+    stages = [(names[0], RenderStage(plan.scene.only_lamps(names), plan.view)) for names in groups]
     keys = [plan.key("preview", slot) for slot in range(plan.timing.n_slots)]
     for slot, key in enumerate(keys):
 

@@ -2,14 +2,14 @@
 
 from optsim.report.html import write_report
 from optsim.report.schema import SCHEMA_VERSION, Picture, Results, Viewer, check_results
-from optsim.report.shown import Moment, Shot, captured_pictures, still_pictures, write_viewer
+from optsim.report.shown import Moment, ViewedFrame, captured_pictures, still_pictures, write_viewer
 
 __all__ = [
     "SCHEMA_VERSION",
     "Moment",
     "Picture",
     "Results",
-    "Shot",
+    "ViewedFrame",
     "Viewer",
     "captured_pictures",
     "check_results",

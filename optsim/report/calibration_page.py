@@ -80,7 +80,7 @@ class Misaligned(Record):
         return f"{self.key}: {moved}; {self.screw}."
 
 
-class Coverage(Record):
+class HeldIntervals(Record):
     """How often the 95 % intervals of something on every panel pixel hold.
 
     Parameters
@@ -124,7 +124,7 @@ class TruthScore(Record):
     same_pixel_share: float
     intervals: int
     held: int
-    coverage: list[Coverage]
+    coverage: list[HeldIntervals]
 
 
 class HeldOut(Record):

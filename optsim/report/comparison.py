@@ -15,7 +15,7 @@ from pydantic import Field
 
 from optsim.core.config import flat
 from optsim.core.errors import ConfigError, unknown_name
-from optsim.metrics.comparison import Alarm, Change, Estimate, estimate, judge, row_level
+from optsim.metrics.comparison import Advantage, Alarm, Change, estimate, judge, row_level
 from optsim.metrics.records import Record
 from optsim.metrics.student import CONFIDENCE
 from optsim.metrics.tolerances import tolerance_of
@@ -155,8 +155,8 @@ def between_methods(scored: Scored, before: str, after: str) -> tuple[Scored, Sc
             for run in scored.runs
         ]
         about = {case: _of_method(each, wanted, label) for case, each in scored.experiments.items()}
-        told = {"runs": runs, "name": f"{wanted} of {scored.name}", "experiments": about}
-        sides.append(scored.model_copy(update=told))
+        labels = {"runs": runs, "name": f"{wanted} of {scored.name}", "experiments": about}
+        sides.append(scored.model_copy(update=labels))
     return sides[0], sides[1]
 
 
@@ -223,10 +223,10 @@ def _settings(experiment: Mapping[str, Any]) -> dict[str, object]:
     return flat(table)
 
 
-def _estimates(before: Scored, after: Scored) -> dict[Key, Estimate]:
+def _estimates(before: Scored, after: Scored) -> dict[Key, Advantage]:
     """Estimate all common rows."""
     theirs, metrics = units_of(after), {**after.metrics, **before.metrics}
-    found: dict[Key, Estimate] = {}
+    found: dict[Key, Advantage] = {}
     for key, units in units_of(before).items():
         each = estimate(units, theirs.get(key, {}), metrics[key.metric].higher_is_better)
         if each is not None:
@@ -234,21 +234,21 @@ def _estimates(before: Scored, after: Scored) -> dict[Key, Estimate]:
     return found
 
 
-def _over_cases(found: Mapping[Key, Estimate]) -> dict[Key, Estimate]:
+def _over_cases(found: Mapping[Key, Advantage]) -> dict[Key, Advantage]:
     """Mean of each row over the cases that have it, where there are several."""
-    groups: dict[Key, list[Estimate]] = {}
+    groups: dict[Key, list[Advantage]] = {}
     for key, each in found.items():
         groups.setdefault(Key(ALL_CASES, key.method, key.metric, key.region), []).append(each)
     return {key: _mean(group) for key, group in groups.items() if len(group) > 1}
 
 
-def _mean(group: Sequence[Estimate]) -> Estimate:
+def _mean(group: Sequence[Advantage]) -> Advantage:
     """Mean of estimates of independent cases (degrees of freedom by Satterthwaite)."""
     n = len(group)
     errors = [each.error for each in group if each.error is not None]
     total = math.fsum(error**2 for error in errors)
     parts = [e.error**4 / e.freedom for e in group if e.error is not None]
-    return Estimate(
+    return Advantage(
         before=float(np.mean([e.before for e in group])),
         after=float(np.mean([e.after for e in group])),
         advantage=float(np.mean([e.advantage for e in group])),
@@ -264,7 +264,7 @@ def _mean(group: Sequence[Estimate]) -> Estimate:
 
 def _delta(
     key: Key,
-    each: Estimate,
+    each: Advantage,
     metrics: Mapping[str, Facts],
     tolerances: Mapping[str, float | None],
     level: float,

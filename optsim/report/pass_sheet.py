@@ -253,17 +253,19 @@ def _id_colour(number_: int) -> Colour:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-def _peak_px(channels: Channels, way: str) -> float:
-    visible = channels[f"occluded.{way}"] == 0
-    length = np.hypot(channels[f"flow.{way}.row"], channels[f"flow.{way}.col"])[visible]
+def _peak_px(channels: Channels, time_direction: str) -> float:
+    visible = channels[f"occluded.{time_direction}"] == 0
+    length = np.hypot(channels[f"flow.{time_direction}.row"], channels[f"flow.{time_direction}.col"])[visible]
     return float(length.max()) if length.size else 0.0
 
 
-def _flow(channels: Channels, way: str, peak_px: float, seen: Bools) -> _Panel:
-    picture = flow_colours(channels[f"flow.{way}.row"], channels[f"flow.{way}.col"], peak_px)
+def _flow(channels: Channels, time_direction: str, peak_px: float, seen: Bools) -> _Panel:
+    picture = flow_colours(
+        channels[f"flow.{time_direction}.row"], channels[f"flow.{time_direction}.col"], peak_px
+    )
     picture[~seen] = _NOTHING
-    to = "next" if way == "forward" else "last"
-    return _Panel(picture, f"{way} flow, fine samples to the {to} slot", wheel_px=peak_px)
+    to = "next" if time_direction == "forward" else "last"
+    return _Panel(picture, f"{time_direction} flow, fine samples to the {to} slot", wheel_px=peak_px)
 
 
 def _masks(channels: Channels) -> _Panel:

@@ -53,7 +53,7 @@ class Resumed(Record):
     scored: int
 
 
-class LightRule(Record):
+class LightRecord(Record):
     """The fixed light rule and its result, the same for all methods."""
 
     statement: str
@@ -117,7 +117,7 @@ class PlanChoice(Record):
     bound: float
 
 
-class Plan(Record):
+class SkipPlan(Record):
     """Effects skipped in the camera's model, and their largest error, relative to a frame's noise."""
 
     tolerance: float
@@ -214,7 +214,7 @@ class Results(Record):
     seeds: dict[str, int]
     timings: list[StageTime]
     resumed: Resumed
-    light_rule: LightRule
+    light_rule: LightRecord
     photons: list[Photons]
     ledgers: list[Ledger]
     geometry: dict[str, Cell]
@@ -236,7 +236,7 @@ class Results(Record):
     noise_ceiling: list[Score]
     pairs: list[PairRecord]
     claims: list[Verdict]
-    plan: Plan
+    plan: SkipPlan
     evidence: list[EvidenceRow]
     not_modelled: list[str]
     reconstruct_s: dict[str, float]

@@ -26,7 +26,7 @@ _MIDDLE_GREY = 0.18
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class ViewedFrame:
     """Result of one method in a displayed coded frame.
 
     Parameters
@@ -69,7 +69,7 @@ class Moment:
     why: str
     light: Words
     marks: Bytes
-    shots: Mapping[str, Shot]
+    shots: Mapping[str, ViewedFrame]
 
 
 def write_viewer(

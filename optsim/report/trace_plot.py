@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optsim.report.plots import COLOURS, SVG
-from optsim.report.trace_record import Reading, Source, Trace, sentences
+from optsim.report.trace_record import Contributor, ConvertedReading, Trace, sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -188,7 +188,7 @@ def _origins(axes: Axes, trace: Trace) -> None:
         axes.text(2.78, row, share, transform=beside, ha="right", va="center", color=_SOFT)
 
 
-def _chain(figure: Figure, reading: Reading) -> None:
+def _chain(figure: Figure, reading: ConvertedReading) -> None:
     rows = [
         ("collected, dark current included", f"{_electron_count(reading.collected_e)} e⁻"),
         ("less: cut off by the full well", f"{_electron_count(reading.lost_at_well_e)} e⁻"),
@@ -244,7 +244,7 @@ def _map(axes: Axes, trace: Trace) -> None:
     axes.text(0, 1.03, scale, transform=axes.transAxes, size=11.5, color=_SOFT)
 
 
-def _sources(figure: Figure, sources: Sequence[Source]) -> None:
+def _sources(figure: Figure, sources: Sequence[Contributor]) -> None:
     left, top = _SIDE + 190, 618
     _write(figure, left, top, "Others that give most", size=14, weight="bold")
     if not sources:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Target:
+class OwnPixel:
     """The panel pixel that a CCD pixel belongs to.
 
     Parameters
@@ -89,7 +89,7 @@ class SignalShare:
 
 
 @dataclass(frozen=True)
-class Source:
+class Contributor:
     """Another panel pixel whose light reaches this CCD pixel.
 
     Parameters
@@ -117,7 +117,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ConvertedReading:
     """Conversion of expected electrons to the digital number; losses are means over the shot noise.
 
     Parameters
@@ -199,11 +199,11 @@ class Trace:
     x: int
     nd_transmission: float
     irradiance_per_radiance: float
-    target: Target
+    target: OwnPixel
     slots: Slots
     origins: tuple[SignalShare, ...]
-    reading: Reading
-    sources: tuple[Source, ...]
+    reading: ConvertedReading
+    sources: tuple[Contributor, ...]
     neighbourhood_e: tuple[tuple[float | None, ...], ...]
     notes: tuple[str, ...]
 
@@ -223,14 +223,14 @@ def open_slots(level: Sequence[int]) -> int:
 def sentences(trace: Trace) -> tuple[str, str, str]:
     """Describe in three sentences the traced pixel, its panel pixel, and its digital number."""
     target, reading = trace.target, trace.reading
-    told = f"told to be open in {open_slots(trace.slots.level)} of {len(trace.slots.level)} slots"
+    commanded = f"commanded open in {open_slots(trace.slots.level)} of {len(trace.slots.level)} slots"
     stuck = " and standing still" if target.stuck else ""
     away = round((reading.drawn_dn - reading.expected_dn) / reading.sigma_dn, 1) + 0.0  # never -0.0
     clipped = "" if reading.clipped == "no" else f", clipped {reading.clipped}"
     return (
         f"{trace.experiment}, method {trace.method}, coded frame {trace.frame} ({trace.phase}), "
         f"CCD pixel ({trace.y}, {trace.x})",
-        f"The CCD pixel {_RELATIONS[target.relation]} ({target.v}, {target.u}), {told}{stuck}.",
+        f"The CCD pixel {_RELATIONS[target.relation]} ({target.v}, {target.u}), {commanded}{stuck}.",
         f"Expected {reading.expected_dn:.1f} DN with a noise of {reading.sigma_dn:.1f} DN{clipped}; "
         f"drawn {reading.drawn_dn} DN, {away:+.1f} sigma.",
     )

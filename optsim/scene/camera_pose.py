@@ -40,8 +40,8 @@ class CameraPose(Part):
 
     @model_validator(mode="after")
     def _sees(self) -> CameraPose:
-        way = np.asarray(self.target_m) - np.asarray(self.position_m)
-        if not np.hypot(way[0], way[1]) > 1e-6 * np.linalg.norm(way):
+        direction = np.asarray(self.target_m) - np.asarray(self.position_m)
+        if not np.hypot(direction[0], direction[1]) > 1e-6 * np.linalg.norm(direction):
             raise ValueError(
                 "target_m must not lie at position_m or straight above or below it, "
                 "since the picture is upright; "
@@ -89,8 +89,8 @@ class CameraPose(Part):
         shift = np.asarray(self.velocity_m_s) * time_s
         shift += np.asarray(self.sway_m) * np.sin(2 * np.pi * self.sway_hz * time_s)
         position = np.asarray(self.position_m) + shift
-        way = np.asarray(self.target_m) - np.asarray(self.position_m)
-        target = position + geometry.turn(way[None], self.pan_rad_s * time_s)[0]
+        direction = np.asarray(self.target_m) - np.asarray(self.position_m)
+        target = position + geometry.turn(direction[None], self.pan_rad_s * time_s)[0]
         return CameraPose(position_m=_vector(position), target_m=_vector(target))
 
 

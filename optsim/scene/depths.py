@@ -81,13 +81,13 @@ def _inside(points: Doubles) -> Doubles:
 def _cut_edges(corners: Doubles) -> Iterator[Doubles]:
     """Depths at which edges of triangles cross the picture's sides."""
     start = corners.reshape(-1, 3)
-    way = np.roll(corners, -1, axis=1).reshape(-1, 3) - start
+    side_m = np.roll(corners, -1, axis=1).reshape(-1, 3) - start
     for axis in (0, 1):
         for side in (-1.0, 1.0):
             with np.errstate(divide="ignore", invalid="ignore"):
-                share = (side * start[:, 2] - start[:, axis]) / (way[:, axis] - side * way[:, 2])
+                share = (side * start[:, 2] - start[:, axis]) / (side_m[:, axis] - side * side_m[:, 2])
             cut = (share >= 0) & (share <= 1)
-            yield _inside(start[cut] + share[cut, None] * way[cut])
+            yield _inside(start[cut] + share[cut, None] * side_m[cut])
 
 
 def _at_corners(corners: Doubles) -> Doubles:

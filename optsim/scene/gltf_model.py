@@ -11,8 +11,8 @@ from optsim.core.errors import OptsimError
 from optsim.core.quantities import Doubles, Ints
 from optsim.scene import model_surface as shared
 from optsim.scene.gltf import READ, Gltf, Header, check_readable, open_gltf
-from optsim.scene.model_surface import Piece, Placement, Surface, listed
-from optsim.scene.node_animation import Nodes, read_nodes
+from optsim.scene.model_surface import Placement, Surface, SurfacePiece, listed
+from optsim.scene.node_animation import NodeTree, read_nodes
 from optsim.scene.polygons import check_indices
 
 _PBR = "pbrMetallicRoughness"
@@ -30,12 +30,12 @@ _MAPS = {
 _Found = tuple[Surface, tuple[Placement, ...]]
 
 
-def read_gltf(path: Path) -> tuple[list[Piece], str, Nodes]:
+def read_gltf(path: Path) -> tuple[list[SurfacePiece], str, NodeTree]:
     """Read the pieces of the visible nodes, what is left out of the file as a whole, and its nodes."""
     gltf = open_gltf(path)
     check_readable(gltf)
     nodes, header = read_nodes(gltf), gltf.header
-    pieces: list[Piece] = []
+    pieces: list[SurfacePiece] = []
     surfaces: dict[tuple[object, float], _Found] = {}
     unread = [name for name in header.get("extensionsUsed", []) if name not in READ]
     lost = [name for name in unread if not name.startswith("KHR_materials_")]
@@ -73,7 +73,9 @@ def _base(material: Header) -> Header:
     return found | ({"baseColorTexture": old["diffuseTexture"]} if "diffuseTexture" in old else {})
 
 
-def _piece(gltf: Gltf, primitive: Header, where: str, surfaces: dict[tuple[object, float], _Found]) -> Piece:
+def _piece(
+    gltf: Gltf, primitive: Header, where: str, surfaces: dict[tuple[object, float], _Found]
+) -> SurfacePiece:
     attributes = primitive["attributes"]
     points = gltf.numbers(attributes["POSITION"])
     index = np.arange(len(points))
@@ -107,7 +109,7 @@ def _piece(gltf: Gltf, primitive: Header, where: str, surfaces: dict[tuple[objec
         points, uv = points[flat], None if uv is None else uv[flat]
         tints = None if tints is None else tints[flat]
         faces = np.arange(len(flat)).reshape(-1, 3)
-    return Piece(where, surface, points, faces, uv, tints)
+    return SurfacePiece(where, surface, points, faces, uv, tints)
 
 
 def _faces(index: Ints, mode: int) -> Ints:

@@ -41,7 +41,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class SurfacePiece:
     """Triangles of one surface as a file has them; ``colours`` (n, 3) are linear, nothing multiplies them."""
 
     name: str

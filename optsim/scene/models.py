@@ -14,8 +14,8 @@ from optsim.core.quantities import Bools, Doubles
 from optsim.scene.geometry import Mesh
 from optsim.scene.gltf_model import read_gltf
 from optsim.scene.model_files import files_of
-from optsim.scene.model_surface import Piece, Surface, listed, split_by_hand
-from optsim.scene.node_animation import Nodes
+from optsim.scene.model_surface import Surface, SurfacePiece, listed, split_by_hand
+from optsim.scene.node_animation import NodeTree
 from optsim.scene.obj_files import read_obj
 from optsim.scene.ply_files import read_ply
 from optsim.scene.stl_files import read_stl
@@ -32,7 +32,7 @@ class Model:
     dropped: int  # degenerate triangles that were left out
     lost: str = ""  # left out beyond its parts, and the user is told
     played: tuple[tuple[int, Doubles], ...] = ()  # node of each part, and vertices in its frame
-    animation: Nodes | None = None
+    animation: NodeTree | None = None
 
     def vertices(self, part: int, time_s: float) -> Doubles:
         """Vertices of a part at a time of the animation, (n, 3), in the file's frame and unit."""
@@ -55,7 +55,7 @@ class Model:
 
 
 @functools.lru_cache(maxsize=16)
-def _matrices(nodes: Nodes, time_s: float) -> dict[int, Doubles]:
+def _matrices(nodes: NodeTree, time_s: float) -> dict[int, Doubles]:
     """Matrices of all nodes, which every part asks for in turn."""
     return nodes.matrices(time_s)
 
@@ -122,7 +122,7 @@ def _checked(surface: Surface) -> Surface:
     return replace(surface, lost=listed(surface.lost, beyond))
 
 
-def _mesh(path: Path, piece: Piece) -> Mesh:
+def _mesh(path: Path, piece: SurfacePiece) -> Mesh:
     """Triangles of a piece in its own frame."""
     if not np.isfinite(piece.points)[piece.faces].all():
         raise ConfigError(f"{path}: {piece.name}: got a vertex that is not finite; cure: export it again")

@@ -57,7 +57,7 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class NodeTree:
     """Tree of nodes that a file shows, and its first animation that moves any."""
 
     nodes: list[dict[str, Any]]
@@ -92,7 +92,7 @@ class Nodes:
         return found
 
 
-def read_nodes(gltf: Gltf) -> Nodes:
+def read_nodes(gltf: Gltf) -> NodeTree:
     """Read the tree of the file's scene, of all nodes where it has none."""
     header = gltf.header
     nodes: list[dict[str, Any]] = header.get("nodes", [])
@@ -111,8 +111,8 @@ def read_nodes(gltf: Gltf) -> Nodes:
         if bad := [node for node in moved if "matrix" in nodes[node] and moved.count(node) < len(_PATHS)]:
             raise ValueError(f"nodes[{bad[0]}] has a matrix, which animations[{number}] changes in part")
         if channels:
-            return Nodes(nodes, tuple(roots), tuple(channels))
-    return Nodes(nodes, tuple(roots), ())
+            return NodeTree(nodes, tuple(roots), tuple(channels))
+    return NodeTree(nodes, tuple(roots), ())
 
 
 def _channel(gltf: Gltf, animation: dict[str, Any], channel: dict[str, Any], where: str) -> Channel:

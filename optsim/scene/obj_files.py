@@ -12,7 +12,7 @@ import numpy as np
 from optsim.core.errors import OptsimError, StorageError
 from optsim.core.quantities import Doubles, Ints
 from optsim.scene import model_surface as shared
-from optsim.scene.model_surface import Piece, Placement, Surface, listed
+from optsim.scene.model_surface import Placement, Surface, SurfacePiece, listed
 from optsim.scene.polygons import check_indices, triangles
 
 _CURVES = ("curv", "curv2", "surf", "call")
@@ -166,14 +166,14 @@ def libraries_of(path: Path) -> list[str]:
     return [name for text in lines for name in _libraries(path, text)]
 
 
-def read_obj(path: Path) -> tuple[list[Piece], str]:
+def read_obj(path: Path) -> tuple[list[SurfacePiece], str]:
     """Read the pieces of a file, one a material, and what is left out."""
     text = parse_obj(path)
     materials: dict[str, tuple[Path, dict[str, str]]] = {}
     for library in [shared.beside(path, name) for name in text.libraries]:
         stated = parse_mtl(library) if library.is_file() else {}
         materials = {name: (library, each) for name, each in stated.items()} | materials
-    points, lost, pieces = text.columns(0, 0.0), [text.lost], list[Piece]()
+    points, lost, pieces = text.columns(0, 0.0), [text.lost], list[SurfacePiece]()
     coded = None
     lost += ["numbers of a vertex beyond place and colour"] if {*text.widths} - {3, 4, 6} else []
     if max(text.widths, default=0) >= 6:
@@ -202,7 +202,7 @@ def read_obj(path: Path) -> tuple[list[Piece], str]:
         surface, uv = shared.laid(surface, uv, places)
         tints = None if coded is None else coded[vertices]
         surface, tints = shared.tinted(surface, tints, plain=name not in materials)
-        pieces.append(Piece(f"material {name!r}", surface, points[vertices], used[faces], uv, tints))
+        pieces.append(SurfacePiece(f"material {name!r}", surface, points[vertices], used[faces], uv, tints))
     return pieces, listed(*lost)
 
 

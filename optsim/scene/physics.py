@@ -78,7 +78,8 @@ def drop(folder: Path, variation: str, duration_s: float, rate_hz: float) -> Tab
         state.qvel[first : first + 6] = [*motion.velocity_m_s, *(2 * np.pi * motion.spin_hz * axis)]
     found, kinds = np.empty((len(times), model.nq)), engine.mjtWarning
     lost = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
-    engine.set_mju_user_warning(lambda _: None)  # Its own handler writes a file into the working folder.
+    # Its own handler writes a file into the working folder.
+    engine.set_mju_user_warning(_quiet)
     for k in range(len(times)):
         found[k] = state.qpos
         engine.mj_step(model, state, steps)
@@ -99,6 +100,10 @@ def drop(folder: Path, variation: str, duration_s: float, rate_hz: float) -> Tab
     }
     drawn = with_population(table, variation, folder, str(file), physics=False)
     return {"made_for": drawn_for(drawn), "engine": f"mujoco {engine.__version__}", "movers": movers}
+
+
+def _quiet(_message: str) -> None:
+    pass
 
 
 def _damping(restitution: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from optsim.core.errors import ConfigError
 from optsim.core.quantities import Doubles, Ints
-from optsim.scene.model_surface import Piece, Surface, linear_colours, listed, tinted
+from optsim.scene.model_surface import Surface, SurfacePiece, linear_colours, listed, tinted
 from optsim.scene.polygons import check_indices, triangles
 
 # Names of PLY's number types, old and new -> numpy's.
@@ -61,7 +61,7 @@ class PlyContent:
         )
 
 
-def read_ply(path: Path) -> tuple[list[Piece], str]:
+def read_ply(path: Path) -> tuple[list[SurfacePiece], str]:
     """Read the one piece of a file, and what is left out."""
     ply = parse_ply(path)
     if "tristrips" in ply.columns:
@@ -89,7 +89,7 @@ def read_ply(path: Path) -> tuple[list[Piece], str]:
         used, points, tints = each.ravel()[faces], points[corners[first]], np.asarray(rows[:, 1:], np.float64)
         uv = None if uv is None else uv[corners[first]]
     surface, shades = tinted(Surface(), tints, plain=True)
-    return [Piece("face", surface, points, used, uv, shades)], listed(*lost[:8])
+    return [SurfacePiece("face", surface, points, used, uv, shades)], listed(*lost[:8])
 
 
 def _chosen(

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim.scene.model_surface import Piece, Surface
+from optsim.scene.model_surface import Surface, SurfacePiece
 
 _HEAD = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def read_stl(path: Path) -> tuple[list[Piece], str]:
+def read_stl(path: Path) -> tuple[list[SurfacePiece], str]:
     """Read the one piece of a file, and what is left out: colours, which programs put in several ways."""
     content, lost = path.read_bytes(), ""
     count = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
@@ -37,4 +37,4 @@ def read_stl(path: Path) -> tuple[list[Piece], str]:
             f"expected {_HEAD} and 50 for each of {max(count, 0)} faces"
         )
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    return [Piece("facets", Surface(), corners.reshape(-1, 3), faces)], lost
+    return [SurfacePiece("facets", Surface(), corners.reshape(-1, 3), faces)], lost

@@ -103,8 +103,8 @@ class CarBody(Part):
 
     def vertices(self, time_s: float) -> Doubles:
         """Positions (n, 3), m."""
-        way = _along(self.heading_rad) * self.speed_m_s * time_s
-        return geometry.turn(_hull().vertices_m, self.heading_rad) + np.asarray(self.ground_m) + way
+        travelled_m = _along(self.heading_rad) * self.speed_m_s * time_s
+        return geometry.turn(_hull().vertices_m, self.heading_rad) + np.asarray(self.ground_m) + travelled_m
 
 
 class Car(Part):

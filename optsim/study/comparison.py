@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from optsim.metrics.student import CONFIDENCE, half_width, quantile
-from optsim.study.measurement import Key, Measured, measured
+from optsim.study.measurement import Key, PointScores, measured
 from optsim.study.point import Point
 from optsim.study.stage import Stage
 
@@ -93,7 +93,7 @@ class Compared:
     db: dict[Key, Estimate]
     change_db: dict[Key, Estimate]
     stops: dict[Key, float]
-    first: Measured
+    first: PointScores
     refused: str
     work: dict[str, int] = field(default_factory=dict[str, int])
 
@@ -109,7 +109,7 @@ Decides = Callable[[dict[Key, Estimate]], Iterable[Key]]
 
 def compare(stage: Stage, point: Point, seeds: Seeds, decides: Decides = list) -> Compared:
     """Measure a point and the unchanged camera over paired seeds, until the interval is small enough."""
-    measurements: list[tuple[Measured, Measured]] = []
+    measurements: list[tuple[PointScores, PointScores]] = []
     work: dict[str, int] = {}
     while True:
         seed = stage.base.seed + len(measurements)
@@ -210,7 +210,7 @@ def _variance(half: float, n: int) -> float:
     return n * (half / quantile(n - 1, (1 + CONFIDENCE) / 2)) ** 2
 
 
-def _difference(base: Measured, here: Measured) -> dict[Key, float | None]:
+def _difference(base: PointScores, here: PointScores) -> dict[Key, float | None]:
     """Change of every score that both have."""
     found: dict[Key, float | None] = {}
     for key, value in here.db.items():
@@ -220,8 +220,8 @@ def _difference(base: Measured, here: Measured) -> dict[Key, float | None]:
 
 
 def _by_key(
-    pairs: Sequence[tuple[Measured, Measured]],
-    read: Callable[[Measured, Measured], dict[Key, float | None]],
+    pairs: Sequence[tuple[PointScores, PointScores]],
+    read: Callable[[PointScores, PointScores], dict[Key, float | None]],
 ) -> dict[Key, list[float]]:
     """Values over the seeds, of the scores that all of them have."""
     records = [read(*pair) for pair in pairs]

@@ -45,23 +45,23 @@ Values = dict[str, float]
 def compensated(
     camera: CodedCamera,
     now: CodedCamera,
-    known: Calibrations,
+    calibrations: Calibrations,
     compensators: tuple[str, ...],
     stream: Callable[[str], Generator],
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Let an operator work on a camera that has drifted."""
     values: Values = {}
     for name in compensators:
-        now, known, found = COMPENSATORS[name](camera, now, known, stream)
+        now, calibrations, found = COMPENSATORS[name](camera, now, calibrations, stream)
         values |= found
-    return now, known, values
+    return now, calibrations, values
 
 
 def _registered(
-    camera: CodedCamera, now: CodedCamera, known: Calibrations, stream: Callable[[str], Generator]
+    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Undo the shift and the rotation between two frames of the same dots."""
-    levels, light = _dots(camera), _light(known)
+    levels, light = _dots(camera), _light(calibrations)
     before = _photograph(camera, levels, light, 1, stream("dots before"))
     after = _photograph(now, levels, light, 1, stream("dots after"))
     shift_y, shift_x, turn = moved(before, after, camera)
@@ -74,7 +74,7 @@ def _registered(
         }
     )
     found = {"relay.shift_y_px": -shift_y, "relay.shift_x_px": -shift_x, "relay.rotation_rad": -turn}
-    return now.model_copy(update={"relay": undone}), known, found
+    return now.model_copy(update={"relay": undone}), calibrations, found
 
 
 def moved(before: Doubles, after: Doubles, camera: CodedCamera) -> tuple[float, float, float]:
@@ -120,9 +120,9 @@ def _dots(camera: CodedCamera) -> Bytes:
     return levels
 
 
-def _light(known: Calibrations) -> float:
+def _light(calibrations: Calibrations) -> float:
     """Irradiance on the panel at which white is as bright as wanted, by the calibration, W m^-2."""
-    each = next(iter(known.values()))
+    each = next(iter(calibrations.values()))
     range_dn = float(np.median((each.saturation_dn - each.black_dn)[each.valid]))
     return _SHARE * range_dn / (float(np.median(each.responsivity_dn[each.valid])) * each.coded_slots)
 
@@ -174,12 +174,12 @@ def _centroids(picture: Doubles | Floats, y: Doubles, x: Doubles, half: int) -> 
 
 
 def _refocused(
-    camera: CodedCamera, now: CodedCamera, known: Calibrations, stream: Callable[[str], Generator]
+    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Turn the focus until dots are sharpest."""
     from scipy.optimize import fminbound
 
-    levels, light = _dots(camera), _light(known)
+    levels, light = _dots(camera), _light(calibrations)
 
     def at(turned_m: float) -> CodedCamera:
         relay = now.relay.model_copy(update={"defocus_m": now.relay.defocus_m + turned_m})
@@ -194,22 +194,22 @@ def _refocused(
     turned_m = float(
         cast("float", fminbound(unsharp, *ends, xtol=_FOCUS_STEP_M, maxfun=_MOST_IMAGES, disp=0))
     )
-    return at(turned_m), known, {"relay.defocus_m": turned_m}
+    return at(turned_m), calibrations, {"relay.defocus_m": turned_m}
 
 
 def _new_black_and_gain(
-    camera: CodedCamera, now: CodedCamera, known: Calibrations, stream: Callable[[str], Generator]
+    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Take dark frames and flats anew; the pixel map stays."""
-    white, light = np.full((camera.panel_rows, camera.panel_cols), 255, np.uint8), _light(known)
+    white, light = np.full((camera.panel_rows, camera.panel_cols), 255, np.uint8), _light(calibrations)
     pairs = [
         [_photograph(of, white, each, _FLAT_FRAMES, stream(f"{word} {each > 0}")) for each in (0.0, light)]
         for of, word in ((camera, "flats before"), (now, "flats after"))
     ]
     changed: dict[CalibrationChoice, Calibration] = {}
     values: Values = {}
-    for choice, each in known.items():
-        square = each.pick_row, each.pick_col, each.reading_px
+    for choice, each in calibrations.items():
+        square = each.centre_row, each.centre_col, each.reading_px
         (black, flat), (black_now, flat_now) = ([mean_reading(image, *square) for image in p] for p in pairs)
         gain = np.clip((flat_now - black_now) / np.maximum(flat - black, 1.0), *_GAINS)
         changed[choice] = replace(

@@ -59,7 +59,7 @@ class Workplace:
 
 
 @dataclass(frozen=True)
-class Piece:
+class StudyTask:
     """A task of a study: its name, what it does, and the arguments after folder and experiment."""
 
     name: str
@@ -83,7 +83,7 @@ def compute(
     kind: str,
     base: Experiment,
     plan: dict[str, Any],
-    pieces: Sequence[Piece],
+    wanted: Sequence[StudyTask],
     place: Workplace,
     progress: Progress = silent,
 ) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def compute(
         text, key = part.model_dump_json(), run_key(part, versions())
         tasks = [
             Task(each.name, hash_of(key, kind, each.arguments), each.make, (text, *each.arguments))
-            for each in pieces
+            for each in wanted
         ]
         outcome = run_tasks(
             tasks, place.folder, workers=place.workers, scheduler=place.scheduler, progress=progress

@@ -35,7 +35,7 @@ _REFUSALS = (ConfigError, GeometryError, BenchError, ValueError)
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class PointScores:
     """Scores of one point.
 
     Parameters
@@ -68,7 +68,7 @@ class Measured:
     work: dict[str, int]
 
 
-def measured(stage: Stage, point: Point) -> Measured:
+def measured(stage: Stage, point: Point) -> PointScores:
     """Measure a point, or find what was measured before: by this code, from the same files."""
     key = hash_of("study", stage.key, list(stage.scored), point.as_json())
     made: list[dict[str, int]] = []
@@ -83,15 +83,15 @@ def measured(stage: Stage, point: Point) -> Measured:
     return replace(found, work=made[0] if made else {"points_found": 1})
 
 
-def _measure_or_refuse(stage: Stage, point: Point) -> Measured:
+def _measure_or_refuse(stage: Stage, point: Point) -> PointScores:
     try:
         return _measure(stage, point)
     except _REFUSALS as error:
         said = " ".join(str(error).split())
-        return Measured({}, {}, 0.0, 0.0, {}, {}, said or type(error).__name__, {"points_refused": 1})
+        return PointScores({}, {}, 0.0, 0.0, {}, {}, said or type(error).__name__, {"points_refused": 1})
 
 
-def _measure(stage: Stage, point: Point) -> Measured:
+def _measure(stage: Stage, point: Point) -> PointScores:
     experiment = experiment_at(stage.base, point)
     modelled, _ = planned(experiment)
     work = {"points_measured": 1}
@@ -99,31 +99,33 @@ def _measure(stage: Stage, point: Point) -> Measured:
         # Another lens or scene puts other light on the panel: it has targets and a light level of its own.
         stage = _other_stage(experiment.model_dump_json(), stage.scored)
         work["truths"] = 1
-        known = stage.known
+        calibrations = stage.calibrations
     elif point.mode == "known" and point.changes:
         before = _calibrated.cache_info().misses
-        known = _calibrated(modelled.model_dump_json())
+        calibrations = _calibrated(modelled.model_dump_json())
         work["benches"] = _calibrated.cache_info().misses - before
     else:
-        known = stage.known
+        calibrations = stage.calibrations
     camera = modelled.at_work().with_nd(stage.light.nd_transmission)
     values: Values = {}
     if point.mode == "compensated":
         as_calibrated = modelled.camera.with_nd(stage.light.nd_transmission)
         noise = partial(stream, stage.base.seed, "compensation")
-        camera, known, values = compensated(as_calibrated, camera, known, point.compensators, noise)
+        camera, calibrations, values = compensated(
+            as_calibrated, camera, calibrations, point.compensators, noise
+        )
     seeded = modelled.model_copy(update={"seed": point.seed, "n_frames": stage.scored[-1] + 1})
     try:
-        seeded.check_methods(known)
+        seeded.check_methods(calibrations)
     except StorageError as error:
         raise ConfigError(str(error)) from None
     found, made = stage.panel_light.found, stage.panel_light.made
-    frames = capture(seeded, camera, stage.truth, known, expose=partial(stage.expose, camera))
+    frames = capture(seeded, camera, stage.truth, calibrations, expose=partial(stage.expose, camera))
     work["exposures"] = stage.panel_light.made - made
     work["exposures_of_known_panel_light"] = stage.panel_light.found - found
     tallies: list[FrameTally] = []
     pictures: dict[str, Floats] = {}
-    for decoded in decode(seeded, frames, known, first=stage.scored[0]):
+    for decoded in decode(seeded, frames, calibrations, first=stage.scored[0]):
         if decoded.index not in stage.targets:
             continue
         target = stage.targets[decoded.index]
@@ -134,11 +136,11 @@ def _measure(stage: Stage, point: Point) -> Measured:
         pictures = {"truth": target.reference_w_m2[slot]}
         pictures |= {name: video.irradiance_w_m2[slot] for name, video in decoded.videos.items()}
     choice = experiment.calibration_choice
-    return Measured(
+    return PointScores(
         pooled(stage.board, tallies, DB),
         pooled(stage.board, tallies, next(m.name for m in metrics.ALL if m.unit == "stops")),
         float(sum(t.counts.sum() for t in tallies) / max(1, sum(t.samples.sum() for t in tallies))),
-        known[choice].map_residual_px,
+        calibrations[choice].map_residual_px,
         values,
         pictures if point.seed == stage.base.seed else {},
         "",
@@ -170,7 +172,7 @@ def pooled(board: ScoreBoard, tallies: list[FrameTally], metric: str) -> dict[Ke
 # --- how it is kept -------------------------------------------------------------------------------------
 
 
-def _arrays(found: Measured) -> Arrays:
+def _arrays(found: PointScores) -> Arrays:
     text = json.dumps(
         {
             "db": [[*key, value] for key, value in found.db.items()],
@@ -186,9 +188,9 @@ def _arrays(found: Measured) -> Arrays:
     return packed | {f"picture{n}": image for n, image in enumerate(found.pictures.values())}
 
 
-def _measured_of(arrays: Arrays) -> Measured:
+def _measured_of(arrays: Arrays) -> PointScores:
     record: dict[str, Any] = json.loads(zlib.decompress(bytes(arrays["record"])))
-    return Measured(
+    return PointScores(
         {(method, region): value for method, region, value in record["db"]},
         {(method, region): value for method, region, value in record["stops"]},
         record["covered"],

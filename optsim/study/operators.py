@@ -24,7 +24,7 @@ from optsim.experiment.loop import Frames, capture, decode, planned
 from optsim.metrics.scoring import FrameTally
 from optsim.study.comparison import FEW, Seeds, student
 from optsim.study.crops import PICTURES
-from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
+from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import DB, pooled
 from optsim.study.stage import stage_of
 
@@ -81,11 +81,11 @@ def operators(
         The content of study.json. ``rows`` has a row a method, region and operator or difference;
         ``registrations`` has one a method and seed.
     """
-    pieces = [
-        Piece(f"seeds/{number:02d}", _measure_seed, (plan.frames, base.seed + number, number == 0))
+    tasks = [
+        StudyTask(f"seeds/{number:02d}", _measure_seed, (plan.frames, base.seed + number, number == 0))
         for number in range(plan.seeds.least)
     ]
-    record = compute("operators", base, asdict(plan), pieces, place, progress)
+    record = compute("operators", base, asdict(plan), tasks, place, progress)
     results = [record["results"][name] for name in sorted(record["results"])]
     found = {**record, "registrations": [row for result in results for row in result["registrations"]]}
     rows = rows_of([result["db"] for result in results])
@@ -132,10 +132,10 @@ def _measure_seed(folder: Path, text: str, frames: int, seed: int, keep_pictures
     modelled, _ = planned(stage.base)
     camera = modelled.at_work().with_nd(stage.light.nd_transmission)
     seeded = modelled.model_copy(update={"seed": seed, "n_frames": stage.scored[-1] + 1})
-    taken = capture(seeded, camera, stage.truth, stage.known, expose=partial(stage.expose, camera))
+    taken = capture(seeded, camera, stage.truth, stage.calibrations, expose=partial(stage.expose, camera))
     on_bench, working = modelled.camera.with_nd(1.0), camera.with_nd(1.0)
-    choices = tuple(stage.known)
-    knows = {m.name: stage.known[seeded.choice_of(m)] for m in seeded.methods}
+    choices = tuple(stage.calibrations)
+    knows = {m.name: stage.calibrations[seeded.choice_of(m)] for m in seeded.methods}
     blind = {name: registered_blind(taken[name], calibration) for name, calibration in knows.items()}
     back: Frames = {
         name: moved_back(taken[name], calibration, blind[name].registration)
@@ -143,8 +143,8 @@ def _measure_seed(folder: Path, text: str, frames: int, seed: int, keep_pictures
     }
     known: dict[str, tuple[Frames, Calibrations]] = {
         "ideal": (taken, {each: ideal_calibration(on_bench, each.reading_px) for each in choices}),
-        "calibrated": (taken, stage.known),
-        "blind": (back, stage.known),
+        "calibrated": (taken, stage.calibrations),
+        "blind": (back, stage.calibrations),
         "true": (taken, {each: true_calibration(working, each.reading_px) for each in choices}),
     }
     videos: dict[int, dict[tuple[str, str], Reconstruction]] = {index: {} for index in stage.scored}

@@ -103,14 +103,14 @@ class _Taken:
     experiment: Experiment
     light: LightLevel
     frames: Frames
-    known: Calibrations
+    calibrations: Calibrations
     scorer: Scorer
 
     @cached_property
     def open_shares(self) -> dict[str, float]:
         """Exposure of each method's fullest pixel, as the experiment's own calibration tells it."""
-        known = self.known[self.experiment.calibration_choice]
-        return {name: open_share(frames, known) for name, frames in self.frames.items()}
+        calibrations = self.calibrations[self.experiment.calibration_choice]
+        return {name: open_share(frames, calibrations) for name, frames in self.frames.items()}
 
     @property
     def filled(self) -> float:
@@ -122,13 +122,13 @@ class _Taken:
 def _take(experiment: Experiment, share: float, radiance: RadianceVideo, progress: Progress) -> _Taken:
     """Take all frames of an experiment whose fullest exposure is a share of one that is on for ever."""
     modelled, _ = planned(experiment)
-    known = calibrate_all(modelled)
-    modelled.check_methods(known)
-    camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
+    calibrations = calibrate_all(modelled)
+    modelled.check_methods(calibrations)
+    camera, light = set_light(modelled, radiance, calibrations[modelled.calibration_choice])
     camera = camera.with_nd(min(1.0, light.wanted_transmission / share))
     truth = camera.form_image(radiance)
-    frames = capture(modelled, camera, truth, known, progress)
-    return _Taken(modelled, light, frames, known, Scorer(modelled, camera, truth, radiance))
+    frames = capture(modelled, camera, truth, calibrations, progress)
+    return _Taken(modelled, light, frames, calibrations, Scorer(modelled, camera, truth, radiance))
 
 
 def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progress = silent) -> OwnLight:
@@ -145,7 +145,7 @@ def compare(experiment: Experiment, radiance: RadianceVideo, *, progress: Progre
         _take(at_f_number(experiment, stop, names), max(shares[name] for name in names), radiance, progress)
         for (stop, _), names in alike.items()
     ]
-    videos = [decode(each.experiment, each.frames, each.known) for each in taken]
+    videos = [decode(each.experiment, each.frames, each.calibrations) for each in taken]
     tallies: list[FrameTally] = []
     for index in range(experiment.n_frames):
         found = [next(each).videos for each in videos]

@@ -126,9 +126,9 @@ def _limits(where: str, name: str, held: Table) -> tuple[float, float]:
                 "fix: write how far it goes down as minus and up as plus, both without a sign"
             )
         if _ENDS[end] not in signs:
-            way, other = ("up", "plus") if 1 in signs else ("down", "minus")
+            direction, other = ("up", "plus") if 1 in signs else ("down", "minus")
             raise ConfigError(
-                f"{where}.{end}: got {value!r}, expected {other} alone, since {name} goes {way} only; "
+                f"{where}.{end}: got {value!r}, expected {other} alone, since {name} goes {direction} only; "
                 f"fix: leave {end} out"
             )
     given = [held[end] for end in _ENDS if end in held]

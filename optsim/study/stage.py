@@ -83,7 +83,7 @@ class Stage:
     ----------
     base : Experiment
         As given.
-    known : dict
+    calibrations : dict
         Calibrations of the unchanged camera.
     light : LightLevel
         Light level of the unchanged camera; all points that share the truth keep its density.
@@ -100,7 +100,7 @@ class Stage:
     """
 
     base: Experiment
-    known: Calibrations
+    calibrations: Calibrations
     light: LightLevel
     truth: IrradianceVideo
     board: ScoreBoard
@@ -166,10 +166,10 @@ def make_stage(
 ) -> Stage:
     """Render or find the truth, calibrate the unchanged camera, set its light, and make the targets."""
     modelled, _ = planned(base)
-    known = calibrate_all(modelled)
-    modelled.check_methods(known)
+    calibrations = calibrate_all(modelled)
+    modelled.check_methods(calibrations)
     radiance = render_truth(base) if made_radiance is None else made_radiance
-    camera, light = set_light(modelled, radiance, known[modelled.calibration_choice])
+    camera, light = set_light(modelled, radiance, calibrations[modelled.calibration_choice])
     truth = camera.form_image(radiance)
     segments = Memory[Segment](_segment_bytes, min(_SEGMENT_BYTES, available_bytes() / 8))
     truth = replace(truth, load=partial(_remembered, segments, truth.load))
@@ -177,7 +177,8 @@ def make_stage(
     targets = {index: Target(scorer.reference(index), scorer.moving(index)) for index in scored}
     # What people only read, and what is only written, changes no number.
     key = run_key(base.model_copy(update={"save_reconstructions": (), "description": "", "name": "study"}))
-    return Stage(base, known, light, truth, scorer.board, targets, key, Memory(_light_bytes, _LIGHT_BYTES))
+    memory = Memory(_light_bytes, _LIGHT_BYTES)
+    return Stage(base, calibrations, light, truth, scorer.board, targets, key, memory)
 
 
 def _remembered(segments: Memory[Segment], load: Callable[[int], Segment], index: int) -> Segment:
@@ -198,7 +199,7 @@ def _digest(array: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> bytes:
 
 
 def _state(panel: PanelState) -> tuple[bytes, bytes, int]:
-    return _digest(panel.retardance_rad), _digest(panel.levels), panel.slots_shown
+    return _digest(panel.retardance_rad), _digest(panel.levels), panel.slots_displayed
 
 
 def _panel_side(camera: CodedCamera) -> str:

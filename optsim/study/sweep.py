@@ -16,7 +16,7 @@ from optsim.experiment.experiment import Experiment
 from optsim.metrics.records import REGIONS
 from optsim.study.comparison import PAIR, Estimate, Seeds, add_work, compare, pool_scatter, rows_of
 from optsim.study.crops import PICTURES
-from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
+from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
 from optsim.study.point import Axis, Mode, Point, changed_only, experiment_at
 from optsim.study.stage import stage_of
@@ -81,8 +81,8 @@ def sweep(base: Experiment, plan: SweepPlan, place: Workplace, progress: Progres
     _check(base, plan)
     modes = modes_of(plan)
     seeds = asdict(plan.seeds)
-    pieces = [
-        Piece(
+    tasks = [
+        StudyTask(
             f"points/{at:04d}",
             _measure_value,
             (
@@ -103,7 +103,7 @@ def sweep(base: Experiment, plan: SweepPlan, place: Workplace, progress: Progres
         "seeds": seeds,
         "marks": list(plan.marks),
     }
-    record = compute("sweep", base, said, pieces, place, progress)
+    record = compute("sweep", base, said, tasks, place, progress)
     rows = [row for result in record["results"].values() for row in result["rows"]]
     pool_scatter(rows)
     write_table(place.folder, record, rows)

@@ -17,7 +17,7 @@ from optsim.experiment.experiment import Experiment
 from optsim.metrics.records import REGIONS
 from optsim.study.comparison import LIMITS, Compared, Estimate, Seeds, add_work, compare
 from optsim.study.compensation import COMPENSATORS
-from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
+from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key
 from optsim.study.parameters import ALL, Tolerated
 from optsim.study.point import Mode, Point, changed_only
@@ -111,8 +111,8 @@ def tolerance(
     said = asdict(plan)
     common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
     modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)
-    pieces = [
-        Piece(
+    tasks = [
+        StudyTask(
             f"limits/{name}-{mode}-{_ENDS[sign]}",
             _find_limit,
             (*common, name, mode, sign, list(plan.compensators)),
@@ -121,11 +121,11 @@ def tolerance(
         for name in plan.names
         for sign in ALL[name].signs
     ]
-    alone = record = compute("tolerance", base, said, pieces, place, progress)
+    alone = record = compute("tolerance", base, said, tasks, place, progress)
     rows = sorted_rows([row for result in record["results"].values() for row in result["rows"]])
     share = allocate(rows, plan.loss_db)
-    pieces += _together(base, plan, rows, common)
-    record = compute("tolerance", base, said, pieces, place, progress)
+    tasks += _together(base, plan, rows, common)
+    record = compute("tolerance", base, said, tasks, place, progress)
     # The second call found the tasks of the first.
     work = {**record["work"], "tasks_done_before": alone["work"]["tasks_done_before"]}
     add_work(work, {name: count for name, count in alone["work"].items() if name != "tasks_done_before"})
@@ -171,23 +171,23 @@ def _together(
     plan: TolerancePlan,
     rows: Sequence[dict[str, Any]],
     common: tuple[Any, ...],
-) -> list[Piece]:
+) -> list[StudyTask]:
     """List the tasks of several parameters at once: pairs of the worst, and cameras of the budget."""
     frames, _, regions, seeds = common
     drifts = limits_of(rows)
-    pieces: list[Piece] = []
+    tasks: list[StudyTask] = []
     worst = list(dict.fromkeys(row["parameter"] for row in rows if row["mode"] == "unknown"))[:_WORST]
     if plan.interactions:
         for one, two in itertools.combinations(worst, 2):
             # Each towards the side with less room.
             at = {name: _nearer(drifts[name]) for name in (one, two)}
-            pieces.append(Piece(f"pairs/{one}-{two}", _measure_pair, (frames, regions, seeds, at)))
+            tasks.append(StudyTask(f"pairs/{one}-{two}", _measure_pair, (frames, regions, seeds, at)))
     for word, limits in (("budget", drifts), ("allocation", limits_of(rows, "together"))):
         rng = stream(base.seed, word)
         for number in range(plan.draws):
             drawn = {name: float(rng.uniform(-down, up)) for name, (down, up) in limits.items()}
-            pieces.append(Piece(f"{word}/{number:03d}", _measure_draw, (frames, regions, drawn)))
-    return pieces
+            tasks.append(StudyTask(f"{word}/{number:03d}", _measure_draw, (frames, regions, drawn)))
+    return tasks
 
 
 def _nearer(ends: tuple[float, float]) -> float:

@@ -21,8 +21,8 @@ from optsim.core.progress import Progress, silent
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
 from optsim.study.comparison import FEW, Seeds, add_work, student
-from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
-from optsim.study.measurement import Measured, measured
+from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
+from optsim.study.measurement import PointScores, measured
 from optsim.study.point import Point, changed_only, shares_truth
 from optsim.study.stage import stage_of
 
@@ -133,12 +133,12 @@ def waterfall(
     # A place in an order is the set of effects that are still off there; the same set is measured once.
     sets = {frozenset(order[on:]) for order in orders for on in range(len(order) + 1)}
     n_seeds = plan.seeds.least
-    pieces = [
-        Piece(f"sets/{at:04d}", _measure_set, (plan.frames, n_seeds, sorted(off)))
+    tasks = [
+        StudyTask(f"sets/{at:04d}", _measure_set, (plan.frames, n_seeds, sorted(off)))
         for at, off in enumerate(sorted(sets, key=lambda off: (len(off), sorted(off))))
     ]
     said = {**asdict(plan), "orders": [list(order) for order in orders]}
-    record = compute("waterfall", base, said, pieces, place, progress)
+    record = compute("waterfall", base, said, tasks, place, progress)
     levels = {frozenset(result["off"]): result for result in record["results"].values()}
     refused = {result["key"]: result["refused"] for result in levels.values() if result["refused"]}
     rows = steps_of(levels, orders, n_seeds)
@@ -219,7 +219,7 @@ def _measure_set(folder: Path, text: str, frames: int, n_seeds: int, off: Sequen
     stage = stage_of(text, frames)
     changes = switched_off(stage.base, off)
     work: dict[str, int] = {}
-    found: list[Measured] = []
+    found: list[PointScores] = []
     for seed in range(n_seeds):
         found.append(measured(stage, Point(changes, seed=stage.base.seed + seed)))
         add_work(work, found[-1].work)

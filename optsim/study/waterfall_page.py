@@ -47,11 +47,11 @@ def lead(record: dict[str, Any]) -> str:
         return "No order of the effects could be measured: see what was refused."
     method = rows[0]["method"]
     here = sorted(chart_rows(rows, method, "all"), key=lambda row: row["share_db"])
-    told = [row for row in here if row["share_half"] is not None and -row["share_db"] > row["share_half"]]
+    resolved = [row for row in here if row["share_half"] is not None and -row["share_db"] > row["share_half"]]
     first = ", ".join(
-        f"{row['effect']} {signed(row['share_db'], row['share_half'])}" for row in told[:_FIRST]
+        f"{row['effect']} {signed(row['share_db'], row['share_half'])}" for row in resolved[:_FIRST]
     )
-    most = f"most costs: {first}" if told else "these seeds tell no effect's share from 0"
+    most = f"most costs: {first}" if resolved else "these seeds tell no effect's share from 0"
     total = signed(here[0]["total_db"], here[0]["total_half"])
     return f"{len(here)} effects together change {method} by {total} dB everywhere; {most}."
 

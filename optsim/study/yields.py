@@ -24,7 +24,7 @@ from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
 from optsim.metrics.student import CONFIDENCE, quantile
 from optsim.study.comparison import add_work
-from optsim.study.folder import Piece, Workplace, compute, write_result, write_table
+from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key, measured
 from optsim.study.parameters import ALL
 from optsim.study.point import Mode, Point, changed_only, experiment_at
@@ -157,15 +157,15 @@ def yields(
         "method": plan.method,
         "region": plan.region,
     }
-    pieces = [
-        Piece(
+    tasks = [
+        StudyTask(
             f"cameras/{first:05d}",
             _measure_cameras,
             (plan.frames, drawing, first, min(first + _BLOCK, plan.draws)),
         )
         for first in range(0, plan.draws, _BLOCK)
     ]
-    record = compute("yield", base, said, pieces, place, progress)
+    record = compute("yield", base, said, tasks, place, progress)
     results = list(record["results"].values())
     rows = [row for result in results for row in result["rows"]]
     nominal = next((result["nominal_db"] for result in results if result["nominal_db"] is not None), None)

@@ -151,8 +151,8 @@ def _along(*, broken: bool) -> float:
     light, velocity = np.zeros((15, 33), np.float32), (0.37, -0.83)
     made = coded_blur(light, light + 1, light == 0, code, margin=6, model_error=0.0)
     shape = made.light.shape
-    way = made.along((-velocity[0], -velocity[1]) if broken else velocity)
-    even = replace(way, power=np.ones_like(way.power))
+    along = made.along((-velocity[0], -velocity[1]) if broken else velocity)
+    even = replace(along, power=np.ones_like(along.power))
 
     def forth(x: Doubles) -> Doubles:
         fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])

@@ -18,7 +18,7 @@ import numpy as np
 
 from optsim.calibration import Bench
 from optsim.calibration.bench_images import Flat, Patches, Step
-from optsim.calibration.estimate import Measured, measure_calibration
+from optsim.calibration.estimate import BenchResult, measure_calibration
 from optsim.core.errors import BenchError
 
 CLAIM = (
@@ -99,7 +99,7 @@ def cameras(draws: int) -> Iterator[Any]:
         yield replace(program.Camera(), **chosen, **panel)
 
 
-def map_off_px(found: Measured, camera: Any) -> np.ndarray:
+def map_off_px(found: BenchResult, camera: Any) -> np.ndarray:
     """Distance of the map from the panel pixels' true places, (v, u, 2), panel pixels."""
     centres = np.indices(camera.panel).reshape(2, -1).T + 0.5
     return (found.pixel_map.on_ccd(centres) - camera.centres()).reshape(*camera.panel, 2) / camera.ratio

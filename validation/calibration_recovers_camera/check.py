@@ -121,7 +121,7 @@ def rate_equations(
     course, alike = np.unique(course, axis=1, return_inverse=True)
     told, start, late_s = course[:-2], course[-2], course[-1]
     fields = response.field_drive
-    drive = np.array([fields[(panel.slots_shown + k) % len(fields)] for k in range(-1, n_slots)])
+    drive = np.array([fields[(panel.slots_displayed + k) % len(fields)] for k in range(-1, n_slots)])
     targets = drive[:, None] * response.white_rad * (told / 255) ** response.drive_exponent
     both = np.stack([start, start])
     nodes, shares = np.polynomial.legendre.leggauss(_NODES)
@@ -141,7 +141,7 @@ def rate_equations(
     leaks = np.full(cols, response.leak) if leak is None else leak
     weights = leaks + (1 - leaks) / np.sin(response.white_rad / 2) ** 2 * light
     end = ((1 - slow_share) * both[0] + slow_share * both[1])[alike.ravel()].reshape(rows, cols)
-    after = PanelState(end.astype(np.float32), levels[-1].copy(), panel.slots_shown + n_slots)
+    after = PanelState(end.astype(np.float32), levels[-1].copy(), panel.slots_displayed + n_slots)
     return weights.astype(np.float32), after
 
 
@@ -177,7 +177,7 @@ def deviation(built: CodedCamera, bench: Bench) -> float:
     sensor, panel = built.sensor, built.modulator
     noise_dn = np.hypot(sensor.read_noise_e / sensor.gain_e, 12**-0.5)
     centres = centres_by_hand(built.panel_rows, built.panel_cols, sensor.rows, sensor.cols)
-    picked = np.stack([found.pick_row, found.pick_col], axis=-1) + 0.5
+    picked = np.stack([found.centre_row, found.centre_col], axis=-1) + 0.5
     # A pick is the CCD pixel that holds the centre; beyond half a pixel off, the map itself is wrong.
     inside = np.all((centres >= 1) & (centres < np.array([sensor.rows, sensor.cols]) - 1), axis=-1)
     off_px = np.maximum(np.abs(picked - centres)[inside & found.valid] - 0.5, 0).max() / RATIO

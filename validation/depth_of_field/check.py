@@ -8,7 +8,7 @@ import numpy as np
 
 from optsim.core.quantities import Doubles, View
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene
 
 CLAIM = (
@@ -81,7 +81,7 @@ def _disc(view: View, depth_m: float) -> float:
     """Largest error of the share of a lamp's light within a radius, of all the light that it should give."""
     half_m = _LAMP_PX / 2 * 2 * _VIEW.tan_half_width / _VIEW.cols * depth_m
     scene = _scene({"lamp": _lamp(depth_m, (-half_m, half_m), half_m, 1.0)})
-    seen = Stage(scene, view).radiance(np.arange(view.rows * view.cols), _SAMPLES, (1,))[0]
+    seen = RenderStage(scene, view).radiance(np.arange(view.rows * view.cols), _SAMPLES, (1,))[0]
     rng = np.random.default_rng(4)
     plane, sharp = _image_m(_FOCUS_M), _image_m(depth_m)
     spread = _pupil() * (sharp - plane) / sharp
@@ -104,7 +104,7 @@ def _edge(view: View, near_m: float, far_m: float) -> float:
     lamps = {f"far{n}": _lamp(far_m, stripe, 2 * far_m, _FAR_LIGHT) for n, stripe in enumerate(stripes)}
     lamps["near"] = _lamp(near_m, (-2 * near_m, 0.0), 2 * near_m, _NEAR_LIGHT)
     pixels = np.arange(_VIEW.rows * _VIEW.cols)
-    seen = Stage(_scene(lamps), view).radiance(pixels, _EDGE_SAMPLES, (2,))[0]
+    seen = RenderStage(_scene(lamps), view).radiance(pixels, _EDGE_SAMPLES, (2,))[0]
     # A column's rays from each pupil point, to places all over it in the plane in focus: at both depths.
     columns = (np.arange(_VIEW.cols * 16) + 0.5) / 16 - _VIEW.cols / 2
     focus = columns[:, None] / _px_per_m() / _image_m(_FOCUS_M) * _FOCUS_M

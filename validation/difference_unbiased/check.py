@@ -21,7 +21,7 @@ from optsim.render.backend import activate
 from optsim.render.footprint import cover
 from optsim.render.nearby import Boxes, boxes_around
 from optsim.render.plan import seed_of
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, load_scene
 from optsim.scene.lamps import Lamp
 
@@ -93,15 +93,15 @@ def _small_boxes() -> Iterator[None]:
 @contextmanager
 def _brighter_lamps() -> Iterator[None]:
     """Take B_n of a scene whose lamps are a tenth brighter than where B_hi and F_n come from."""
-    honest = difference.Stage
+    honest = difference.RenderStage
 
-    def careless(scene: Scene, *rest: Any, movers: bool = True, **more: Any) -> Stage:
+    def careless(scene: Scene, *rest: Any, movers: bool = True, **more: Any) -> RenderStage:
         if not movers:
             lamps = {name: _brighter(lamp) for name, lamp in scene.lamps.items()}
             scene = scene.model_copy(update={"lamps": lamps})
         return honest(scene, *rest, movers=movers, **more)
 
-    with mock.patch.object(difference, "Stage", careless):
+    with mock.patch.object(difference, "RenderStage", careless):
         yield
 
 
@@ -133,7 +133,7 @@ def _deviations(scene: Scene) -> Doubles:
 @cache
 def _plain(name: str) -> tuple[Doubles, Doubles]:
     """Mean of plain renders over the same time, and its variance, per fine sample."""
-    plain = Stage(load_scene(name), _VIEW)
+    plain = RenderStage(load_scene(name), _VIEW)
     images = np.empty((2, _POSES, _VIEW.rows * _VIEW.cols))
     for pose in range(_POSES):
         plain.pose((pose + 0.5) / _POSES * _TIMING.n_slots * _TIMING.slot_s)

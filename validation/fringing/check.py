@@ -6,9 +6,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import ndtr
 
+from optsim.optics.fringe_correction import FringeCorrection, cell_weights
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.optics.panel import PanelResponse, settled_panel, slot_weights
-from optsim.optics.rims import Rims, cell_weights
 
 CLAIM = (
     "under fringing fields the weights of fine cells, summed over a frame of random, short and grey codes, "
@@ -30,8 +30,8 @@ FILES = (
     "optsim/optics/panel.py",
     "optsim/optics/radau.py",
     "optsim/optics/relaxation.py",
-    "optsim/optics/rims.py",
-    "optsim/optics/rim_loops.py",
+    "optsim/optics/fringe_correction.py",
+    "optsim/optics/fringe_loops.py",
 )
 
 # Pixels enough for the compiled loop, and rows for several of its bands.
@@ -73,8 +73,10 @@ def _error(sigma_px: float) -> float:
     response = PanelResponse(leak=0.0, field_drive=_DRIVES)
     dark = settled_panel(levels[0] * 0, response)
     weights, _ = slot_weights(levels, dark, response, _SLOT_S)
-    rims = Rims(levels, dark, response, _SLOT_S, 1, np.zeros(_SIDE), sigma_px, 3, "coarse")
-    ours = cell_weights(rims, weights).sum(axis=0, dtype=np.float64)
+    fringe_correction = FringeCorrection(
+        levels, dark, response, _SLOT_S, 1, np.zeros(_SIDE), sigma_px, 3, "coarse"
+    )
+    ours = cell_weights(fringe_correction, weights).sum(axis=0, dtype=np.float64)
     plain = fine_image(weights.sum(axis=0, dtype=np.float64), border_shares(0.0, 3))
     true = _oracle(levels)
     return float(np.sqrt(np.mean((ours - true) ** 2) / np.mean((plain - true) ** 2)))

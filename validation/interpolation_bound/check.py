@@ -16,7 +16,7 @@ from optsim.render import RenderSettings, moving, pose_sampling, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover
 from optsim.render.plan import seed_of
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, load_scene
 
 CLAIM = (
@@ -127,7 +127,7 @@ def _own(scene: Scene, slot: int) -> Bools:
 def _dense(name: str) -> list[tuple[Ints, Bools, Doubles]]:
     """Pixels of each slot, which of them are movers' own, and two independent means over the slot."""
     scene = load_scene(name)
-    stage, found = Stage(scene, _VIEW), list[tuple[Ints, Bools, Doubles]]()
+    stage, found = RenderStage(scene, _VIEW), list[tuple[Ints, Bools, Doubles]]()
     for slot in _SLOTS:
         own, rng = _own(scene, slot).ravel(), np.random.default_rng(slot)
         chosen = [rng.permutation(np.flatnonzero(region))[:_PIXELS] for region in (own, ~own)]

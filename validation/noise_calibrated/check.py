@@ -14,8 +14,8 @@ from optsim.render import RenderSettings, render_truth
 from optsim.render.backend import activate
 from optsim.render.footprint import cover
 from optsim.render.full import slot_image
-from optsim.render.plan import Plan, seed_of
-from optsim.render.stage import Stage
+from optsim.render.plan import RenderPlan, seed_of
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene, load_scene
 
 CLAIM = (
@@ -43,16 +43,16 @@ def measure() -> float:
 
 def perturbed() -> float:
     """With half B on the random numbers of half A: of movers, of what they change, of a moving camera."""
-    honest = Plan.seeds
+    honest = RenderPlan.seeds
     mistakes = {"mover": "window_room", "key": "window_room", "slot": "moving_camera"}
     found: list[float] = []
     for careless, name in mistakes.items():
 
-        def seeds(plan: Plan, *purpose: object, careless: str = careless) -> tuple[int, int]:
+        def seeds(plan: RenderPlan, *purpose: object, careless: str = careless) -> tuple[int, int]:
             first, second = honest(plan, *purpose)
             return (first, first) if purpose[0] == careless else (first, second)
 
-        with mock.patch.object(Plan, "seeds", seeds):
+        with mock.patch.object(RenderPlan, "seeds", seeds):
             found.append(max(_deviations(name), key=abs))
     return min(found, key=abs)
 
@@ -100,7 +100,7 @@ def _truth(scene: Scene, seed: int) -> tuple[Doubles, Doubles]:
 def _plain(scene: Scene) -> Doubles:
     """Two independent means over the slot: array of shape (2, y, x)."""
     seeds = tuple(seed_of("noise_calibrated", turn) for turn in (0, 1))
-    return slot_image(Stage(scene, _VIEW), _SLOT * _SLOT_S, _SLOT_S, _SAMPLES, _POSES, seeds)
+    return slot_image(RenderStage(scene, _VIEW), _SLOT * _SLOT_S, _SLOT_S, _SAMPLES, _POSES, seeds)
 
 
 def _own(scene: Scene) -> Bools:

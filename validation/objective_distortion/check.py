@@ -8,7 +8,7 @@ import numpy as np
 
 from optsim.core.quantities import Doubles, View
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene
 
 CLAIM = "barrel and pincushion put every direction where the third-order term says, also beside the picture"
@@ -56,7 +56,7 @@ def _deviation(rendered: float, true: float) -> float:
         corner = np.hypot(_VIEW.rows, _VIEW.cols) / 2
         # The ideal place of a lamp whose image is wanted about here is all that the scene is told.
         q = place / (1 + true * (place @ place) / corner**2)
-        seen = Stage(_scene(q * tan_px * _DEPTH_M, tan_px * _DEPTH_M * _LAMP_PX), view)
+        seen = RenderStage(_scene(q * tan_px * _DEPTH_M, tan_px * _DEPTH_M * _LAMP_PX), view)
         light = seen.radiance(np.arange(_VIEW.rows * _VIEW.cols), _SAMPLES, (1,))[0]
         rows, cols = np.indices((_VIEW.rows, _VIEW.cols)).reshape(2, -1) + 0.5
         centre = np.array([rows @ light, cols @ light]) / light.sum() - [_VIEW.rows / 2, _VIEW.cols / 2]

@@ -6,7 +6,7 @@ import numpy as np
 
 from optsim.core.quantities import View
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene
 
 CLAIM = "a diffuse floor below the centre of a square lamp has the radiance that the form factor says"
@@ -56,7 +56,7 @@ def _deviation(height_m: float) -> float:
             },
         }
     )
-    stage = Stage(scene, View(3, 3, 1, 0.005))
+    stage = RenderStage(scene, View(3, 3, 1, 0.005))
     rendered = stage.radiance(np.arange(9), 1 << 16, (1,)).mean()
     side = 0.5 / _HEIGHT_M
     root = np.sqrt(1 + side**2)

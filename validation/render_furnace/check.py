@@ -6,7 +6,7 @@ import numpy as np
 
 from optsim.core.quantities import View
 from optsim.render.backend import activate
-from optsim.render.stage import Stage
+from optsim.render.stage import RenderStage
 from optsim.scene import Scene
 from optsim.scene.geometry import Mesh, ball
 
@@ -60,7 +60,7 @@ def _deviation(max_depth: int) -> float:
             },
         }
     )
-    stage = Stage(scene, View(24, 24, 1, 0.3))
+    stage = RenderStage(scene, View(24, 24, 1, 0.3))
     rendered = stage.radiance(np.arange(24 * 24), 256, (1, 2)).mean()
     flux_w = np.pi * _LAMP * _SIDE_M**2
     bounces = sum(_RHO**k for k in range(1, 5))

@@ -117,7 +117,7 @@ def _jitter(scale: float) -> list[float]:
     rest = camera.panel_at_rest()
     late_s = np.empty(_FRAMES)
     for frame in range(_FRAMES):
-        panel = PanelState(rest.retardance_rad, rest.levels, slots_shown=frame * _SLOTS)
+        panel = PanelState(rest.retardance_rad, rest.levels, slots_displayed=frame * _SLOTS)
         weights, _ = camera.panel_weights(code, panel, 1)
         late_s[frame] = float(weights[_LIT + 1, 0, 0]) * _SLOT_S
     variance = late_s.var(ddof=1) / _JITTER_S**2

@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, PanelState
+from optsim.optics.fringe_correction import FringeCorrection, FringeModel
 from optsim.optics.mueller import depolariser, mirror, retarder_45
 from optsim.optics.panel import GreyCurve, PanelResponse
 from optsim.optics.radiometry import MONO_WAVELENGTH_M
-from optsim.optics.rims import RimModel, Rims
 
 _PATTERN = 0x70616E65  # separates the panel's fixed patterns from the sensor's
 _TAU_PER_DEGREE = 0.03
@@ -73,8 +73,8 @@ class Modulator(Part):
         Standard deviation of the delay from frame to frame, cut at four of these.
     fringing_px : float
         Standard deviation of the retardance blur by fringing fields, panel pixels.
-    rim_model : {"coarse", "fine", "mixed"}
-        Accuracy of the fringe-field correction at pixel edges (:mod:`optsim.optics.rims`). ``coarse`` errs by
+    fringe_model : {"coarse", "fine", "mixed"}
+        Fringe-field correction at pixel edges (:mod:`optsim.optics.fringe_correction`). ``coarse`` errs by
         2 % of what fringing changes, and by 0.04 dB at most in any score measured; ``fine`` by 0.1 %, in a
         fifth more of a run's time; ``mixed`` only mixes the weights of neighbours.
     depolarised_share : float
@@ -105,7 +105,7 @@ class Modulator(Part):
     scan_s: float = Field(default=0.0, ge=0)
     jitter_s: float = Field(default=0.0, ge=0)
     fringing_px: float = Field(default=0.0, ge=0, le=0.25)
-    rim_model: RimModel = "coarse"
+    fringe_model: FringeModel = "coarse"
     depolarised_share: float = Field(ge=0, le=1)
     nonuniformity_rms: float = Field(ge=0, le=0.2)
     stuck_share: float = Field(ge=0, le=1)
@@ -177,7 +177,7 @@ class Modulator(Part):
             scan_s=self.scan_s * rows / there,
         )
 
-    def rims(
+    def fringe_correction(
         self,
         levels: Bytes,
         start: PanelState,
@@ -186,18 +186,18 @@ class Modulator(Part):
         instants_per_slot: int,
         leaks: Doubles,
         pitch: int,
-    ) -> Rims | None:
+    ) -> FringeCorrection | None:
         """Fringe-field correction for pixels of ``pitch`` fine cells; None where mixing suffices."""
-        if self.fringing_px < _SHARP_PX or self.rim_model == "mixed":
+        if self.fringing_px < _SHARP_PX or self.fringe_model == "mixed":
             return None
-        blur = self.fringing_px, pitch, self.rim_model
-        return Rims(levels, start, response, slot_s, instants_per_slot, leaks, *blur)
+        blur = self.fringing_px, pitch, self.fringe_model
+        return FringeCorrection(levels, start, response, slot_s, instants_per_slot, leaks, *blur)
 
-    def lateness_s(self, slots_shown: int, serial_number: int) -> float:
+    def lateness_s(self, slots_displayed: int, serial_number: int) -> float:
         """Extra delay beyond ``delay_s`` of a frame that begins after so many slots, s."""
         if not self.jitter_s:
             return 0.0
-        rng = np.random.default_rng([serial_number, _PATTERN, 2, slots_shown])
+        rng = np.random.default_rng([serial_number, _PATTERN, 2, slots_displayed])
         return self.jitter_s * float(np.clip(rng.standard_normal(), -_FARTHEST, _FARTHEST))
 
     def mueller(self, retardance_rad: float) -> Doubles:

@@ -28,13 +28,13 @@ NOTHING: Changes = {}
 # sixth for the nominal camera (the sensor's bend by a quarter), and a third for a pessimistic one. Effects
 # that concern these are compared with a model that has them.
 PLAIN: Changes = {
-    "modulator": {"rim_model": "mixed"},
+    "modulator": {"fringe_model": "mixed"},
     "objective": {"field_error": 1.0, "moving_tail_share": MOVING_TAIL_SHARE},
     "relay": {"field_error": 1.0},
 }
 FINEST_FIELD = 5e-3  # of a point's light is misplaced
 # Where an effect includes fringe fields, as a run has them.
-_RIMS: Changes = {"modulator": {"rim_model": "coarse"}}
+_RIMS: Changes = {"modulator": {"fringe_model": "coarse"}}
 _OBJECTIVE: Changes = {"objective": {"field_error": FINEST_FIELD}}
 _RELAY: Changes = {"relay": {"field_error": FINEST_FIELD}}
 _WHOLE: dict[str, Changes] = {

@@ -44,13 +44,13 @@ class PanelState:
         Round-trip retardance: 0 is dark, pi brightest.
     levels : ndarray of shape (v, u), uint8
         Drive levels of the last slot: rows that are driven late still relax towards them.
-    slots_shown : int
+    slots_displayed : int
         Slots since the panel was switched on; decides the field that comes next.
     """
 
     retardance_rad: Floats
     levels: Bytes
-    slots_shown: int = 0
+    slots_displayed: int = 0
 
     def __post_init__(self) -> None:
         checked("retardance", self.retardance_rad, axes=("v", "u"), dtype=np.float32, unit="rad")

@@ -28,7 +28,7 @@ _MULTIPLIED = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class MeasuredMixture:
     """A mixture seen through a matrix of weights; k components, m measurements, rank r.
 
     Parameters
@@ -37,7 +37,7 @@ class Seen:
         Logarithms of the shares.
     signals : ndarray of shape (k, m), float32
         Mean signal of each component.
-    turns : ndarray of shape (k, m, m), float32
+    rotations : ndarray of shape (k, m, m), float32
         Eigenvectors of each component's signal covariance, in columns.
     powers : ndarray of shape (k, m), float32
         Eigenvalues.
@@ -51,28 +51,28 @@ class Seen:
 
     log_shares: Doubles
     signals: Floats
-    turns: Floats
+    rotations: Floats
     powers: Floats
     means: Floats
     backs: Floats
     rest: Floats
 
 
-def seen_through(mixture: Mixture, weights: Floats) -> Seen:
+def measured_through(mixture: Mixture, weights: Floats) -> MeasuredMixture:
     """Compute a mixture's signal statistics for weights of shape (pixel, slot)."""
     pixels, slots = weights.shape
     matrix = np.einsum("rpt,pt->pr", mixture.basis.reshape(-1, pixels, slots), weights, optimize=True)
     base = (mixture.base.reshape(pixels, slots) * weights).sum(axis=1)
     exact = matrix.astype(np.float64)
     back = exact @ mixture.covariances
-    powers, turns = np.linalg.eigh(back @ exact.T)
-    return Seen(
+    powers, rotations = np.linalg.eigh(back @ exact.T)
+    return MeasuredMixture(
         np.log(mixture.shares),
         (mixture.means @ exact.T + base).astype(np.float32),
-        turns.astype(np.float32),
+        rotations.astype(np.float32),
         powers.clip(0).astype(np.float32),
         mixture.means.astype(np.float32),
-        (turns.transpose(0, 2, 1) @ back).astype(np.float32),
+        (rotations.transpose(0, 2, 1) @ back).astype(np.float32),
         (mixture.rest * (weights.astype(np.float64) ** 2).sum(axis=1).mean()).astype(np.float32),
     )
 
@@ -83,61 +83,66 @@ class Posterior:
 
     Parameters
     ----------
-    seen : Seen
+    measured_prior : Seen
         The prior seen through the weights.
     chance : ndarray of shape (p, k), float64
         Shares of the components; 0 for those left out.
-    turned : list of k ndarray of shape (p, m), float32
+    rotated : list of k ndarray of shape (p, m), float32
         Signals minus the component's mean, along its eigenvectors.
     noise : ndarray of shape (p, k), float32
         Variance of a measurement: its noise, and each component's variance outside the basis.
     """
 
-    seen: Seen
+    measured_prior: MeasuredMixture
     chance: Doubles
-    turned: list[Floats]
+    rotated: list[Floats]
     noise: Floats
 
     def some(self, rows: Bools) -> Posterior:
         """Select some of the patches."""
-        return Posterior(self.seen, self.chance[rows], [part[rows] for part in self.turned], self.noise[rows])
+        return Posterior(
+            self.measured_prior, self.chance[rows], [part[rows] for part in self.rotated], self.noise[rows]
+        )
 
     def mean(self) -> Floats:
         """Mean of z: array of shape (p, r), float32."""
-        seen, chance = self.seen, self.chance
-        z = (chance.astype(np.float32)) @ seen.means
-        for k, part in enumerate(self.turned):
+        measured_prior, chance = self.measured_prior, self.chance
+        z = (chance.astype(np.float32)) @ measured_prior.means
+        for k, part in enumerate(self.rotated):
             some = np.flatnonzero(chance[:, k])
             if some.size:
-                pull = part[some] / (seen.powers[k] + self.noise[some, k, None])
-                z[some] += chance[some, k, None].astype(np.float32) * (pull @ seen.backs[k])
+                pull = part[some] / (measured_prior.powers[k] + self.noise[some, k, None])
+                z[some] += chance[some, k, None].astype(np.float32) * (pull @ measured_prior.backs[k])
         return z
 
 
-def posterior(seen: Seen, signals: Floats, variance: Floats) -> Posterior:
+def posterior(measured_prior: MeasuredMixture, signals: Floats, variance: Floats) -> Posterior:
     """Compute the posterior of measured patches."""
-    least = np.maximum(_LEAST_NOISE * seen.powers.max(), _TINY)
-    noise = np.maximum(variance[:, None] + seen.rest, least)
-    turned = [(signals - mean) @ turn for mean, turn in zip(seen.signals, seen.turns, strict=True)]
-    logs = np.empty((len(signals), len(turned)))
-    for k, part in enumerate(turned):
-        _log_density(part, seen.powers[k], noise[:, k], seen.log_shares[k], logs[:, k])
+    least = np.maximum(_LEAST_NOISE * measured_prior.powers.max(), _TINY)
+    noise = np.maximum(variance[:, None] + measured_prior.rest, least)
+    rotated = [
+        (signals - mean) @ rotation
+        for mean, rotation in zip(measured_prior.signals, measured_prior.rotations, strict=True)
+    ]
+    logs = np.empty((len(signals), len(rotated)))
+    for k, part in enumerate(rotated):
+        _log_density(part, measured_prior.powers[k], noise[:, k], measured_prior.log_shares[k], logs[:, k])
     chance = np.exp(logs - logs.max(axis=1, keepdims=True))
     chance[chance < _NEGLIGIBLE] = 0
     chance /= chance.sum(axis=1, keepdims=True)
-    return Posterior(seen, chance, turned, noise)
+    return Posterior(measured_prior, chance, rotated, noise)
 
 
 @compiled(fastmath={"reassoc", "contract", "arcp"})
-def _log_density(turned: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
+def _log_density(rotated: Floats, powers: Floats, noise: Floats, log_share: float, found: Doubles) -> None:
     """Logarithm of a component's share times its density, up to a term that all components share."""
     n = len(powers)
-    for p in range(len(turned)):
+    for p in range(len(rotated)):
         level = np.float64(noise[p])
         scale, logs = 1 / level, n * np.log(level)
         squares = np.float32(0)
         for j in range(n):
-            squares += turned[p, j] * turned[p, j] / (powers[j] + noise[p])
+            squares += rotated[p, j] * rotated[p, j] / (powers[j] + noise[p])
         for first in range(0, n, _MULTIPLIED):
             product = 1.0
             for j in range(first, min(first + _MULTIPLIED, n)):

@@ -15,7 +15,7 @@ import numpy as np
 
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Floats, Ints
-from optsim.decoding.mixture.posterior import Posterior, Seen
+from optsim.decoding.mixture.posterior import MeasuredMixture, Posterior
 from optsim.priors.mixture import Mixture
 
 # Patches whose elements are held at once: 1024 of 8 x 8 x 36 are 9 MB.
@@ -75,24 +75,24 @@ class Spread:
         total: Floats,
         measured: dict[int, tuple[Floats, Floats, Floats]],
     ) -> None:
-        seen, chance, noise = known.seen, known.chance[block], known.noise[block]
+        measured_prior, chance, noise = known.measured_prior, known.chance[block], known.noise[block]
         mean, weight = np.zeros_like(total), np.zeros(len(total))
         total[:] = 0
-        for k, turned in enumerate(known.turned):
+        for k, rotated in enumerate(known.rotated):
             some = np.flatnonzero(chance[:, k])
             if not some.size:
                 continue
             if k not in measured:
-                measured[k] = self._measured(seen, k)
-            told, share_told, untold = measured[k]
+                measured[k] = self._measured(measured_prior, k)
+            gains, square_gains, unmeasured = measured[k]
             own = noise[some, k, None]
-            spread = seen.powers[k] + own
-            within = (own / spread) @ share_told
+            spread = measured_prior.powers[k] + own
+            within = (own / spread) @ square_gains
             share = chance[some, k]
             if share.min() == 1:
                 here, step = within[:0], share
             else:
-                here = (turned[block][some] * np.sqrt(seen.powers[k]) / spread) @ told
+                here = (rotated[block][some] * np.sqrt(measured_prior.powers[k]) / spread) @ gains
                 weight[some] += share
                 step = share / weight[some]
             _blend(
@@ -100,23 +100,23 @@ class Spread:
                 share.astype(np.float32),
                 step.astype(np.float32),
                 within,
-                untold,
+                unmeasured,
                 here,
                 self.means[k],
                 mean,
                 total,
             )
 
-    def _measured(self, seen: Seen, k: int) -> tuple[Floats, Floats, Floats]:
+    def _measured(self, measured_prior: MeasuredMixture, k: int) -> tuple[Floats, Floats, Floats]:
         """Effect of each direction's standard deviation on the elements, its square, and the rest."""
-        powers = seen.powers[k].astype(np.float64)
-        heard = powers > _DROWNED * powers.max()
-        scale = np.where(heard, 1 / np.sqrt(np.where(heard, powers, 1)), 0)
-        told = (seen.backs[k] * scale[:, None]).astype(np.float32) @ self.basis
-        squares = np.empty_like(told)
-        untold = self.variances[k].copy()
-        _square(told, squares, untold)
-        return told, squares, untold.clip(0) + self.outside[k]
+        powers = measured_prior.powers[k].astype(np.float64)
+        measurable = powers > _DROWNED * powers.max()
+        scale = np.where(measurable, 1 / np.sqrt(np.where(measurable, powers, 1)), 0)
+        gains = (measured_prior.backs[k] * scale[:, None]).astype(np.float32) @ self.basis
+        squares = np.empty_like(gains)
+        unmeasured = self.variances[k].copy()
+        _square(gains, squares, unmeasured)
+        return gains, squares, unmeasured.clip(0) + self.outside[k]
 
 
 @compiled()
@@ -134,7 +134,7 @@ def _blend(
     share: Floats,
     step: Floats,
     within: Floats,
-    untold: Floats,
+    unmeasured: Floats,
     here: Floats,
     prior: Floats,
     mean: Floats,
@@ -150,7 +150,7 @@ def _blend(
             for e in range(len(row)):
                 off = here[i, e] + prior[e] - average[e]
                 average[e] += b * off
-                row[e] += a * (within[i, e] + untold[e]) + c * off * off
+                row[e] += a * (within[i, e] + unmeasured[e]) + c * off * off
         else:
             for e in range(len(row)):
-                row[e] += within[i, e] + untold[e]
+                row[e] += within[i, e] + unmeasured[e]

@@ -53,19 +53,19 @@ def read_run(folder: Path, method: str | None, calibration: Path | None = None) 
     ccd = camera.sensor.rows, camera.sensor.cols
     code = camera.slots_per_frame, camera.panel_rows, camera.panel_cols
     frames = read_frames(folder, chosen.name, experiment.n_frames, ccd, code)
-    known = experiment.choice_of(chosen)
+    choice = experiment.choice_of(chosen)
     if calibration is None:
-        kept = folder / calibration_names(experiment)[known]
+        kept = folder / calibration_names(experiment)[choice]
         _check_written(folder, [kept], "a calibration")
         found = read_calibration(kept)
     else:
-        known = CalibrationChoice(str(calibration), known.reading_px)
-        found = kept_calibration(known, camera)
+        choice = CalibrationChoice(str(calibration), choice.reading_px)
+        found = kept_calibration(choice, camera)
     origin = {
         "run": str(folder),
         "method": chosen.name,
         "fingerprint": experiment.fingerprint(),
-        "calibration": str(known),
+        "calibration": str(choice),
     }
     return Measurement(tuple(frames), found, (), "W m^-2 on the modulator", 0.0, origin)
 

@@ -2,13 +2,13 @@
 
 from optsim.footage.recording.arrays import array_axes, array_names, load_array
 from optsim.footage.recording.files import IMAGES, VIDEOS, by_number, naming, open_recording
-from optsim.footage.recording.film import Recording, Says
+from optsim.footage.recording.film import FileStatement, Recording
 
 __all__ = [
     "IMAGES",
     "VIDEOS",
+    "FileStatement",
     "Recording",
-    "Says",
     "array_axes",
     "array_names",
     "by_number",

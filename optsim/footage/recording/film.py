@@ -15,7 +15,7 @@ Pixels = NDArray[Any]
 _DTYPES = ("uint8", "uint16", "uint32", "uint64", "int16", "int32", "int64", "float16", "float32", "float64")
 
 
-class Says(NamedTuple):
+class FileStatement(NamedTuple):
     """Statements of files on their values, each None without a statement.
 
     Parameters
@@ -30,7 +30,7 @@ class Says(NamedTuple):
     primaries: str | None = None
 
 
-_NOTHING_SAID = Says()
+_NOTHING_SAID = FileStatement()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Recording:
     dtype: str
     bits: int
     frames: Callable[[int], Iterator[Pixels]]
-    says: Says = _NOTHING_SAID
+    says: FileStatement = _NOTHING_SAID
 
     def where(self, frame: int) -> str:
         """File and number of a frame, which identify it in messages and elsewhere."""
@@ -97,7 +97,7 @@ def as_recording(
     n_frames: int,
     frames: Callable[[int], Iterator[Pixels]],
     bits: int | None = None,
-    says: Says = _NOTHING_SAID,
+    says: FileStatement = _NOTHING_SAID,
 ) -> Recording:
     """Make a recording from its reader, after a check of the first frame."""
     first = next(frames(0), None)

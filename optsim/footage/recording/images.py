@@ -11,7 +11,7 @@ from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.foreign.exr import ExrPart, exr_parts, light_channels
 from optsim.core.foreign.h273 import primaries_at
 from optsim.core.foreign.png import png_head, png_pixels
-from optsim.footage.recording.film import Pixels, Says, with_channels
+from optsim.footage.recording.film import FileStatement, Pixels, with_channels
 
 
 def exr(path: Path, key: str | None) -> Pixels:
@@ -22,13 +22,13 @@ def exr(path: Path, key: str | None) -> Pixels:
     return np.stack([channels[name] for name in names], axis=-1)
 
 
-def exr_says(path: Path, key: str | None) -> Says:
+def exr_says(path: Path, key: str | None) -> FileStatement:
     """Return the primaries that the chosen part states."""
     part, _ = _chosen(path, exr_parts(path), key)
     declared = part.header.get("chromaticities")
     if declared is None:
-        return Says()
-    return Says(None, primaries_at(np.ravel(declared)[:6].tolist()))
+        return FileStatement()
+    return FileStatement(None, primaries_at(np.ravel(declared)[:6].tolist()))
 
 
 def png(path: Path) -> Pixels:
@@ -36,10 +36,10 @@ def png(path: Path) -> Pixels:
     return with_channels(png_pixels(path, png_head(path)))
 
 
-def png_says(path: Path) -> Says:
+def png_says(path: Path) -> FileStatement:
     """Return the curve and primaries that the chunks state."""
     head = png_head(path)
-    return Says(head.curve, head.primaries)
+    return FileStatement(head.curve, head.primaries)
 
 
 def _chosen(path: Path, parts: Sequence[ExrPart], key: str | None) -> tuple[ExrPart, str | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from optsim.core.errors import StorageError
 from optsim.core.foreign.h273 import primaries_at
 from optsim.core.foreign.tiff import opened, page_pixels
-from optsim.footage.recording.film import Pixels, Recording, Says, as_recording
+from optsim.footage.recording.film import FileStatement, Pixels, Recording, as_recording
 
 
 def tiff(path: Path) -> Pixels:
@@ -57,12 +57,12 @@ def tiff_stack(path: Path) -> Recording:
     return as_recording((path,), n_frames, pages, says=says)
 
 
-def _says(page: Any) -> Says:
+def _says(page: Any) -> FileStatement:
     """Curve and primaries that the tags TransferFunction and PrimaryChromaticities state."""
     curve = "that of tag TransferFunction" if 301 in page.tags else None
     declared = page.tags.valueof(319)
     if declared is None:
-        return Says(curve)
+        return FileStatement(curve)
     found = np.reshape(np.asarray(declared, float), (-1, 2))
     places = found[:, 0] / found[:, 1]
-    return Says(curve, primaries_at(places.tolist()))
+    return FileStatement(curve, primaries_at(places.tolist()))

@@ -17,7 +17,7 @@ from optsim.core.errors import ConfigError, StorageError, ValueCheckError
 from optsim.core.foreign import check_memory, reading
 from optsim.core.foreign.h273 import CURVES, PRIMARIES
 from optsim.core.quantities import Doubles
-from optsim.footage.recording.film import Recording, Says, as_recording
+from optsim.footage.recording.film import FileStatement, Recording, as_recording
 
 # Luma weights of red and blue by FFmpeg's number of the matrix: BT.709-6, BT.601-7 (5, 6; 2: not stated, for
 # which FFmpeg also takes it), BT.2020-2.
@@ -48,7 +48,7 @@ def video(path: Path) -> Recording:
         period_s = _period_s(path, packets, stream)
         length = int(container.duration / 1e6 / period_s) if container.duration and period_s else 0
         declared = max(stream.frames - len(stored) + len(packets), length)
-        says = Says(
+        says = FileStatement(
             CURVES.get(int(getattr(coded, "color_trc", 0))),
             PRIMARIES.get(int(getattr(coded, "color_primaries", 0))),
         )
@@ -125,9 +125,9 @@ def _next(av: Any, decoded: Iterator[Any]) -> Any:
             frame = next(decoded, None)
     finally:
         av.logging.set_level(level)
-    told = next((text for _, _, text in logged if _DAMAGE.search(text)), None)
-    if told is not None or (frame is not None and frame.is_corrupt):
-        raise ValueError(f"a frame is damaged: {told or 'its decoder says so'}")
+    complaint = next((text for _, _, text in logged if _DAMAGE.search(text)), None)
+    if complaint is not None or (frame is not None and frame.is_corrupt):
+        raise ValueError(f"a frame is damaged: {complaint or 'its decoder says so'}")
     return frame
 
 

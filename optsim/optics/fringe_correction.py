@@ -1,23 +1,22 @@
 # pyright: reportMissingTypeStubs=false
-"""What fringing fields do to the rims of panel pixels beyond the mixing of weights.
+"""Correction of fringing fields at the edges of panel pixels, beyond the mixing of weights.
 
 Without it the adaptive scheme scores up to 1.8 dB too well in ``night_street``; in ``window_room`` and
 ``half_moving`` scores move by less than 0.1 dB (``reports/fidelity.md``).
 
 Fringing fields blur retardance, and intensity is a bent function of it: ``sin^2(Gamma / 2)``. Mixing the
 neighbours' weights (:mod:`optsim.optics.fringing`) is right for a straight border between black and white
-that stands still; on grey levels, in corners and in passing from level to level the rims differ. Here the
-difference is found by quadrature: at points of each pixel and times of each instant the retardances of a
-pixel and its eight neighbours, which relax as in :mod:`optsim.optics.relaxation`, are blurred, and
+that stands still; on grey levels, in corners and between two levels edges differ. Here the difference
+is found by quadrature: at nodes in each pixel and in each instant the retardances of a pixel and its eight
+neighbours, which relax as in :mod:`optsim.optics.relaxation`, are blurred, and
 
     weight of a cell = mix of weights
-                       + mean over points and times of (sin^2(blurred Gamma / 2) - mix of sin^2(Gamma / 2))
+                       + mean over nodes of (sin^2(blurred Gamma / 2) - mix of sin^2(Gamma / 2))
 
 The mix is that of a settled straight border between black and white. There the bracket is zero, whichever
-points are used. Intensity is a smooth function of the neighbour's share in the retardance along a pixel, and
-of what is left of a step in time. So points and times are those of Gauss-Radau rules in these two (G. H.
-Golub, SIAM Review 15(2) 318, 1973). Fixed nodes lie where the neighbour has no share and where an instant
-ends.
+nodes are used. Intensity is a smooth function of the neighbour's share in the retardance along a pixel, and
+of what is left of a step in time. So the nodes are those of Gauss-Radau rules in these two (G. H. Golub, SIAM
+Review 15(2) 318, 1973). Fixed nodes lie where the neighbour has no share and where an instant ends.
 ``validation/fringing`` measures what is left. Neighbouring rows are assumed to switch at the same instant;
 the error is the scan time of one row.
 """
@@ -35,13 +34,13 @@ from scipy.special import ndtr
 from optsim.core.compiled import FEW
 from optsim.core.quantities import Bools, Bytes, Doubles, Floats, Ints, PanelState
 from optsim.core.threads import in_bands
+from optsim.optics.fringe_loops import Light, Nodes, Quadrature, Switching, Times, fill_cells
 from optsim.optics.fringing import border_shares, fine_image
-from optsim.optics.panel import PanelResponse, drive_targets, early_rows, row_turns
+from optsim.optics.panel import PanelResponse, drive_targets, early_rows, row_switching
 from optsim.optics.radau import middles, moment_weights, radau
 from optsim.optics.relaxation import SETTLED_RAD, paces
-from optsim.optics.rim_loops import Light, Looks, Points, Times, Turns, fill_cells
 
-RimModel = Literal["fine", "coarse", "mixed"]
+FringeModel = Literal["fine", "coarse", "mixed"]
 # Free nodes on each side of a pixel, and in an instant. Where fringing reaches 0.12 pixels far the error is
 # below 0.1 % and 5 % of what mixing leaves out; at 0.25 pixels, or with time constants that differ 500-fold,
 # fine is right to 1 %.
@@ -52,15 +51,15 @@ _AT_ONCE = 1e-4  # of an instant
 
 
 @dataclass(frozen=True, eq=False)
-class Rims:
-    """All that the rims of a panel's pixels follow from during an exposure.
+class FringeCorrection:
+    """Inputs of the fringe-field correction during an exposure.
 
     Parameters
     ----------
     levels : ndarray of shape (slot, v, u), uint8
-        Drive levels that rows turn to while the shutter is open.
+        Drive levels that rows switch to while the shutter is open.
     start : PanelState
-        The panel when the first slot begins. Both as :func:`optsim.optics.panel.turned_to` has them.
+        The panel when the first slot begins. Both as :func:`optsim.optics.panel.switched` has them.
     response : PanelResponse
         How it answers.
     slot_s : float
@@ -100,23 +99,23 @@ class Rims:
     @cached_property
     def targets(self) -> Floats:
         """Retardance that each level asks for, from the slot before the first to that after the last, rad."""
-        return drive_targets(self.response, self.start.slots_shown, len(self.levels)).astype(np.float32)
+        return drive_targets(self.response, self.start.slots_displayed, len(self.levels)).astype(np.float32)
 
     @property
-    def looks(self) -> Looks:
-        """Where and when the panel is looked at, and what it makes of light."""
+    def quadrature(self) -> Quadrature:
+        """Quadrature nodes in a pixel and in an instant, and what the panel makes of light."""
         span = (1 - self.leaks) / self.response.white
-        return Looks(
+        return Quadrature(
             border_shares(self.sigma_px, self.pitch).astype(np.float32),
-            _points(self.sigma_px, self.pitch, _NODES[self.model][0]),
+            _pixel_nodes(self.sigma_px, self.pitch, _NODES[self.model][0]),
             _times(float(self.taus.max()) / self.instant_s, _NODES[self.model][1]),
             Light(np.minimum(self.leaks, 1).astype(np.float32), span.astype(np.float32)),
         )
 
 
 @lru_cache(maxsize=8)
-def _points(sigma_px: float, pitch: int, n: int) -> Points:
-    """Points along a pixel, with n nodes on each side."""
+def _pixel_nodes(sigma_px: float, pitch: int, n: int) -> Nodes:
+    """Nodes along a pixel, n on each side."""
     cells: Doubles = ndtr(-middles(pitch * _SAMPLES) / sigma_px).reshape(pitch, -1)
     nodes, _ = radau(cells.ravel(), np.ones(cells.size), n)
     before = np.stack([moment_weights(nodes, cell, np.ones(_SAMPLES)) for cell in cells])
@@ -130,7 +129,7 @@ def _points(sigma_px: float, pitch: int, n: int) -> Points:
     first, last = (np.sin(np.pi / 2 * share) ** 2 for share in (left, right))
     borders = means @ np.stack([first, 1 - first - last, last], axis=1)
     shares = np.stack([left, 1 - left - right, right], axis=1)
-    return Points(*(each.astype(np.float32) for each in (shares, means, borders)))
+    return Nodes(*(each.astype(np.float32) for each in (shares, means, borders)))
 
 
 @lru_cache(maxsize=8)
@@ -148,7 +147,7 @@ def _times(tau: float, n: int) -> Times:
 
 
 def fine_weights(
-    rims: Rims,
+    fringe: FringeCorrection,
     weights: Floats,
     keys: Floats,
     moving: Bools,
@@ -157,22 +156,22 @@ def fine_weights(
     first: int,
 ) -> PanelState:
     """Find the weights of fine cells, band by band of the panel's rows."""
-    n_slots = len(weights) // rims.instants_per_slot
-    levels = rims.levels[first : first + n_slots]
-    after = PanelState(panel.retardance_rad.copy(), panel.levels.copy(), panel.slots_shown + n_slots)
+    n_slots = len(weights) // fringe.instants_per_slot
+    levels = fringe.levels[first : first + n_slots]
+    after = PanelState(panel.retardance_rad.copy(), panel.levels.copy(), panel.slots_displayed + n_slots)
     _, n_rows, n_cols = weights.shape
-    turn, early_s = row_turns(rims.response, n_rows, rims.instant_s, rims.slot_s)
-    n_early = early_rows(rims.response, n_rows)
-    looks = rims.looks
-    # Where all pixels do the same there are no rims.
-    once = looks._replace(times=Times(np.ones(1), np.zeros(1)))
+    switch_at, early_s = row_switching(fringe.response, n_rows, fringe.instant_s, fringe.slot_s)
+    n_early = early_rows(fringe.response, n_rows)
+    quadrature = fringe.quadrature
+    # Pixels that all do the same need no correction.
+    once = quadrature._replace(times=Times(np.ones(1), np.zeros(1)))
     # Arrays of few numbers are worked through whole.
     few = weights.size < FEW
     run, height = (_fill_together, n_rows) if few else (fill_cells, _BAND)
 
     def band(top: int, bottom: int) -> None:
         # The last band has fewer rows. All arrays lie whole in memory: one layout, one compiled loop.
-        most = height * rims.pitch * n_cols * rims.pitch
+        most = height * fringe.pitch * n_cols * fringe.pitch
         rooms = [np.empty(n * most, np.float32) for n in (len(keys), len(weights))]
         end = top
         while end < bottom:
@@ -181,42 +180,49 @@ def fine_weights(
             end = min(row + height, bottom, n_early if ahead else bottom)
             # Beyond the panel's edge the nearest pixel counts.
             around = np.clip(np.arange(row - 1, end + 1), 0, n_rows - 1)
-            shown, gamma, driven = panel.levels[around], panel.retardance_rad[around], levels.take(around, 1)
-            turns = Turns(turn[around], early_s[around], rims.instant_s)
-            for each in np.flatnonzero((around < n_early) != ahead).tolist():
-                _turn_between(each, ahead, driven, shown, turns, rims.instants_per_slot)
-            targets = rims.targets[first + ahead : first + ahead + n_slots + 1]
-            even = all(
-                (each == each.flat[0]).all() for each in (shown, gamma, turns.instant, turns.early_s, *driven)
+            displayed, gamma, driven = (
+                panel.levels[around],
+                panel.retardance_rad[around],
+                levels.take(around, 1),
             )
-            size = (end - row) * rims.pitch * n_cols * rims.pitch
+            switching = Switching(switch_at[around], early_s[around], fringe.instant_s)
+            for each in np.flatnonzero((around < n_early) != ahead).tolist():
+                _switch_between(each, ahead, driven, displayed, switching, fringe.instants_per_slot)
+            targets = fringe.targets[first + ahead : first + ahead + n_slots + 1]
+            even = all(
+                (each == each.flat[0]).all()
+                for each in (displayed, gamma, switching.instant, switching.early_s, *driven)
+            )
+            size = (end - row) * fringe.pitch * n_cols * fringe.pitch
             sums, cells = (
-                room[: n * size].reshape(n, -1, n_cols * rims.pitch)
+                room[: n * size].reshape(n, -1, n_cols * fringe.pitch)
                 for n, room in zip((len(keys), len(weights)), rooms, strict=True)
             )
             run(
-                driven, gamma, shown, targets, rims.taus, turns, once if even else looks,
+                driven, gamma, displayed, targets, fringe.taus, switching, once if even else quadrature,
                 weights.take(around, 1), keys, _runs(moving[row:end]), sums, cells,
             )  # fmt: skip
-            after.retardance_rad[row:end], after.levels[row:end] = gamma[1:-1], shown[1:-1]
-            add(sums, cells, row * rims.pitch)
+            after.retardance_rad[row:end], after.levels[row:end] = gamma[1:-1], displayed[1:-1]
+            add(sums, cells, row * fringe.pitch)
 
     in_bands(n_rows, band)
     return after
 
 
-def _turn_between(row: int, ahead: int, levels: Bytes, shown: Bytes, turns: Turns, n_sub: int) -> None:
-    """Let a neighbour that is late turn as late as early rows may, or one that is early as soon as late ones.
+def _switch_between(
+    row: int, ahead: int, levels: Bytes, displayed: Bytes, switching: Switching, n_sub: int
+) -> None:
+    """Let a late neighbour switch as late as early rows may, or an early one as soon as late rows may.
 
-    So it turns just as slots begin, off by less than the time from one row's turn to the next one's.
+    So it switches just as slots begin, off by less than the time between two rows.
     """
-    turns.early_s[row] = 0
+    switching.early_s[row] = 0
     if ahead:
-        turns.instant[row], shown[row] = n_sub, levels[0, row]
+        switching.instant[row], displayed[row] = n_sub, levels[0, row]
         levels[:-1, row] = levels[1:, row].copy()
     else:
-        turns.instant[row] = 0
-        levels[1:, row], levels[0, row] = levels[:-1, row].copy(), shown[row].copy()
+        switching.instant[row] = 0
+        levels[1:, row], levels[0, row] = levels[:-1, row].copy(), displayed[row].copy()
 
 
 def _runs(wanted: Bools) -> Ints:
@@ -234,82 +240,85 @@ def _spread(n: int, shares: Floats) -> Floats:
     return matrix.reshape(-1, n)
 
 
-def relaxed(rims: Rims, panel: PanelState, first: int, last: int) -> PanelState:
-    """Panel after the slots of an exposure from the first to before the last, without a look at it."""
-    delay_s = rims.response.row_delays_s(len(panel.levels))[:, None]
+def relaxed(fringe: FringeCorrection, panel: PanelState, first: int, last: int) -> PanelState:
+    """Panel after the slots of an exposure from the first to before the last, without its light."""
+    delay_s = fringe.response.row_delays_s(len(panel.levels))[:, None]
     ahead = (delay_s < 0).astype(np.int64)
-    delay_s = delay_s % rims.slot_s
-    gamma, shown = panel.retardance_rad, panel.levels
+    delay_s = delay_s % fringe.slot_s
+    gamma, displayed = panel.retardance_rad, panel.levels
     for slot in range(first, last):
         for at, level, length_s in (
-            (slot, shown, delay_s),
-            (slot + 1, rims.levels[slot], rims.slot_s - delay_s),
+            (slot, displayed, delay_s),
+            (slot + 1, fringe.levels[slot], fringe.slot_s - delay_s),
         ):
-            target = rims.targets[at + ahead, level]
-            step = _way(gamma, target)
-            gamma = (target + step * np.exp(-paces(step, length_s, rims.taus))).astype(np.float32)
-        shown = rims.levels[slot]
-    return PanelState(gamma, shown.copy(), panel.slots_shown + last - first)
+            target = fringe.targets[at + ahead, level]
+            step = _step_from(gamma, target)
+            gamma = (target + step * np.exp(-paces(step, length_s, fringe.taus))).astype(np.float32)
+        displayed = fringe.levels[slot]
+    return PanelState(gamma, displayed.copy(), panel.slots_displayed + last - first)
 
 
-def _way(gamma: Floats, target: Floats) -> Floats:
+def _step_from(gamma: Floats, target: Floats) -> Floats:
     """Distance from the target; none where pixels have settled, as in the compiled loops."""
-    way = gamma - target
-    return np.where(np.abs(way) > SETTLED_RAD, way, np.float32(0))
+    step_rad = gamma - target
+    return np.where(np.abs(step_rad) > SETTLED_RAD, step_rad, np.float32(0))
 
 
-def cell_weights(rims: Rims, weights: Floats, slots: int | None = None) -> Floats:
+def cell_weights(fringe: FringeCorrection, weights: Floats, slots: int | None = None) -> Floats:
     """Weights of all fine cells in the instants of an exposure, (t, y, x); of pixel weights (t, v, u).
 
     The total of so many slots at a time is kept, as where they are a segment of a video; by default of all.
     """
     n, rows, cols = weights.shape
-    found = np.zeros((n, rows * rims.pitch, cols * rims.pitch), np.float32)
-    everywhere, panel = np.ones((rows, cols), np.bool_), rims.start
-    for first in range(0, len(rims.levels), slots or len(rims.levels)):
-        begin = first * rims.instants_per_slot
-        end = min(first + (slots or len(rims.levels)), len(rims.levels)) * rims.instants_per_slot
+    found = np.zeros((n, rows * fringe.pitch, cols * fringe.pitch), np.float32)
+    everywhere, panel = np.ones((rows, cols), np.bool_), fringe.start
+    for first in range(0, len(fringe.levels), slots or len(fringe.levels)):
+        begin = first * fringe.instants_per_slot
+        end = min(first + (slots or len(fringe.levels)), len(fringe.levels)) * fringe.instants_per_slot
 
         def add(_: Floats, cells: Floats, row: int, begin: int = begin, end: int = end) -> None:
             found[begin:end, row : row + cells.shape[1]] = cells
 
         together = np.ones((1, end - begin), np.float32)
-        panel = fine_weights(rims, weights[begin:end], together, everywhere, add, panel, first)
+        panel = fine_weights(fringe, weights[begin:end], together, everywhere, add, panel, first)
     return found
 
 
 def _fill_together(
     levels: Bytes,
     gamma: Floats,
-    shown: Bytes,
+    displayed: Bytes,
     targets: Floats,
     taus: Doubles,
-    turns: Turns,
-    looks: Looks,
+    switching: Switching,
+    quadrature: Quadrature,
     weights: Floats,
     keys: Floats,
     moving: Ints,
     sums: Floats,
     cells: Floats,
 ) -> None:
-    """As :func:`optsim.optics.rim_loops.fill_cells`, all pixels at a time."""
-    n_sub, points, instant_s = len(weights) // len(levels), looks.points, turns.instant_s
-    n_points = len(points.shares)
-    down, across = (_spread(n, points.shares) for n in shown.shape)
-    down = down[n_points:-n_points]
-    inner = (len(shown) - 2, n_points, shown.shape[1], n_points)
+    """As :func:`optsim.optics.fringe_loops.fill_cells`, all pixels at a time."""
+    n_sub, nodes, instant_s = len(weights) // len(levels), quadrature.nodes, switching.instant_s
+    n_nodes = len(nodes.shares)
+    down, across = (_spread(n, nodes.shares) for n in displayed.shape)
+    down = down[n_nodes:-n_nodes]
+    inner = (len(displayed) - 2, n_nodes, displayed.shape[1], n_nodes)
     alone, blurred = np.zeros(weights.shape, np.float32), np.zeros((len(weights), *inner), np.float32)
     for t in range(len(weights)):
         slot, sub = divmod(t, n_sub)
-        before_s = np.clip((turns.instant - sub) * instant_s + turns.early_s, 0, instant_s)[:, None]
-        for at, level, length_s in ((slot, shown, before_s), (slot + 1, levels[slot], instant_s - before_s)):
+        before_s = np.clip((switching.instant - sub) * instant_s + switching.early_s, 0, instant_s)[:, None]
+        for at, level, length_s in (
+            (slot, displayed, before_s),
+            (slot + 1, levels[slot], instant_s - before_s),
+        ):
             if not length_s.any():
                 continue
             target = targets[at, level]
-            step = _way(gamma, target)
+            step = _step_from(gamma, target)
             pace = paces(step, length_s, taus)
             now = gamma
-            for time, weight in zip(*looks.times, strict=True):
+            for time, weight in zip(*quadrature.times, strict=True):
                 now = (target + step * np.exp(-time * pace)).astype(np.float32)
                 share = (weight * length_s / instant_s).astype(np.float32)
                 alone[t] += share * np.cos(now)
@@ -317,14 +326,17 @@ def _fill_together(
                 blurred[t] += share[1:-1, :, None, None] * cosines
             gamma[:] = now
         if sub == n_sub - 1:
-            shown[:] = levels[slot]
+            displayed[:] = levels[slot]
     if len(moving):
-        _open_together(weights, alone, blurred, looks, np.ones(len(weights), np.float32), cells)
+        _open_together(weights, alone, blurred, quadrature, np.ones(len(weights), np.float32), cells)
     of_keys = [np.tensordot(keys, each, 1) for each in (weights, alone, blurred)]
-    _open_together(of_keys[0], of_keys[1], of_keys[2], looks, keys.sum(axis=1), sums)
-    # As in rim_loops.tie_sums.
-    for first, end in moving * len(looks.borders):
-        tied, least = np.s_[:, :, first:end], looks.light.least.repeat(len(looks.borders))[first:end]
+    _open_together(of_keys[0], of_keys[1], of_keys[2], quadrature, keys.sum(axis=1), sums)
+    # As in fringe_loops.tie_sums.
+    for first, end in moving * len(quadrature.borders):
+        tied, least = (
+            np.s_[:, :, first:end],
+            quadrature.light.least.repeat(len(quadrature.borders))[first:end],
+        )
         dark = keys.sum() * least
         beyond = np.tensordot(keys.sum(axis=0), cells[tied], 1).astype(np.float32) - dark
         total = sums[tied].sum(axis=0) - dark
@@ -334,16 +346,16 @@ def _fill_together(
 
 
 def _open_together(
-    opened: Floats, alone: Floats, blurred: Floats, looks: Looks, instants: Floats, cells: Floats
+    opened: Floats, alone: Floats, blurred: Floats, quadrature: Quadrature, instants: Floats, cells: Floats
 ) -> None:
-    """Fill cells, (n, y, x), from what was seen in so many instants, (n,), each."""
-    points, pitch = looks.points, len(looks.borders)
-    least, span = (each.repeat(pitch) for each in looks.light)
+    """Fill cells, (n, y, x), from integrals over so many instants, (n,), each."""
+    nodes, pitch = quadrature.nodes, len(quadrature.borders)
+    least, span = (each.repeat(pitch) for each in quadrature.light)
     mixed, own = (
         np.moveaxis(fine_image(np.moveaxis(each, 0, -1), borders), -1, 0)[:, pitch:-pitch]
-        for each, borders in ((opened, looks.borders), (alone, points.borders))
+        for each, borders in ((opened, quadrature.borders), (alone, nodes.borders))
     )
-    means = np.einsum("nvaub,ia,jb->nviuj", blurred, points.means, points.means, optimize=True)
+    means = np.einsum("nvaub,ia,jb->nviuj", blurred, nodes.means, nodes.means, optimize=True)
     beyond = own - means.reshape(cells.shape)
-    # No rim is darker than any pixel could be: there are not points enough to see that.
+    # No edge is darker than a dark pixel: the nodes are too few to show that.
     np.maximum(mixed + span * beyond / 2, instants[:, None, None] * least, out=cells)

@@ -14,13 +14,13 @@ from optsim.core import threads
 from optsim.core.errors import ValueCheckError
 from optsim.core.quantities import Block, ExposureCode, Segment, Video
 from optsim.experiment.experiment import load_experiment
-from optsim.optics import rims as rims_module
+from optsim.optics import fringe_correction as fringe_module
+from optsim.optics.fringe_correction import FringeCorrection, cell_weights, relaxed
+from optsim.optics.fringe_loops import fill_cells
 from optsim.optics.fringing import border_shares, fine_image
 from optsim.optics.integrate import Shutter, integrate_exposure
-from optsim.optics.panel import PanelResponse, settled_panel, slot_weights, turned_to
+from optsim.optics.panel import PanelResponse, settled_panel, slot_weights, switched
 from optsim.optics.radau import middles, radau
-from optsim.optics.rim_loops import fill_cells
-from optsim.optics.rims import Rims, cell_weights, relaxed
 
 SLOT_S, SIGMA = 1 / 180, 0.12
 SIDE = (6, 7)
@@ -33,12 +33,12 @@ def levels_of(kind: str, n: int = 9) -> np.ndarray:
     return (rng.random((n, *SIDE)) < 0.4).astype(np.uint8) * np.uint8(255)
 
 
-def rims_of(levels, response, n_sub=1, model="fine", sigma=SIGMA):
+def fringe_of(levels, response, n_sub=1, model="fine", sigma=SIGMA):
     start = settled_panel(levels[0] * 0, response)
     leaks = np.full(levels.shape[2], response.leak)
     weights, after = slot_weights(levels, start, response, SLOT_S, n_sub)
-    turned, begin = turned_to(levels, start, response)
-    return Rims(turned, begin, response, SLOT_S, n_sub, leaks, sigma, 3, model), weights, after
+    turned, begin = switched(levels, start, response)
+    return FringeCorrection(turned, begin, response, SLOT_S, n_sub, leaks, sigma, 3, model), weights, after
 
 
 def dense(levels, response, n_sub, steps=240):
@@ -89,8 +89,8 @@ def test_cells_are_those_of_blurred_retardance(kind, change, n_sub):
     true = dense(levels, response, n_sub)
     left = {}
     for model in ("fine", "coarse"):
-        rims, weights, _ = rims_of(levels, response, n_sub, model)
-        left[model] = cell_weights(rims, weights) - true
+        fringe, weights, _ = fringe_of(levels, response, n_sub, model)
+        left[model] = cell_weights(fringe, weights) - true
     mixed = np.stack([fine_image(w.astype(np.float64), border_shares(SIGMA, 3)) for w in weights])
     effect = np.std(np.repeat(np.repeat(weights, 3, 1), 3, 2) - true)
     assert np.std(left["fine"]) < 0.01 * effect
@@ -109,10 +109,10 @@ def test_cells_are_those_of_blurred_retardance(kind, change, n_sub):
     ],
 )
 def test_loops_and_whole_arrays_find_the_same_cells(monkeypatch, change):
-    rims, weights, _ = rims_of(levels_of("grey"), PanelResponse(**change), 2)
-    few = cell_weights(rims, weights)
-    monkeypatch.setattr(rims_module, "FEW", 0)
-    np.testing.assert_allclose(cell_weights(rims, weights), few, atol=1e-6)
+    fringe, weights, _ = fringe_of(levels_of("grey"), PanelResponse(**change), 2)
+    few = cell_weights(fringe, weights)
+    monkeypatch.setattr(fringe_module, "FEW", 0)
+    np.testing.assert_allclose(cell_weights(fringe, weights), few, atol=1e-6)
     assert few.min() >= 0
 
 
@@ -121,11 +121,11 @@ def test_rows_of_a_tall_panel_find_the_same_in_bands(monkeypatch, cores):
     """70 rows: bands of 8 in some threads, against all rows together and against blurred retardance."""
     levels = np.random.default_rng(3).choice(np.array([0, 90, 255], np.uint8), (3, 70, 4))
     response = PanelResponse(leak=0.004, white_rad=3.6, delay_s=SLOT_S / 5)
-    rims, weights, _ = rims_of(levels, response)
-    together = cell_weights(rims, weights)
+    fringe, weights, _ = fringe_of(levels, response)
+    together = cell_weights(fringe, weights)
     monkeypatch.setattr(threads, "CORES", cores)
-    monkeypatch.setattr(rims_module, "FEW", 0)
-    found = cell_weights(rims, weights)
+    monkeypatch.setattr(fringe_module, "FEW", 0)
+    found = cell_weights(fringe, weights)
     np.testing.assert_allclose(found, together, atol=2e-6)
     # Each further layout of the arrays would be compiled anew, for seconds of a first run.
     assert len(fill_cells.dispatcher().signatures) == 1
@@ -135,11 +135,11 @@ def test_rows_of_a_tall_panel_find_the_same_in_bands(monkeypatch, cores):
 
 
 @pytest.mark.parametrize("uneven", ["shown", "gamma", "scan", "level"])
-def test_a_panel_is_even_only_if_all_that_rims_follow_from_is(uneven):
+def test_a_panel_is_even_only_if_all_inputs_of_the_correction_are(uneven):
     levels = np.full((2, *SIDE), 255, np.uint8)
     response = PanelResponse(leak=0.0, delay_s=1e-3, scan_s=2e-3 if uneven == "scan" else 0.0)
-    rims, weights, _ = rims_of(levels, response)
-    start = rims.start
+    fringe, weights, _ = fringe_of(levels, response)
+    start = fringe.start
     here = np.s_[2:4, 2:5]
     if uneven == "shown":
         start.levels[here] = 200
@@ -149,31 +149,31 @@ def test_a_panel_is_even_only_if_all_that_rims_follow_from_is(uneven):
         levels[1, 3, 3] = 0
     weights, _ = slot_weights(levels, start, response, SLOT_S)
     mixed = np.stack([fine_image(w.astype(np.float64), border_shares(SIGMA, 3)) for w in weights])
-    assert np.abs(cell_weights(rims, weights) - mixed).max() > 1e-4
+    assert np.abs(cell_weights(fringe, weights) - mixed).max() > 1e-4
 
 
 @pytest.mark.parametrize("few", [0, 10**9])
 def test_no_rim_is_darker_than_a_dark_pixel(monkeypatch, few):
     """Three points a pixel and fringing as wide as can be: without a floor some would be by 0.007."""
-    monkeypatch.setattr(rims_module, "FEW", few)
+    monkeypatch.setattr(fringe_module, "FEW", few)
     response = PanelResponse(leak=0.0024)
-    rims, weights, _ = rims_of(levels_of("random"), response, model="coarse", sigma=0.25)
-    cells = cell_weights(rims, weights)
+    fringe, weights, _ = fringe_of(levels_of("random"), response, model="coarse", sigma=0.25)
+    cells = cell_weights(fringe, weights)
     assert cells.min() == np.float32(0.0024)
     assert np.mean(cells == cells.min()) > 1e-3
     # Nor is any in the sum over time that still light gets: here of a panel that is dark but for a cross.
     levels = np.zeros((5, *SIDE), np.uint8)
     levels[:, 2, 2:5] = levels[:, 1:4, 3] = 255
-    rims, weights, _ = rims_of(levels, response, model="coarse", sigma=0.25)
+    fringe, weights, _ = fringe_of(levels, response, model="coarse", sigma=0.25)
     still = np.ones((18, 21), np.float32)
     video = Video(18, 21, 3, SLOT_S, 1, 5, 5, lambda _: Segment(still, still, (), 5))
-    found = integrate_exposure(video, 0, Shutter(weights, border_shares(0.25, 3), rims)) / SLOT_S
+    found = integrate_exposure(video, 0, Shutter(weights, border_shares(0.25, 3), fringe)) / SLOT_S
     assert found.min() == pytest.approx(5 * 0.0024, rel=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("overlap", [True, False])
-def test_a_camera_knows_its_rims(overlap):
+def test_a_camera_has_its_fringe_correction(overlap):
     """Leak by column, light of which white is no half wave, jitter, stuck pixels, slots of the readout."""
     full = demo()
     panel = {"stuck_share": 0.1, "delay_s": SLOT_S / 5, "jitter_s": 0.2e-3, "rows": 6, "cols": 7}
@@ -188,7 +188,7 @@ def test_a_camera_knows_its_rims(overlap):
     code = ExposureCode(levels, np.zeros(SIDE, np.bool_))
     _, after = camera.shutter(code, camera.panel_at_rest(), 1)
     shutter, _ = camera.shutter(code, after, 1)
-    found = cell_weights(shutter.rims, shutter.weights)
+    found = cell_weights(shutter.fringe_correction, shutter.weights)
     n = 36 if overlap else 34
     assert not found[n:].any()
     assert np.ptp(camera.column_leaks) > 1e-5
@@ -212,31 +212,31 @@ def test_a_border_that_stands_still_is_that_of_mixing():
     levels = np.zeros((3, *SIDE), np.uint8)
     levels[:, :, 3:] = 255
     response = PanelResponse(tau_on_s=0.0, tau_off_s=0.0, leak=0.0)
-    rims, weights, _ = rims_of(levels, response, model="coarse")
+    fringe, weights, _ = fringe_of(levels, response, model="coarse")
     mixed = fine_image(weights[0].astype(np.float64), border_shares(SIGMA, 3))
-    np.testing.assert_allclose(cell_weights(rims, weights)[1], mixed, atol=2e-6)
+    np.testing.assert_allclose(cell_weights(fringe, weights)[1], mixed, atol=2e-6)
 
 
-def test_where_all_pixels_do_the_same_nothing_is_looked_at(monkeypatch):
+def test_where_all_pixels_do_the_same_there_is_one_node_in_time(monkeypatch):
     levels = np.repeat(np.array([0, 255, 80, 0], np.uint8), 42).reshape(4, *SIDE)
-    rims, weights, _ = rims_of(levels, PanelResponse())
-    looks = []
-    fill = rims_module._fill_together
-    monkeypatch.setattr(rims_module, "_fill_together", lambda *a: looks.append(a[6].times) or fill(*a))
-    cells = cell_weights(rims, weights)
-    assert [each.weight.tolist() for each in looks] == [[0]]
+    fringe, weights, _ = fringe_of(levels, PanelResponse())
+    quadrature = []
+    fill = fringe_module._fill_together
+    monkeypatch.setattr(fringe_module, "_fill_together", lambda *a: quadrature.append(a[6].times) or fill(*a))
+    cells = cell_weights(fringe, weights)
+    assert [each.weight.tolist() for each in quadrature] == [[0]]
     np.testing.assert_allclose(cells, weights.repeat(3, 1).repeat(3, 2), rtol=1e-6)
 
 
 @pytest.mark.parametrize("few", [0, 10**9])
 def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
     """Light of eight slots in one segment or in four, of which one is dark; the last slot is not coded."""
-    monkeypatch.setattr(rims_module, "FEW", few)
+    monkeypatch.setattr(fringe_module, "FEW", few)
     rng = np.random.default_rng(8)
     response = PanelResponse(delay_s=1e-3, scan_s=0.5e-3)
     levels = levels_of("random", 8)
-    rims, weights, _ = rims_of(levels, response, 2)
-    rims = replace(rims, levels=levels[:7])
+    fringe, weights, _ = fringe_of(levels, response, 2)
+    fringe = replace(fringe, levels=levels[:7])
     weights[14:] = 0
     light = rng.random((16, 18, 21)).astype(np.float32)
     light[8:12] = 0
@@ -249,10 +249,10 @@ def test_segments_blocks_and_darkness_make_the_same_exposure(monkeypatch, few):
             return Segment(nothing, nothing, blocks, 2 * slots)
 
         video = Video(18, 21, 3, SLOT_S, 2, slots, 8, load)
-        return integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+        return integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), fringe))
 
     for slots in (1, 2, 4, 8):
-        expected = (cell_weights(rims, weights, slots) * light).sum(axis=0) * SLOT_S / 2
+        expected = (cell_weights(fringe, weights, slots) * light).sum(axis=0) * SLOT_S / 2
         np.testing.assert_allclose(exposed(slots), expected, rtol=1e-5, atol=1e-9)
 
 
@@ -266,21 +266,21 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch,
     rng = np.random.default_rng(9)
     levels = rng.choice(np.array([0, 90, 255], np.uint8), (5, 20, 7))
     response, leaks = PanelResponse(delay_s=1e-3), np.linspace(0.002, most_leak, 7)
-    rims = replace(rims_of(levels, response, 2)[0], leaks=leaks)
-    weights, _ = slot_weights(levels, rims.start, response, SLOT_S, 2, leaks)
+    fringe = replace(fringe_of(levels, response, 2)[0], leaks=leaks)
+    weights, _ = slot_weights(levels, fringe.start, response, SLOT_S, 2, leaks)
     still = np.float32(scale) * rng.random((60, 21)).astype(np.float32)
     boxes = ((7, 4, 23, 5), (10, 15, 6, 4), (58, 20, 2, 1))
     blocks = [Block(row, col, rng.normal(size=(10, *size)).astype(np.float32)) for row, col, *size in boxes]
-    whole = cell_weights(rims, weights) * still
+    whole = cell_weights(fringe, weights) * still
     for block in blocks:
         _, tall, wide = block.excess.shape
         here = np.s_[:, block.row : block.row + tall, block.col : block.col + wide]
-        whole[here] += cell_weights(rims, weights)[here] * block.excess
+        whole[here] += cell_weights(fringe, weights)[here] * block.excess
     video = Video(60, 21, 3, SLOT_S, 2, 5, 5, lambda _: Segment(still, still, tuple(blocks), 10))
     for few in (0, 10**9):
-        for module in ("rims", "integrate"):
+        for module in ("fringe_correction", "integrate"):
             monkeypatch.setattr(f"optsim.optics.{module}.FEW", few)
-        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), fringe))
         np.testing.assert_allclose(found, whole.sum(axis=0) * SLOT_S / 2, rtol=1e-5, atol=5e-5 * SLOT_S)
 
 
@@ -288,12 +288,12 @@ def test_what_moves_is_lit_as_its_instants_beside_what_stands_still(monkeypatch,
 @pytest.mark.parametrize("model", ["fine", "coarse"])
 def test_a_lamp_that_is_hidden_while_pixels_are_open_leaves_no_negative_light(monkeypatch, few, model):
     """What is left of 1e6 in one instant of ten, or of none, and then a dark mover."""
-    for module in ("rims", "integrate"):
+    for module in ("fringe_correction", "integrate"):
         monkeypatch.setattr(f"optsim.optics.{module}.FEW", few)
     rng = np.random.default_rng(5)
     levels = rng.choice(np.array([0, 255], np.uint8), (10, 6, 7))
-    rims, weights, _ = rims_of(levels, PanelResponse())
-    rims = replace(rims, model=model)
+    fringe, weights, _ = fringe_of(levels, PanelResponse())
+    fringe = replace(fringe, model=model)
     lamp = np.full((18, 21), 1e6, np.float32)
     for seen in (*range(0, 10, 3), None):
         mover = np.full((10, 18, 21), -1e6, np.float32)
@@ -301,8 +301,8 @@ def test_a_lamp_that_is_hidden_while_pixels_are_open_leaves_no_negative_light(mo
             mover[seen] = 0
         segment = Segment(lamp, lamp, (Block(0, 0, mover),), 10)
         video = Video(18, 21, 3, SLOT_S, 1, 10, 10, lambda _, it=segment: it)
-        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims)) / SLOT_S
-        expected = 0 if seen is None else cell_weights(rims, weights)[seen] * 1e6
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), fringe)) / SLOT_S
+        expected = 0 if seen is None else cell_weights(fringe, weights)[seen] * 1e6
         np.testing.assert_allclose(found, expected, atol=2)  # rounding of ten times 1e6
         assert seen is None or found.min() > 0
 
@@ -316,13 +316,13 @@ def test_segments_of_another_number_of_instants_are_refused():
 
 def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
     rng = np.random.default_rng(9)
-    rims, weights, _ = rims_of(levels_of("random", 4), PanelResponse())
+    fringe, weights, _ = fringe_of(levels_of("random", 4), PanelResponse())
     segment = Segment(*rng.random((2, 18, 21)).astype(np.float32), (), 4)
     video = Video(18, 21, 3, SLOT_S, 1, 4, 4, lambda _: segment)
-    whole = sum(cell_weights(rims, weights)[t] * segment.instant(t) for t in range(4)) * SLOT_S
+    whole = sum(cell_weights(fringe, weights)[t] * segment.instant(t) for t in range(4)) * SLOT_S
     for few in (0, 10**9):
-        monkeypatch.setattr(rims_module, "FEW", few)
-        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), rims))
+        monkeypatch.setattr(fringe_module, "FEW", few)
+        found = integrate_exposure(video, 0, Shutter(weights, border_shares(SIGMA, 3), fringe))
         np.testing.assert_allclose(found, whole, rtol=1e-5, atol=5e-5 * SLOT_S)
 
 
@@ -332,11 +332,11 @@ def test_a_base_that_changes_is_lit_as_its_instants(monkeypatch):
 )
 def test_a_panel_relaxes_in_the_dark_as_in_the_light(change):
     levels, response = levels_of("grey"), PanelResponse(**change, field_drive=(1.02, 1.0, 0.98))
-    rims, _, after = rims_of(levels, response)
-    found = relaxed(rims, rims.start, 0, len(levels))
+    fringe, _, after = fringe_of(levels, response)
+    found = relaxed(fringe, fringe.start, 0, len(levels))
     np.testing.assert_allclose(found.retardance_rad, after.retardance_rad, atol=2e-6)
     np.testing.assert_array_equal(found.levels, after.levels)
-    assert found.slots_shown == after.slots_shown
+    assert found.slots_displayed == after.slots_displayed
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
@@ -353,13 +353,13 @@ def test_a_radau_rule_is_right_for_polynomials(n):
 @pytest.mark.parametrize("sigma", [1.1e-3, 0.02, 0.25])
 @pytest.mark.parametrize("pitch", [1, 2, 3, 5])
 def test_borders_of_any_width_and_grid_have_points(sigma, pitch):
-    rims, _, _ = rims_of(levels_of("random"), PanelResponse(), sigma=sigma)
-    points = replace(rims, pitch=pitch).looks.points
+    fringe, _, _ = fringe_of(levels_of("random"), PanelResponse(), sigma=sigma)
+    points = replace(fringe, pitch=pitch).quadrature.nodes
     np.testing.assert_allclose(points.means.sum(axis=1), 1, rtol=1e-5)
     np.testing.assert_allclose(points.borders, border_shares(sigma, pitch), atol=0.005 + 0.2 * sigma**2)
 
 
-def test_a_camera_without_fringing_has_no_rims():
+def test_a_camera_without_fringing_needs_no_correction():
     camera = demo()
     probe = make_probe(changed(camera, PLAIN), Illumination(0.1, 90.0, 0.8), load_experiment("demo").schemes)
     size = next(each.size for each in effect_sizes(probe) if each.effect == "fringing")
@@ -368,5 +368,5 @@ def test_a_camera_without_fringing_has_no_rims():
     assert size == found[0] != found[1]
     sharp = with_effects(camera, {"fringing": "ideal"})
     code = ExposureCode(np.zeros((36, 120, 160), np.uint8), np.zeros((120, 160), np.bool_))
-    assert sharp.shutter(code, None, 1)[0].rims is None
-    assert camera.shutter(code, None, 1)[0].rims is not None
+    assert sharp.shutter(code, None, 1)[0].fringe_correction is None
+    assert camera.shutter(code, None, 1)[0].fringe_correction is not None

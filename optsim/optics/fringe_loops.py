@@ -1,7 +1,7 @@
-"""The compiled loop of :mod:`optsim.optics.rims`: pixels of a band relax, and their rims are looked at.
+"""Compiled loop of :mod:`optsim.optics.fringe_correction`: quadrature while pixels of a band relax.
 
-Light that stands still needs the cells' sums over time only. All is linear but for the floor below, so what
-was seen is added up first, and cells are made of the sums; where something moves, of each instant.
+Light that stands still needs the cells' sums over time only. All is linear but for the floor below, so
+integrals are added up first, and cells are made of the sums; where something moves, of each instant.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _PI = np.float32(np.pi)
 _SETTLED_RAD = np.float32(SETTLED_RAD)
 
 
-class Points(NamedTuple):
-    """Where along a pixel its retardance is looked at."""
+class Nodes(NamedTuple):
+    """Quadrature nodes along a pixel: each neighbour's share there, means over cells, and borders."""
 
     shares: Floats
     means: Floats
@@ -30,14 +30,14 @@ class Points(NamedTuple):
 
 
 class Times(NamedTuple):
-    """When the panel is looked at: shares of an interval, and the weights of each, (time,), float64."""
+    """Quadrature nodes in time: shares of an interval, and their weights, (time,), float64."""
 
     share: Doubles
     weight: Doubles
 
 
-class Turns(NamedTuple):
-    """Instant of a slot in which each row turns to the slot's level, and how long after its start."""
+class Switching(NamedTuple):
+    """Instant of a slot in which each row switches to the slot's level, and how long after its start."""
 
     instant: Ints
     early_s: Doubles
@@ -51,17 +51,17 @@ class Light(NamedTuple):
     span: Floats
 
 
-class Looks(NamedTuple):
-    """Where and when a panel is looked at, and what it makes of light."""
+class Quadrature(NamedTuple):
+    """Quadrature nodes in a pixel and in an instant, and what the panel makes of light."""
 
     borders: Floats
-    points: Points
+    nodes: Nodes
     times: Times
     light: Light
 
 
-class Seen(NamedTuple):
-    """What was seen of a band of pixels in an instant, or in several, each with a weight."""
+class Integrals(NamedTuple):
+    """Integrals of a band of pixels over an instant, or over several, each with a weight."""
 
     opened: Floats
     alone: Floats
@@ -72,11 +72,11 @@ class Seen(NamedTuple):
 def fill_cells(
     levels: Bytes,
     gamma: Floats,
-    shown: Bytes,
+    displayed: Bytes,
     targets: Floats,
     taus: Doubles,
-    turns: Turns,
-    looks: Looks,
+    switching: Switching,
+    quadrature: Quadrature,
     weights: Floats,
     keys: Floats,
     moving: Ints,
@@ -85,62 +85,66 @@ def fill_cells(
 ) -> None:
     """Fill the cells of a band: their sums over time, and those of each instant where something moves."""
     n_slots, rows, cols = levels.shape
-    points, times, n_instants = looks.points, looks.times, len(weights)
-    n_points, n_sub, instant_s = len(points.shares), n_instants // n_slots, turns.instant_s
+    nodes, times, n_instants = quadrature.nodes, quadrature.times, len(weights)
+    n_nodes, n_sub, instant_s = len(nodes.shares), n_instants // n_slots, switching.instant_s
     # A pixel more at the left and at the right, like its neighbour.
-    wide, of_row = (rows, cols + 2), n_points**2
+    wide, of_row = (rows, cols + 2), n_nodes**2
     target, step = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    # Looks in an instant: before the rows' turns and after them, with the weight that each has in a row.
+    # States in an instant: before rows switch and after, with the weight that each has in a row.
     now = np.empty((2 * times.share.size, *wide), np.float32)
     weight = np.empty((2 * times.share.size, rows), np.float32)
-    seen = Seen(np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty((of_row, cols), np.float32))
+    integrals = Integrals(
+        np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty((of_row, cols), np.float32)
+    )
     opened, alone = np.zeros((len(keys), *wide), np.float32), np.zeros((len(keys), *wide), np.float32)
     blurred = np.zeros((len(keys), (rows - 2) * of_row, cols), np.float32)
-    share, room = np.empty(rows), np.empty((3 + n_points, cols + 2), np.float32)
+    share, room = np.empty(rows), np.empty((3 + n_nodes, cols + 2), np.float32)
     for t in range(n_instants):
-        slot, sub, n_looks = t // n_sub, t % n_sub, 0
-        seen.alone[:] = 0
+        slot, sub, n_states = t // n_sub, t % n_sub, 0
+        integrals.alone[:] = 0
         for part in range(2):
             for r in range(rows):
-                before_s = min(max((turns.instant[r] - sub) * instant_s + turns.early_s[r], 0.0), instant_s)
+                before_s = min(
+                    max((switching.instant[r] - sub) * instant_s + switching.early_s[r], 0.0), instant_s
+                )
                 share[r] = (before_s if part == 0 else instant_s - before_s) / instant_s
             if share.max() <= 0:
                 continue
-            _begin(gamma, targets[slot + part], shown if part == 0 else levels[slot], target, step)
+            _begin(gamma, targets[slot + part], displayed if part == 0 else levels[slot], target, step)
             for j in range(times.share.size):
                 for r in range(rows):
-                    weight[n_looks, r] = times.weight[j] * share[r]
-                    _relax_row(target, step, taus, times.share[j] * share[r] * instant_s, now[n_looks], r)
-                    _add_own_cosines(seen.alone, now[n_looks], r, weight[n_looks, r])
-                n_looks += 1
-            gamma[:] = now[n_looks - 1, :, 1:-1]
-        seen.opened[:, 1:-1] = weights[t]
-        seen.opened[:, 0], seen.opened[:, -1] = weights[t, :, 0], weights[t, :, -1]
+                    weight[n_states, r] = times.weight[j] * share[r]
+                    _relax_row(target, step, taus, times.share[j] * share[r] * instant_s, now[n_states], r)
+                    _add_own_cosines(integrals.alone, now[n_states], r, weight[n_states, r])
+                n_states += 1
+            gamma[:] = now[n_states - 1, :, 1:-1]
+        integrals.opened[:, 1:-1] = weights[t]
+        integrals.opened[:, 0], integrals.opened[:, -1] = weights[t, :, 0], weights[t, :, -1]
         for key in range(len(keys)):
             for r in range(rows):
-                _add(opened[key], r, keys[key, t], seen.opened, r)
-                _add(alone[key], r, keys[key, t], seen.alone, r)
+                _add(opened[key], r, keys[key, t], integrals.opened, r)
+                _add(alone[key], r, keys[key, t], integrals.alone, r)
         for p in range(rows - 2):
-            seen.blurred[:] = 0
-            for look in range(n_looks):
-                for a in range(n_points):
-                    _mix_rows(points.shares, a, now[look], p, 0, cols + 2, room, 0)
-                    for b in range(n_points):
-                        at = b * n_points + a
-                        _add_cosines(seen.blurred, at, room, points.shares, b, weight[look, p + 1])
+            integrals.blurred[:] = 0
+            for state in range(n_states):
+                for a in range(n_nodes):
+                    _mix_rows(nodes.shares, a, now[state], p, 0, cols + 2, room, 0)
+                    for b in range(n_nodes):
+                        at = b * n_nodes + a
+                        _add_cosines(integrals.blurred, at, room, nodes.shares, b, weight[state, p + 1])
             for key in range(len(keys)):
                 for at in range(of_row):
-                    _add(blurred[key], p * of_row + at, keys[key, t], seen.blurred, at)
+                    _add(blurred[key], p * of_row + at, keys[key, t], integrals.blurred, at)
             for first, end in moving:
-                _open_cells(seen, p, 0, looks, np.float32(1), first, end, room, cells[t])
+                _open_cells(integrals, p, 0, quadrature, np.float32(1), first, end, room, cells[t])
         if sub == n_sub - 1:
-            shown[:] = levels[slot]
+            displayed[:] = levels[slot]
     for key in range(len(keys)):
-        of_key = Seen(opened[key], alone[key], blurred[key])
+        of_key = Integrals(opened[key], alone[key], blurred[key])
         for p in range(rows - 2):
-            _open_cells(of_key, p, p, looks, keys[key].sum(), 0, cols, room, sums[key])
+            _open_cells(of_key, p, p, quadrature, keys[key].sum(), 0, cols, room, sums[key])
     for first, end in moving:
-        tie_sums(keys, sums, cells, looks.light.least, first, end)
+        tie_sums(keys, sums, cells, quadrature.light.least, first, end)
 
 
 @compiled(fastmath=True)
@@ -177,38 +181,38 @@ def tie_sums(keys: Floats, sums: Floats, cells: Floats, least: Floats, first: in
 # What is called most takes whole arrays and a row: each slice would cost two atomic counts.
 @compiled(fastmath=True, makes_arrays=False)
 def _open_cells(
-    seen: Seen,
+    integrals: Integrals,
     p: int,
     kept: int,
-    looks: Looks,
+    quadrature: Quadrature,
     instants: np.floating,
     first: int,
     end: int,
     room: Floats,
     cells: Floats,
 ) -> None:
-    """Fill the cells of some columns of a row of pixels from what was seen in so many instants.
+    """Fill the cells of some columns of a row of pixels from integrals over so many instants.
 
-    ``kept`` is that row's place in ``seen.blurred``; ``room`` holds rows in work: what is mixed of pixels'
-    weights, of their own cosines, the cells, and the means down each column of points.
+    ``kept`` is that row's place in ``integrals.blurred``. ``room`` holds rows in work: mixed weights of
+    pixels, mixed cosines of their own, the cells, and the means down each column of nodes.
     """
-    points, (least, span) = looks.points, looks.light
-    pitch, n_points = points.means.shape
+    nodes, (least, span) = quadrature.nodes, quadrature.light
+    pitch, n_nodes = nodes.means.shape
     begin, n, half = np.uint64(first), np.uint64(end - first), np.float32(0.5)
     for i in range(pitch):
-        _mix_rows(looks.borders, i, seen.opened, p, first, end - first + 2, room, 0)
-        _mix_rows(points.borders, i, seen.alone, p, first, end - first + 2, room, 1)
-        for b in range(n_points):
-            from_row = (kept * n_points + b) * n_points
-            _mean_rows(points.means, i, seen.blurred, from_row, first, end - first, room, 3 + b)
+        _mix_rows(quadrature.borders, i, integrals.opened, p, first, end - first + 2, room, 0)
+        _mix_rows(nodes.borders, i, integrals.alone, p, first, end - first + 2, room, 1)
+        for b in range(n_nodes):
+            from_row = (kept * n_nodes + b) * n_nodes
+            _mean_rows(nodes.means, i, integrals.blurred, from_row, first, end - first, room, 3 + b)
         for k in range(pitch):
-            _mean_rows(points.means, k, room, 3, 0, end - first, room, 2)
-            before, own, after = looks.borders[k, 0], looks.borders[k, 1], looks.borders[k, 2]
-            left, middle, right = points.borders[k, 0], points.borders[k, 1], points.borders[k, 2]
+            _mean_rows(nodes.means, k, room, 3, 0, end - first, room, 2)
+            before, own, after = quadrature.borders[k, 0], quadrature.borders[k, 1], quadrature.borders[k, 2]
+            left, middle, right = nodes.borders[k, 0], nodes.borders[k, 1], nodes.borders[k, 2]
             for u in range(n):
                 mixed = before * room[0, u] + own * room[0, u + 1] + after * room[0, u + 2]
                 alone = left * room[1, u] + middle * room[1, u + 1] + right * room[1, u + 2]
-                # No rim is darker than any pixel could be: there are not points enough to see that.
+                # No edge is darker than a dark pixel: the nodes are too few to show that.
                 least_of, span_of = least[begin + u], half * span[begin + u]
                 room[2, u] = max(mixed + span_of * (alone - room[2, u]), instants * least_of)
             # Apart from the sums: a loop whose places lie apart is not vectorised.
@@ -225,8 +229,8 @@ def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Fl
     for r in range(gamma.shape[0]):
         for u in range(gamma.shape[1]):
             target[r, u] = drive[levels[r, u]]
-            way = gamma[r, u] - target[r, u]
-            step[r, u] = way if abs(way) > _SETTLED_RAD else np.float32(0)
+            step_rad = gamma[r, u] - target[r, u]
+            step[r, u] = step_rad if abs(step_rad) > _SETTLED_RAD else np.float32(0)
 
 
 @compiled(fastmath=True, makes_arrays=False)
