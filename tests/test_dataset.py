@@ -20,7 +20,7 @@ from optsim.dataset.consistency import consistency
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.filters import content
 from optsim.dataset.regenerating import regenerate
-from optsim.dataset.sources import carried, hashes
+from optsim.dataset.sources import bundled, hashes
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
 from optsim.experiment.experiment import load_experiment
@@ -272,7 +272,7 @@ def test_a_number_that_was_not_measured_is_outside():
 
 
 def test_other_filters_are_a_build_of_the_same_spec(folder):
-    first, files = carried(spec_of(), folder)
+    first, files = bundled(spec_of(), folder)
     write_json(folder / "spec.json", first.model_dump(mode="json") | {"sources": hashes(files)})
     strict = spec_of(filter={"moving_share": [0.01, 1]})
     own(folder, strict)

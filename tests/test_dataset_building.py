@@ -21,7 +21,7 @@ from optsim.dataset.building import finish, own, tasks_of
 from optsim.dataset.exports import EXPORTS
 from optsim.dataset.forecast import Forecast
 from optsim.dataset.regenerating import regenerate
-from optsim.dataset.sources import carried, carry, check_sources, hashes, inside
+from optsim.dataset.sources import bundled, carry, check_sources, hashes, inside
 from optsim.dataset.spec import check_spec, remarks
 from optsim.dataset.verify import statistics, verify
 
@@ -243,7 +243,7 @@ def test_a_build_does_not_go_on_with_other_files(home, tmp_path):
 
 
 def test_a_shipped_scene_that_changed_is_refused_by_name(tmp_path):
-    _, files = carried(spec_of(), tmp_path)
+    _, files = bundled(spec_of(), tmp_path)
     known = hashes(files)
     carry(files, tmp_path)
     check_sources(tmp_path, known)
@@ -256,10 +256,10 @@ def test_scenes_of_one_name_or_of_any_size_are_refused(home, tmp_path, monkeypat
     shutil.copytree(home / "house", home / "b/house")
     scenes = {str(home / "house"): ("0",), str(home / "b/house"): ("1",)}
     with pytest.raises(ConfigError, match="got two folders named 'house'"):
-        carried(spec_of(scenes=scenes, split={}), tmp_path / "set")
+        bundled(spec_of(scenes=scenes, split={}), tmp_path / "set")
     monkeypatch.setattr("optsim.dataset.sources._MOST_BYTES", 10)
     with pytest.raises(ConfigError, match=r"house has .* GB, expected at most"):
-        carried(spec_of(scenes={str(home / "house"): ("0",)}, split={}), tmp_path / "set")
+        bundled(spec_of(scenes={str(home / "house"): ("0",)}, split={}), tmp_path / "set")
 
 
 def test_listing_a_thousand_sequences_takes_no_scene_each(tmp_path):

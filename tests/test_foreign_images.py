@@ -400,7 +400,7 @@ SAYS = {
 @pytest.mark.parametrize("name", SAYS)
 def test_a_png_says_its_curve(name: str, tmp_path: Path) -> None:
     extra, curve = SAYS[name]
-    assert open_recording(png(tmp_path / "a.png", extra)).says.curve == curve
+    assert open_recording(png(tmp_path / "a.png", extra)).declared.curve == curve
 
 
 def test_a_curve_that_is_not_the_stated_one_is_refused(tmp_path: Path) -> None:
@@ -422,12 +422,12 @@ def test_luminance_of_other_primaries_is_not_bt709s(tmp_path: Path) -> None:
     rgb = dict.fromkeys("RGB", LIGHT)
     wide = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
     plain = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-    assert open_recording(exr(tmp_path / "a.exr", rgb)).says == FileStatement()
-    assert open_recording(exr(tmp_path / "a.exr", rgb, chromaticities=plain)).says.primaries == "BT.709"
+    assert open_recording(exr(tmp_path / "a.exr", rgb)).declared == FileStatement()
+    assert open_recording(exr(tmp_path / "a.exr", rgb, chromaticities=plain)).declared.primaries == "BT.709"
     exr(tmp_path / "a.exr", rgb, chromaticities=wide)
     with pytest.raises(
         ConfigError, match=r"channel_weights: got 'rec709', but a.exr .* red at \(0.708, 0.292\)"
     ):
-        truth(tmp_path / "a.exr", channel_weights="rec709").source.check_says(
-            open_recording(tmp_path / "a.exr").says, "a.exr"
+        truth(tmp_path / "a.exr", channel_weights="rec709").source.check_declared(
+            open_recording(tmp_path / "a.exr").declared, "a.exr"
         )

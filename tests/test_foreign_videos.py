@@ -214,7 +214,7 @@ def test_a_film_says_its_curve_and_primaries(tmp_path: Path) -> None:
     colours = np.stack([BLOCKS // 4] * 3, axis=-1).astype(np.uint8)
     wide = {"color_trc": 16, "color_primaries": 9, "colorspace": 9}
     path = film(tmp_path / "pq.mkv", colours, codec="ffv1", pixels="yuv444p10le", given_as="rgb24", **wide)
-    assert open_recording(path).says == ("PQ", "BT.2020")
+    assert open_recording(path).declared == ("PQ", "BT.2020")
     with pytest.raises(ConfigError, match=r"--linearisation: got 'srgb', but pq.mkv .* curve PQ"):
         open_clips([path], slots=8)
     wide["color_trc"] = 8

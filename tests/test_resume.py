@@ -19,9 +19,9 @@ from optsim.experiment import job, resume
 from optsim.experiment.experiment import Experiment, experiment_path, load_experiment
 from optsim.experiment.resume import (
     UNFINISHED,
+    cached_scores,
+    cached_shot,
     keep_scores,
-    kept_scores,
-    kept_shot,
     n_shots,
     run_key,
     unfinished,
@@ -165,10 +165,10 @@ def never() -> tuple[CodedFrame, PanelState]:
 def test_shots_come_back_to_the_bit(tmp_path: Path) -> None:
     kept = unfinished(tmp_path, "key")
     for index in range(3):
-        kept_shot(kept, "one", index, code(index), lambda k=index: shot(k))
-    kept_shot(kept, "other", 0, code(0), lambda: shot(9))
+        cached_shot(kept, "one", index, code(index), lambda k=index: shot(k))
+    cached_shot(kept, "other", 0, code(0), lambda: shot(9))
     assert (n_shots(kept, ["one"]), n_shots(kept, ["one", "other"]), n_shots(kept, ["third"])) == (3, 1, 0)
-    frame, panel = kept_shot(unfinished(tmp_path, "key"), "one", 2, code(2), never)
+    frame, panel = cached_shot(unfinished(tmp_path, "key"), "one", 2, code(2), never)
     expected, after = shot(2)
     np.testing.assert_array_equal(frame.dn, expected.dn)
     np.testing.assert_array_equal(frame.code.levels, expected.code.levels)
@@ -184,17 +184,17 @@ def test_shots_come_back_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_what_another_key_kept_or_is_damaged_is_as_good_as_absent(tmp_path: Path) -> None:
-    kept_shot(unfinished(tmp_path, "key"), "one", 0, code(0), lambda: shot(0))
+    cached_shot(unfinished(tmp_path, "key"), "one", 0, code(0), lambda: shot(0))
     assert n_shots(unfinished(tmp_path, "other"), ["one"]) == 0
-    frame, _ = kept_shot(unfinished(tmp_path, "other"), "one", 0, code(0), lambda: shot(4))
+    frame, _ = cached_shot(unfinished(tmp_path, "other"), "one", 0, code(0), lambda: shot(4))
     np.testing.assert_array_equal(frame.dn, shot(4)[0].dn)
     kept = unfinished(tmp_path, "key")
     assert n_shots(kept, ["one"]) == 1
     (page,) = (tmp_path / UNFINISHED / "key").rglob("dn.npy")
     page.write_bytes(page.read_bytes()[:-10])
     assert n_shots(kept, ["one"]) == 0
-    kept_shot(kept, "one", 0, code(0), lambda: shot(1))
-    np.testing.assert_array_equal(kept_shot(kept, "one", 0, code(0), never)[0].dn, shot(1)[0].dn)
+    cached_shot(kept, "one", 0, code(0), lambda: shot(1))
+    np.testing.assert_array_equal(cached_shot(kept, "one", 0, code(0), never)[0].dn, shot(1)[0].dn)
 
 
 def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
     made = [[tally("one", k), tally("other", k), pair("other", k), spread("other", k)] for k in range(3)]
     for index in (0, 1, 2):
         keep_scores(kept, methods, index, made[index])
-    found = kept_scores(kept, methods)
+    found = cached_scores(kept, methods)
     assert len(found) == 3
     for index, (these, those) in enumerate(zip(found, made, strict=True)):
         for a, b in zip(these, those, strict=True):
@@ -227,8 +227,8 @@ def test_scores_come_back_to_the_bit(tmp_path: Path) -> None:
     # As far as they go without a gap, and of these very methods.
     second = sorted(tmp_path.rglob("0.FrameTally.sums.npy"), key=lambda path: path.stat().st_mtime_ns)[1]
     second.unlink()
-    assert len(kept_scores(kept, methods)) == 1
-    assert kept_scores(kept, [*methods, "third"]) == []
+    assert len(cached_scores(kept, methods)) == 1
+    assert cached_scores(kept, [*methods, "third"]) == []
 
 
 def test_whatever_decides_a_run_s_numbers_decides_its_key(

@@ -14,7 +14,7 @@ from optsim.study.waterfall import (
     WaterfallPlan,
     chart_rows,
     effects_of,
-    kept_orders,
+    measured_orders,
     sampled_orders,
     steps_of,
     switched_off,
@@ -78,7 +78,7 @@ def test_orders_come_with_their_reverse_and_a_refused_camera_ends_only_its_own()
     assert orders[3] == orders[2][::-1]
     found = levels(lambda off, seed: 30.0 - len(off))
     found[frozenset("bc")]["refused"] = "crosstalk: no dot"
-    kept = kept_orders(found, [("a", "b", "c"), ("c", "b", "a")])
+    kept = measured_orders(found, [("a", "b", "c"), ("c", "b", "a")])
     assert kept == [("c", "b", "a")]
     assert {row["step_db"] for row in steps_of(found, [("a", "b", "c"), ("c", "b", "a")], 2)} == {None}
 

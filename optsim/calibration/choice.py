@@ -60,7 +60,7 @@ ReadingPx = Annotated[int, Field(ge=1, le=9), AfterValidator(_with_a_middle)]
 class CalibrationChoice(NamedTuple):
     """Source of the calibration for schemes and decoders, and their readout window."""
 
-    operator: str  # bench, true, ideal, or a file (:func:`kept_file`)
+    operator: str  # bench, true, ideal, or a file (:func:`stored_file`)
     reading_px: int  # side of the readout window, CCD pixels
 
     @property
@@ -74,7 +74,7 @@ class CalibrationChoice(NamedTuple):
         return self.operator + square
 
 
-def kept_file(path: Path) -> Path:
+def stored_file(path: Path) -> Path:
     """Find the file of a stored calibration or bench record, from its own path or its folder's."""
     found = in_folder(path.expanduser())
     if not found.exists():
@@ -86,7 +86,7 @@ def kept_file(path: Path) -> Path:
     return found
 
 
-def find_kept(table: Table, folder: Path) -> None:
+def resolve_stored(table: Table, folder: Path) -> None:
     """Resolve the relative paths of calibrations from the experiment's own folder."""
     methods: object = table.get("methods")
     for each in (table, *(cast("list[object]", methods) if isinstance(methods, list) else ())):

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from optsim.calibration import Bench, Calibration, Glare, calibrate_from, read_calibration
-from optsim.calibration.choice import BENCH_FILE, CalibrationChoice, kept_file
+from optsim.calibration.choice import BENCH_FILE, CalibrationChoice, stored_file
 from optsim.calibration.glare import ring_strengths
 from optsim.calibration.sensor_noise import SensorNoise
 from optsim.camera.camera import SAMPLES_PER_PITCH, CodedCamera
@@ -183,25 +183,25 @@ def _below_clip_e(noise_e: float, smeared: bool) -> float:
     return 4 + noise_e**2 if smeared and noise_e < 2 else 4 * noise_e
 
 
-def check_kept(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
-    """Refuse, before long work, stored calibrations of another camera or invalid ones: :func:`read_kept`."""
-    for known in calibration_choices:
-        if known.file is not None:
-            read_kept(known, camera)
+def check_stored(calibration_choices: Iterable[CalibrationChoice], camera: CodedCamera) -> None:
+    """Refuse stored calibrations of another camera, or invalid ones, before long work."""
+    for choice in calibration_choices:
+        if choice.file is not None:
+            read_stored(choice, camera)
 
 
-def kept_calibration(known: CalibrationChoice, camera: CodedCamera) -> Calibration:
-    """Calibration from a file, or from a bench folder's images; errors of :func:`read_kept`."""
-    found = read_kept(known, camera)
-    return calibrate_from(found, known.reading_px) if isinstance(found, Bench) else found
+def stored_calibration(choice: CalibrationChoice, camera: CodedCamera) -> Calibration:
+    """Calibration from a file, or from a bench folder's images; errors of :func:`read_stored`."""
+    found = read_stored(choice, camera)
+    return calibrate_from(found, choice.reading_px) if isinstance(found, Bench) else found
 
 
-def read_kept(known: CalibrationChoice, camera: CodedCamera) -> Calibration | Bench:
+def read_stored(choice: CalibrationChoice, camera: CodedCamera) -> Calibration | Bench:
     """Read a stored calibration or bench whole, and refuse that of another camera."""
-    file = kept_file(Path(known.operator))
+    file = stored_file(Path(choice.operator))
     if file.name == BENCH_FILE:
         found = Bench.read(file.parent)
-        panel, ccd, reading_px = found.panel_shape, found.darks.shape[1:], known.reading_px
+        panel, ccd, reading_px = found.panel_shape, found.darks.shape[1:], choice.reading_px
     else:
         found = read_calibration(file)
         panel, ccd, reading_px = found.shape, found.ccd_shape, found.reading_px
@@ -222,9 +222,9 @@ def read_kept(known: CalibrationChoice, camera: CodedCamera) -> Calibration | Be
             f"{where}: got slots of {found.slot_s:g} s, expected {camera.slot_s:g} s as the experiment's "
             "camera has; cure: name a calibration of this camera, or correct camera"
         )
-    if reading_px != known.reading_px:
+    if reading_px != choice.reading_px:
         raise ConfigError(
-            f"reading_px: got {known.reading_px}, expected {reading_px} as {where} is of; set reading_px = "
+            f"reading_px: got {choice.reading_px}, expected {reading_px} as {where} is of; set reading_px = "
             f"{reading_px}, or name another calibration"
         )
     return found

@@ -24,7 +24,7 @@ from optsim.dataset.contact_sheet import write_contact_sheet, write_histograms
 from optsim.dataset.filters import DROPPED, content, drop, lines, take_back
 from optsim.dataset.reading import ARRAYS, CARD, MANIFEST, Dataset, Sample
 from optsim.dataset.sequence import make_sequence
-from optsim.dataset.sources import carried, carry, check_sources, hashes, inside
+from optsim.dataset.sources import bundled, carry, check_sources, hashes, inside
 from optsim.dataset.spec import DatasetSpec, check_spec
 from optsim.dataset.verify import statistics
 from optsim.experiment.run_folder import libraries
@@ -177,7 +177,7 @@ def _make(
 def own(folder: Path, spec: DatasetSpec) -> tuple[DatasetSpec, dict[str, str]]:
     """Write a spec into its folder with its sources, whose hashes follow; refuse another's folder."""
     check_spec(spec)
-    spec, files = carried(spec, folder)
+    spec, files = bundled(spec, folder)
     sources, path = hashes(files), folder / _SPEC
     table = spec.model_dump(mode="json") | {"sources": sources}
     with claimed_file(path):

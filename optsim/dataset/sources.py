@@ -17,7 +17,7 @@ from contextlib import chdir, contextmanager, suppress
 from pathlib import Path
 from typing import cast
 
-from optsim.calibration.choice import BENCH_FILE, find_kept, in_folder
+from optsim.calibration.choice import BENCH_FILE, in_folder, resolve_stored
 from optsim.core.config import read_toml
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import atomic, content_hash
@@ -43,7 +43,7 @@ def inside(folder: Path) -> Generator[None]:
         yield
 
 
-def carried(spec: DatasetSpec, folder: Path) -> tuple[DatasetSpec, dict[str, Content]]:
+def bundled(spec: DatasetSpec, folder: Path) -> tuple[DatasetSpec, dict[str, Content]]:
     """Return a spec whose paths start at its set's folder, and the content of the files that they name."""
     found: dict[str, Content] = {}
     found[_EXPERIMENT] = _experiment(spec.experiment, folder, found)
@@ -110,7 +110,7 @@ def _experiment(name: str, folder: Path, found: dict[str, Content]) -> bytes:
     """Text of an experiment in which carried files, which are added, stand for those that it names."""
     path = experiment_path(name)
     text, table, meant = path.read_text(encoding="utf-8-sig"), read_toml(path), read_toml(path)
-    find_kept(meant, path.parent)
+    resolve_stored(meant, path.parent)
     for said, there in dict(zip(_texts(table), _texts(meant), strict=True)).items():
         file = Path()
         # Most texts are no file names, and some cannot be.

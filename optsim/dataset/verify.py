@@ -33,8 +33,8 @@ def verify(dataset: Dataset, progress: Progress = silent) -> list[str]:
         elif path.stat().st_size != record["bytes"] or content_hash(path) != record["sha256"]:
             found.append(f"{record['path']}: changed")
         progress("verify", number, len(listed))
-    carried = {place: each for place, each in dataset.card.get("sources", {}).items() if SHIPPED not in place}
-    beside = {**carried, **dataset.card.get("documents", {})}
+    bundled = {place: each for place, each in dataset.card.get("sources", {}).items() if SHIPPED not in place}
+    beside = {**bundled, **dataset.card.get("documents", {})}
     for place, sha256 in beside.items():
         path = dataset.folder / place
         if not path.is_file() or content_hash(path) != sha256:

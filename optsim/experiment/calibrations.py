@@ -11,7 +11,7 @@ from optsim.calibration import Bench, Calibration
 from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.bench_calibration import bench_calibration
 from optsim.camera.laboratory import measure_bench
-from optsim.camera.true_calibration import ideal_calibration, kept_calibration, true_calibration
+from optsim.camera.true_calibration import ideal_calibration, stored_calibration, true_calibration
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
 
@@ -48,7 +48,7 @@ def _calibrations(experiment: Experiment, wanted: Sequence[CalibrationChoice]) -
 
     def make(choice: CalibrationChoice) -> Calibration:
         if choice.file is not None:
-            return kept_calibration(choice, camera)
+            return stored_calibration(choice, camera)
         if choice.operator == "true":
             return true_calibration(camera, choice.reading_px)
         if choice.operator == "ideal":

@@ -12,7 +12,7 @@ from typing import cast
 from pydantic import Field, model_validator
 
 from optsim.calibration import Calibration
-from optsim.calibration.choice import CalibrationChoice, Operator, ReadingPx, find_kept, widest_reading
+from optsim.calibration.choice import CalibrationChoice, Operator, ReadingPx, resolve_stored, widest_reading
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import drifted
 from optsim.camera.table import check_hardware, find_files, on_hardware
@@ -337,7 +337,7 @@ def load_experiment(
         raise ConfigError(f"assignments: got {assignments!r}, expected a list of such texts; put it in []")
     path = experiment_path(name_or_path)
     table = read_toml(path)
-    find_kept(table, path.parent)
+    resolve_stored(table, path.parent)
     find_files(table, path.parent)
     table = merged(override(table, list(assignments)), keys)
     if seed is not None:

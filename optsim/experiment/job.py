@@ -15,7 +15,7 @@ import numpy as np
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.laboratory import check_panel
-from optsim.camera.true_calibration import check_kept, ideal_calibration
+from optsim.camera.true_calibration import check_stored, ideal_calibration
 from optsim.core.cache import Cache
 from optsim.core.errors import StorageError
 from optsim.core.files import writable_folder, write_exr, write_json
@@ -31,7 +31,7 @@ from optsim.experiment.figures import SHOWN_LAST, Figures
 from optsim.experiment.loop import LightLevel, capture, decode, planned, set_light
 from optsim.experiment.object_masks import object_masks
 from optsim.experiment.readings import bench_readings
-from optsim.experiment.resume import UNFINISHED, keep_scores, kept_scores, n_shots, unfinished
+from optsim.experiment.resume import UNFINISHED, cached_scores, keep_scores, n_shots, unfinished
 from optsim.experiment.run_folder import (
     RESULTS,
     commit,
@@ -65,7 +65,7 @@ def check(experiment: Experiment, folder: Path | None, backend: str | None) -> d
     check_truth(experiment)
     if any(choice.operator == "bench" for choice in experiment.calibration_choices):
         check_panel(experiment.camera)
-    check_kept(experiment.calibration_choices, experiment.camera)
+    check_stored(experiment.calibration_choices, experiment.camera)
     experiment.check_methods(
         {
             choice: ideal_calibration(experiment.camera, choice.reading_px)
@@ -146,13 +146,13 @@ def _execute(
     if any(method.scheme.kind == "motion_adaptive" for method in experiment.methods):
         with watch.stage("object masks"):
             objects = object_masks(experiment, backend=backend, progress=progress)
-    kept = unfinished(folder, key)
+    cache = unfinished(folder, key)
     experiment, names = modelled, [method.name for method in experiment.methods]
-    captured = n_shots(kept, names)
+    captured = n_shots(cache, names)
     with watch.stage("capture"):
         camera, light = set_light(experiment, radiance, calibrations[experiment.calibration_choice])
         truth = camera.form_image(radiance)
-        frames = capture(experiment, camera, truth, calibrations, progress, kept)
+        frames = capture(experiment, camera, truth, calibrations, progress, cache)
         write_frames(folder, frames)
         write_checksums(folder)
     scorer = Scorer(experiment, camera, truth, radiance)
@@ -160,7 +160,7 @@ def _execute(
     figures = Figures(experiment, scorer, saturation_dn)
     decode_s = dict.fromkeys(names, 0.0)
     # A report shows the last frame, and the worst one of those scored.
-    scored = kept_scores(kept, names)[: max(0, experiment.n_frames - SHOWN_LAST)]
+    scored = cached_scores(cache, names)[: max(0, experiment.n_frames - SHOWN_LAST)]
     for scores in scored:
         scorer.recall(scores)
     again = () if figures.worst is None else (figures.worst,)
@@ -176,7 +176,7 @@ def _execute(
                 decode_s[name] += decoded.seconds[name]
                 if name in experiment.save_reconstructions:
                     write_reconstruction(folder, name, video, camera.irradiance_per_radiance)
-            keep_scores(kept, names, decoded.index, scores)
+            keep_scores(cache, names, decoded.index, scores)
             progress("decode", decoded.index + 1, experiment.n_frames)
     with watch.stage("noise ceiling"):
         ceiling = scorer.noise_ceiling(progress)

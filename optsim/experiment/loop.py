@@ -31,7 +31,7 @@ from optsim.core.quantities import (
 from optsim.core.random_streams import stream
 from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment, Method
-from optsim.experiment.resume import kept_shot
+from optsim.experiment.resume import cached_shot
 from optsim.experiment.truth import given
 from optsim.optics.integrate import cell_means
 
@@ -120,7 +120,7 @@ def shots(
     camera: CodedCamera,
     truth: IrradianceVideo,
     calibration: Calibration,
-    kept: Cache | None = None,
+    cache: Cache | None = None,
     expose: Expose | None = None,
 ) -> Iterator[Shot]:
     """Take the coded frames of one method, each on demand; arguments as in :func:`capture`."""
@@ -135,7 +135,7 @@ def shots(
         code, state = method.scheme.next(index, arrived, state)
         photons = stream(experiment.seed, "shot", method.name, index)
         take = partial(expose or camera.expose, truth, index, code, before, photons)
-        frame, panel = kept_shot(kept, method.name, index, code, take)
+        frame, panel = cached_shot(cache, method.name, index, code, take)
         frames.append(frame)
         yield Shot(frame, before)
 
@@ -146,7 +146,7 @@ def capture(
     truth: IrradianceVideo,
     calibrations: Calibrations,
     progress: Progress = silent,
-    kept: Cache | None = None,
+    cache: Cache | None = None,
     expose: Expose | None = None,
 ) -> Frames:
     """Take all coded frames of all methods, frame by frame in lockstep so that truth is computed once.
@@ -163,7 +163,7 @@ def capture(
         Calibrations of the schemes, from :func:`calibrate_all`.
     progress : Progress
         Called after each coded frame.
-    kept : Cache, optional
+    cache : Cache, optional
         Cache of an earlier stopped run of the same experiment; each frame is stored there.
     expose : callable, optional
         Takes each frame instead of the camera, with the same result.
@@ -174,7 +174,7 @@ def capture(
         Method name -> its coded frames.
     """
     running = {
-        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], kept, expose)
+        m.name: shots(experiment, m, camera, truth, calibrations[experiment.choice_of(m)], cache, expose)
         for m in experiment.methods
     }
     frames: dict[str, list[CodedFrame]] = {name: [] for name in running}

@@ -37,15 +37,15 @@ def unfinished(folder: Path, key: str) -> Cache:
     return Cache(folder / UNFINISHED / key, math.inf)
 
 
-def kept_shot(
-    kept: Cache | None,
+def cached_shot(
+    cache: Cache | None,
     method: str,
     index: int,
     code: ExposureCode,
     take: Callable[[], tuple[CodedFrame, PanelState]],
 ) -> tuple[CodedFrame, PanelState]:
     """Read a coded frame and the panel after it, or take and store them."""
-    if kept is None:
+    if cache is None:
         return take()
 
     def arrays() -> Arrays:
@@ -59,17 +59,17 @@ def kept_shot(
         }
 
     # In memory: the folder is deleted when the run is done.
-    found = {name: np.array(array) for name, array in kept.get(_shot_key(method, index), arrays).items()}
+    found = {name: np.array(array) for name, array in cache.get(_shot_key(method, index), arrays).items()}
     frame = CodedFrame(index, found["dn"], code, int(found["negative_light"]))
     return frame, PanelState(found["retardance_rad"], found["levels"], int(found["slots_displayed"]))
 
 
-def n_shots(kept: Cache, methods: Sequence[str]) -> int:
+def n_shots(cache: Cache, methods: Sequence[str]) -> int:
     """Count the coded frames, from the first on, that all methods have taken."""
-    return kept.n_first(_shot_key(method, index) for index in count() for method in methods) // len(methods)
+    return cache.n_first(_shot_key(method, index) for index in count() for method in methods) // len(methods)
 
 
-def keep_scores(kept: Cache, methods: Sequence[str], index: int, scores: FrameScores) -> None:
+def keep_scores(cache: Cache, methods: Sequence[str], index: int, scores: FrameScores) -> None:
     """Store the scores of a coded frame of all methods."""
     arrays = {
         f"{methods.index(tally.method)}.{type(tally).__name__}.{name}": np.asarray(value)
@@ -77,13 +77,13 @@ def keep_scores(kept: Cache, methods: Sequence[str], index: int, scores: FrameSc
         for name, value in vars(tally).items()
         if name not in ("method", "index")
     }
-    kept.get(_scores_key(methods, index), lambda: arrays)
+    cache.get(_scores_key(methods, index), lambda: arrays)
 
 
-def kept_scores(kept: Cache, methods: Sequence[str]) -> list[FrameScores]:
+def cached_scores(cache: Cache, methods: Sequence[str]) -> list[FrameScores]:
     """Read the stored scores of consecutive coded frames, from the first on."""
-    n = kept.n_first(_scores_key(methods, index) for index in count())
-    return [_scores(kept.read(_scores_key(methods, index)), methods, index) for index in range(n)]
+    n = cache.n_first(_scores_key(methods, index) for index in count())
+    return [_scores(cache.read(_scores_key(methods, index)), methods, index) for index in range(n)]
 
 
 def _scores(arrays: Arrays, methods: Sequence[str], index: int) -> FrameScores:

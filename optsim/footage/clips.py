@@ -170,8 +170,8 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
     """State the meaning of stored values; training does not depend on radiance and time."""
     name, whole = recording.files[0].name, "int" in recording.dtype
     encoded = (whole and recording.bits <= 8) or recording.files[0].suffix.lower() in VIDEOS
-    if recording.says.curve is not None:
-        encoded = recording.says.curve != "linear"
+    if recording.declared.curve is not None:
+        encoded = recording.declared.curve != "linear"
     curve = linearisation or ("srgb" if encoded else "linear")
     if curve == "srgb" and not whole:
         raise ConfigError(
@@ -197,5 +197,5 @@ def _source(recording: Recording, linearisation: Linearisation | None, black_lev
     source = FootageSource(**stated)
     with naming(_OPTIONS):
         # Other primaries change the weights of colours, not the motion and texture that are learned.
-        source.check_says(recording.says._replace(primaries=None), name)
+        source.check_declared(recording.declared._replace(primaries=None), name)
     return source

@@ -51,10 +51,10 @@ def read_pictures(
     with naming({"source.footage.path": said, "source.footage.key": said, "source.footage.axes": said}):
         recording = open_recording(path)
         pictures = np.stack(list(recording.read(0)))
-    if light and recording.says.curve not in (None, "linear"):
+    if light and recording.declared.curve not in (None, "linear"):
         raise ValueCheckError(
-            f"{said}: {path} says that its values follow the curve {recording.says.curve}, expected linear "
-            "ones; cure: convert it, or remove what it says"
+            f"{said}: {path} says that its values follow the curve {recording.declared.curve}, expected "
+            "linear ones; cure: convert it, or remove what it says"
         )
     if pictures.shape[3] != 1:
         raise ValueCheckError(f"{said}: {path} has {pictures.shape[3]} channels, expected grey pictures")

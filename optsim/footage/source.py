@@ -108,7 +108,7 @@ class FootageSource(Part):
             raise ValueError(f"channel_weights: got {weights}; expected weights >= 0, not all zero")
         return self
 
-    def check_says(self, says: FileStatement, name: str) -> None:
+    def check_declared(self, declared: FileStatement, name: str) -> None:
         """Refuse a statement that the file itself contradicts.
 
         Raises
@@ -116,17 +116,17 @@ class FootageSource(Part):
         ConfigError
             When the file states another curve, or primaries whose luminance isn't BT.709's.
         """
-        curve, stated = says.curve, self.linearisation
+        curve, stated = declared.curve, self.linearisation
         if curve in _OTHER_CURVES or (curve and (curve == "linear") != (stated == "linear")):
             cure = f"linearisation = '{'linear' if curve == 'linear' else 'srgb'}', or remove what it says"
             raise ConfigError(
                 f"source.footage.linearisation: got '{stated}', but {name} says that its values follow the "
                 f"curve {curve}; cure: {'convert it to linear values' if curve in _OTHER_CURVES else cure}"
             )
-        if self.channel_weights == "rec709" and says.primaries not in (None, "BT.709"):
+        if self.channel_weights == "rec709" and declared.primaries not in (None, "BT.709"):
             raise ConfigError(
                 f"source.footage.channel_weights: got 'rec709', but {name} says that its colours are "
-                f"{says.primaries}; cure: the weights of their luminance, one a channel"
+                f"{declared.primaries}; cure: the weights of their luminance, one a channel"
             )
 
     def weights(self, n_channels: int) -> Doubles:

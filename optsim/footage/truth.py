@@ -131,7 +131,7 @@ class FootageTruth:
                 f"source.footage.full_scale: missing; the footage holds {held.dtype}: state the value that "
                 "means a signal of 1 (65535 for all of 16 bits and for videos, 16383 for 14 bits kept in 16)"
             )
-        stated.check_says(held.says, held.files[0].name)
+        stated.check_declared(held.declared, held.files[0].name)
         highest = float(np.iinfo(held.dtype).max) if "int" in held.dtype else np.inf
         decoded = held.bits < 8 * np.dtype(held.dtype).itemsize
         if stated.full_scale and (stated.full_scale > highest or (decoded and stated.full_scale != highest)):

@@ -73,17 +73,17 @@ class KeyPoseLight:
         around the picture; other paths are left out.
         """
         with np.errstate(invalid="ignore"):
-            kept = np.flatnonzero((abs(row) < 2 * self.size[0]) & (abs(col) < 2 * self.size[1]))
-        corner, size, first, at = (0, 0), (0, 0), np.zeros(1, np.int64), kept
-        if len(kept):
-            half = np.searchsorted(self.first, kept, "right") > self.size[0] * self.size[1]
-            y, x = (np.floor(place[kept]).astype(np.int64) for place in (row, col))
+            retained = np.flatnonzero((abs(row) < 2 * self.size[0]) & (abs(col) < 2 * self.size[1]))
+        corner, size, first, at = (0, 0), (0, 0), np.zeros(1, np.int64), retained
+        if len(retained):
+            half = np.searchsorted(self.first, retained, "right") > self.size[0] * self.size[1]
+            y, x = (np.floor(place[retained]).astype(np.int64) for place in (row, col))
             corner = int(y.min()), int(x.min())
             size = int(y.max()) + 1 - corner[0], int(x.max()) + 1 - corner[1]
             sample = (half * size[0] + y - corner[0]) * size[1] + x - corner[1]
             order = np.argsort(sample, kind="stable")
             first = np.searchsorted(sample[order], np.arange(2 * size[0] * size[1] + 1))
-            at = kept[order]
+            at = retained[order]
         return KeyPoseLight(
             corner, size, first, self.shape[at], self.depth_m[at], self.albedo[at], self.light[at]
         )

@@ -78,8 +78,8 @@ def measured(stage: Stage, point: Point) -> PointScores:
         made.append(found.work)
         return _arrays(found)
 
-    kept = Cache().get(key, make)
-    found = _measured_of(kept)
+    retained = Cache().get(key, make)
+    found = _measured_of(retained)
     return replace(found, work=made[0] if made else {"points_found": 1})
 
 

@@ -142,7 +142,7 @@ def waterfall(
     levels = {frozenset(result["off"]): result for result in record["results"].values()}
     refused = {result["key"]: result["refused"] for result in levels.values() if result["refused"]}
     rows = steps_of(levels, orders, n_seeds)
-    found = {**record, "refused": refused, "kept_orders": len(kept_orders(levels, orders))}
+    found = {**record, "refused": refused, "measured_orders": len(measured_orders(levels, orders))}
     write_table(place.folder, found, rows)
     return {**found, "rows": rows}
 
@@ -151,7 +151,7 @@ Levels = dict[frozenset[str], Any]
 """Effects that are off -> what was measured."""
 
 
-def kept_orders(levels: Levels, orders: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+def measured_orders(levels: Levels, orders: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Return the orders all of whose cameras could be measured."""
     return [
         order
@@ -165,8 +165,8 @@ def kept_orders(levels: Levels, orders: Sequence[tuple[str, ...]]) -> list[tuple
 
 def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) -> list[dict[str, Any]]:
     """Return the waterfall's steps and the fair shares, a row a method, region and effect."""
-    kept = kept_orders(levels, orders)
-    if not kept:
+    retained = measured_orders(levels, orders)
+    if not retained:
         return []
     names, rows = orders[0], list[dict[str, Any]]()
     keys = [(method, region) for method, region, value in levels[frozenset()]["db"][0] if value is not None]
@@ -175,7 +175,7 @@ def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) ->
         if any(None in values for values in db.values()):
             continue
         steps: dict[str, list[list[float]]] = {name: [] for name in names}
-        for order in kept:
+        for order in retained:
             places = [db[frozenset(order[on:])] for on in range(len(order) + 1)]
             for name, (before, after) in zip(order, pairwise(places), strict=True):
                 steps[name].append([b - a for a, b in zip(before, after, strict=True)])
@@ -183,8 +183,10 @@ def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) ->
         total = student([b - a for a, b in zip(ideal, nominal, strict=True)])
         for at, name in enumerate(names):
             # Over seeds, the mean over orders of each: seeds are independent, orders of one seed are not.
-            share = student([sum(each[seed] for each in steps[name]) / len(kept) for seed in range(n_seeds)])
-            step = student(steps[name][0]) if kept[0] == orders[0] else None
+            share = student(
+                [sum(each[seed] for each in steps[name]) / len(retained) for seed in range(n_seeds)]
+            )
+            step = student(steps[name][0]) if retained[0] == orders[0] else None
             over_orders = [sum(each) / n_seeds for each in steps[name]]
             rows.append(
                 {
@@ -198,7 +200,7 @@ def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) ->
                     "share_half": share.half,
                     "least_db": min(over_orders),
                     "most_db": max(over_orders),
-                    "orders": len(kept),
+                    "orders": len(retained),
                     "seeds": n_seeds,
                     "ideal_db": sum(ideal) / n_seeds,
                     "nominal_db": sum(nominal) / n_seeds,

@@ -88,7 +88,8 @@ def write_waterfall_page(folder: Path, record: dict[str, Any]) -> None:
         said = [f"without {off}: {why}" for off, why in record["refused"].items()]
         sections.append(Section("Refused", ["Orders with these cameras are left out."], [listed(said)]))
     about = [
-        f"Step: switched on in the order of the table of effects. Share: mean over {record['kept_orders']} "
+        f"Step: switched on in the order of the table of effects. Share: mean over "
+        f"{record['measured_orders']} "
         "orders, each with its reverse; least and most are its steps in single orders.",
         "Intervals are over seeds. They leave out that the orders are a sample.",
         *(f"{name}: {ALL[name].what}." for name in record["plan"]["names"]),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from optsim.calibration import Bench, calibrate_from, read_calibration
-from optsim.calibration.choice import BENCH_FILE, CALIBRATION_FILE, ReadingPx, kept_file
+from optsim.calibration.choice import BENCH_FILE, CALIBRATION_FILE, ReadingPx, stored_file
 from optsim.core.config import Part, build, override, read_toml
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.files import content_hash
@@ -177,7 +177,7 @@ def read_measurement(files: MeasurementFiles) -> Measurement:
     elif files.sensor != Sensor():
         raise ConfigError("sensor: got one and a bench or a calibration, which says all of it; remove one")
     else:
-        file = Path(files.bench) / BENCH_FILE if files.bench else kept_file(Path(files.calibration or ""))
+        file = Path(files.bench) / BENCH_FILE if files.bench else stored_file(Path(files.calibration or ""))
         found = _on_a_camera(file, files.reading_px, images, codes, moving, truth)
     return replace(found, origin=_origin(files))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optsim.calibration import read_calibration
 from optsim.calibration.choice import CalibrationChoice
-from optsim.camera.true_calibration import kept_calibration
+from optsim.camera.true_calibration import stored_calibration
 from optsim.core.config import Table, build
 from optsim.core.errors import ConfigError, StorageError, unknown_name
 from optsim.core.files import read_record
@@ -60,7 +60,7 @@ def read_run(folder: Path, method: str | None, calibration: Path | None = None) 
         found = read_calibration(kept)
     else:
         choice = CalibrationChoice(str(calibration), choice.reading_px)
-        found = kept_calibration(choice, camera)
+        found = stored_calibration(choice, camera)
     origin = {
         "run": str(folder),
         "method": chosen.name,

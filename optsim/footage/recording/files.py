@@ -54,12 +54,12 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
     if len(files) == 1 and suffix in (".tif", ".tiff"):
         return tiff.tiff_stack(files[0])
     if suffix == ".exr":
-        read, says = partial(images.exr, key=key), images.exr_says(files[0], key)
+        read, declared = partial(images.exr, key=key), images.exr_statement(files[0], key)
     elif suffix == ".png":
-        read, says = images.png, images.png_says(files[0])
+        read, declared = images.png, images.png_statement(files[0])
     else:
-        read, says = tiff.tiff, tiff.tiff_stack(files[0]).says
-    return as_recording(files, len(files), lambda first: map(read, files[first:]), says=says)
+        read, declared = tiff.tiff, tiff.tiff_stack(files[0]).declared
+    return as_recording(files, len(files), lambda first: map(read, files[first:]), declared=declared)
 
 
 @contextmanager

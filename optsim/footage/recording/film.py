@@ -51,7 +51,7 @@ class Recording:
         Original bits of a stored value: those of a video are decoded to 16.
     frames : callable
         First frame -> iterator over the frames from there, each an array of ``shape``.
-    says : Says
+    declared : FileStatement
         Statements of the files on their values.
     """
 
@@ -61,7 +61,7 @@ class Recording:
     dtype: str
     bits: int
     frames: Callable[[int], Iterator[Pixels]]
-    says: FileStatement = _NOTHING_SAID
+    declared: FileStatement = _NOTHING_SAID
 
     def where(self, frame: int) -> str:
         """File and number of a frame, which identify it in messages and elsewhere."""
@@ -97,7 +97,7 @@ def as_recording(
     n_frames: int,
     frames: Callable[[int], Iterator[Pixels]],
     bits: int | None = None,
-    says: FileStatement = _NOTHING_SAID,
+    declared: FileStatement = _NOTHING_SAID,
 ) -> Recording:
     """Make a recording from its reader, after a check of the first frame."""
     first = next(frames(0), None)
@@ -107,7 +107,7 @@ def as_recording(
         raise ValueCheckError(f"{files[0]} holds {first.dtype.name}; expected one of {', '.join(_DTYPES)}")
     rows, cols, channels = (int(n) for n in first.shape)
     bits = bits or 8 * first.dtype.itemsize
-    return Recording(files, n_frames, (rows, cols, channels), first.dtype.name, bits, frames, says)
+    return Recording(files, n_frames, (rows, cols, channels), first.dtype.name, bits, frames, declared)
 
 
 def with_channels(values: Pixels) -> Pixels:

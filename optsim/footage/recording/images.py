@@ -22,7 +22,7 @@ def exr(path: Path, key: str | None) -> Pixels:
     return np.stack([channels[name] for name in names], axis=-1)
 
 
-def exr_says(path: Path, key: str | None) -> FileStatement:
+def exr_statement(path: Path, key: str | None) -> FileStatement:
     """Return the primaries that the chosen part states."""
     part, _ = _chosen(path, exr_parts(path), key)
     declared = part.header.get("chromaticities")
@@ -36,7 +36,7 @@ def png(path: Path) -> Pixels:
     return with_channels(png_pixels(path, png_head(path)))
 
 
-def png_says(path: Path) -> FileStatement:
+def png_statement(path: Path) -> FileStatement:
     """Return the curve and primaries that the chunks state."""
     head = png_head(path)
     return FileStatement(head.curve, head.primaries)

@@ -40,7 +40,7 @@ def tiff_stack(path: Path) -> Recording:
             int(np.prod([n for n, axis in zip(s.shape, s.axes, strict=True) if axis not in "YXS"]))
             for s in tiff.series
         )
-        says = _says(tiff.pages[0].aspage())
+        declared = _statement(tiff.pages[0].aspage())
     if len(axes) > 1 or "C" in axes:
         said = ", ".join(f"{axis} ({size})" for axis, size in axes.items())
         raise StorageError(
@@ -54,10 +54,10 @@ def tiff_stack(path: Path) -> Recording:
             for index, page in enumerate(islice(tiff.pages, first, None), first):
                 yield page_pixels(f"{path}, page {index}", page.aspage(), path.stat().st_size)
 
-    return as_recording((path,), n_frames, pages, says=says)
+    return as_recording((path,), n_frames, pages, declared=declared)
 
 
-def _says(page: Any) -> FileStatement:
+def _statement(page: Any) -> FileStatement:
     """Curve and primaries that the tags TransferFunction and PrimaryChromaticities state."""
     curve = "that of tag TransferFunction" if 301 in page.tags else None
     declared = page.tags.valueof(319)

@@ -47,15 +47,15 @@ def video(path: Path) -> Recording:
         packets = [packet for packet in stored if not packet.is_discard]
         period_s = _period_s(path, packets, stream)
         length = int(container.duration / 1e6 / period_s) if container.duration and period_s else 0
-        declared = max(stream.frames - len(stored) + len(packets), length)
-        says = FileStatement(
+        frames_stated = max(stream.frames - len(stored) + len(packets), length)
+        declared = FileStatement(
             CURVES.get(int(getattr(coded, "color_trc", 0))),
             PRIMARIES.get(int(getattr(coded, "color_primaries", 0))),
         )
     n_frames = len(packets)
     # A length in time is exact to a frame at most.
-    if n_frames < declared - 1:
-        raise StorageError(f"{path} ends after {n_frames} of {declared} frames; copy it again, whole")
+    if n_frames < frames_stated - 1:
+        raise StorageError(f"{path} ends after {n_frames} of {frames_stated} frames; copy it again, whole")
 
     def frames(first: int) -> Iterator[NDArray[Any]]:
         with reading(path, _WHAT), av.open(str(path)) as container:
@@ -70,7 +70,7 @@ def video(path: Path) -> Recording:
                 if index >= first:
                     yield _turned(frame, _pixels(frame, bits, path), path)
 
-    return as_recording((path,), n_frames, frames, bits, says)
+    return as_recording((path,), n_frames, frames, bits, declared)
 
 
 def _stream(path: Path, container: Any) -> Any:
