@@ -23,7 +23,7 @@ from optsim.dataset.regenerating import regenerate
 from optsim.dataset.sources import bundled, hashes
 from optsim.dataset.spec import check_spec
 from optsim.dataset.verify import statistics, verify
-from optsim.experiment.experiment import load_experiment
+from optsim.experiment.experiment import experiment_path, load_experiment
 from optsim.render import choose_backend
 from optsim.scene import load_scene
 
@@ -353,6 +353,14 @@ def test_a_scene_and_variation_is_in_one_split_whatever_camera_or_seed():
 def test_bad_specs_are_said_before_any_work(changes, message):
     with pytest.raises(ConfigError, match=message):
         check_spec(spec_of(**changes))
+
+
+def test_a_camera_that_drifts_from_frame_to_frame_is_refused(tmp_path):
+    path = tmp_path / "going.toml"
+    going = "[drift_per_frame]\nrelay = { shift_x_px = 0.1 }\n"
+    path.write_text(experiment_path("demo").read_text(encoding="utf-8") + going, encoding="utf-8")
+    with pytest.raises(ConfigError, match="got drift_per_frame, expected one camera"):
+        check_spec(spec_of(experiment=str(path)))
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -77,6 +77,41 @@ def test_what_drifts_after_calibration_is_in_the_frames_and_decoders_do_not_know
     assert np.abs(before - after)[lit].mean() > 3 * noise
 
 
+def test_a_drift_that_goes_on_is_in_each_frame_as_if_it_had_stopped_there(small, radiance) -> None:
+    """Half a CCD pixel a frame, after a quarter: each frame is that of a camera which stands still there."""
+    one = small.model_copy(update={"methods": small.methods[1:2], "n_frames": 3})
+
+    def frames(drift_px: float, per_frame: object) -> list[np.ndarray]:
+        drift = {"relay": {"shift_x_px": drift_px}}
+        going_on = {"relay": {"shift_x_px": per_frame}} if per_frame else {}
+        changed = one.model_copy(update={"drift": drift, "drift_per_frame": going_on})
+        return [frame.dn for frame in run(changed, radiance).frames["normal"]]
+
+    found = frames(0.25, 0.5)
+    for k, dn in enumerate(found):
+        np.testing.assert_array_equal(dn, frames(0.25 + 0.5 * k, None)[k])
+    assert np.abs(found[1].astype(float) - found[2]).mean() > 1
+
+
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        ("relay.shfit_x_px=1", r"drift_per_frame: key of a number 'relay\.shfit_x_px'.*'relay\.shift_x_px'"),
+        ("relay.focus='field'", r"drift_per_frame: key of a number 'relay\.focus'"),
+        ("relay.shift_x_px=true", r"drift_per_frame\.relay\.shift_x_px: got True, expected a change a frame"),
+        ("relay.defocus_m='1 kg'", r"drift_per_frame\.relay\.defocus_m: .*kg"),
+        (
+            "relay.shift_x_px=40",
+            r"after drift of 9 times relay\.shift_x_px = 40: .* at most 162 fit when centred",
+        ),
+        ("objective.f_number=0.1", r"drift_per_frame\.objective: got one.*let the relay"),
+    ],
+)
+def test_a_drift_that_cannot_go_on_is_refused(rate: str, message: str) -> None:
+    with pytest.raises((ConfigError, GeometryError), match=message):
+        load_experiment("demo", [f"drift_per_frame.{rate}"])
+
+
 @pytest.mark.parametrize(
     ("drift", "message"),
     [

@@ -327,7 +327,11 @@ def check_spec(spec: DatasetSpec) -> None:
         kind = "number" if is_number(sequence.variation) else sequence.variation
         if (sequence.scene, kind, sequence.camera) not in checked:
             checked.add((sequence.scene, kind, sequence.camera))
-            spec.experiment_of(sequence, spec.seeds[0])
+            if spec.experiment_of(sequence, spec.seeds[0]).drift_per_frame:
+                raise ConfigError(
+                    "experiment: got drift_per_frame, expected one camera for all frames, as the arrays of a "
+                    "set describe it; fix: leave it out"
+                )
 
 
 def _check_shares(shares: Share, counts: Counter[str]) -> None:

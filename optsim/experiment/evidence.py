@@ -93,7 +93,6 @@ NOT_MODELLED: tuple[str, ...] = (
     "shading of the relay; defocus across a tilted panel; mirrors and gaps apart within a panel pixel",
     "blooming, lag, charge-transfer loss, hot pixels, fixed row or column patterns of the CCD; smear is that "
     "of the frame's own light",
-    "drift during an experiment (experiment.drift is what changes before it, after calibration)",
     "motion within a truth instant, by default a slot: up to 0.3 of a frame's noise where a white bar moves "
     "3 pixels a slot (render.instants_per_slot)",
     "errors of what the bench is told: the scale of its irradiance is exact, and so is the retardance of "

@@ -20,6 +20,7 @@ from optsim.coding import Scheme
 from optsim.core.config import Part, Table, build, flat, merged, override, read_toml
 from optsim.core.errors import ConfigError, GeometryError, unknown_name
 from optsim.core.quantities import Timing
+from optsim.experiment.drift import drifted_camera
 from optsim.experiment.method import Method
 from optsim.footage import FootageSource
 from optsim.render import RenderSettings
@@ -113,6 +114,9 @@ class Experiment(Part):
     drift
         Changes of the camera between its calibration and the first frame, as in ``camera``: for
         example ``{ relay = { shift_x_px = 0.4 } }``. The calibration leaves them out.
+    drift_per_frame
+        Change of numbers of the camera from one coded frame to the next, on top of ``drift``:
+        for example ``{ relay = { shift_x_px = 0.02 } }``.
     save_reconstructions
         Names of the methods whose reconstructed videos are written; empty for none.
     """
@@ -132,6 +136,7 @@ class Experiment(Part):
     calibration: Operator = "bench"
     reading_px: ReadingPx = 1
     drift: Table = Field(default_factory=dict)
+    drift_per_frame: Table = Field(default_factory=dict)
     light: LightRule = LightRule()
     save_reconstructions: tuple[str, ...] = ()
 
@@ -234,32 +239,15 @@ class Experiment(Part):
         for method in self.methods:
             method.check(known[self.choice_of(method)])
 
-    def at_work(self) -> CodedCamera:
-        """Camera that takes the frames: the calibrated one after its drift.
+    def at_work(self, frame: int = 0) -> CodedCamera:
+        """Camera that takes a coded frame: the calibrated one after its drift.
 
         Raises
         ------
         ConfigError
-            When ``drift`` changes an unknown key, or one that truth and calibration depend on.
+            When a drift changes an unknown key, or one that truth and calibration depend on.
         """
-        if not self.drift:
-            return self.camera
-        if "objective" in self.drift:
-            raise ConfigError(
-                "drift.objective: got one, but the truth is the light behind the objective as it is; change "
-                "camera.objective, or let the relay, splitter, modulator or sensor drift"
-            )
-        working = build(CodedCamera, merged(self.camera.model_dump(), self.drift), where="drift")
-        was, now = ((c.view, c.timing(1), c.coded_slots, c.wavelength_m) for c in (self.camera, working))
-        if was != now or (working.sensor.rows, working.sensor.cols) != (
-            self.camera.sensor.rows,
-            self.camera.sensor.cols,
-        ):
-            raise ConfigError(
-                f"drift: got {self.drift}, expected what leaves the scene's picture, the timing and the size "
-                "of the CCD as they are: truth and calibration are of those; change camera itself"
-            )
-        return working
+        return drifted_camera(self.camera, self.drift, self.drift_per_frame, frame)
 
     @property
     def timing(self) -> Timing:
@@ -356,12 +344,16 @@ def load_experiment(
     experiment = experiment.model_copy(update={"drift": drift})
     if check_geometry:
         experiment.camera.geometry().check()
-    if check_geometry and experiment.drift:
+    last = experiment.n_frames - 1 if experiment.drift_per_frame else 0
+    for frame in {0, last} if check_geometry and (experiment.drift or last) else ():
         try:
-            experiment.at_work().geometry().check()
+            experiment.at_work(frame).geometry().check()
         except GeometryError as error:
-            now = ", ".join(f"{key} = {value}" for key, value in flat(experiment.drift).items())
-            raise GeometryError(f"after drift of {now}: {error}") from None
+            now = [f"{key} = {value}" for key, value in flat(experiment.drift).items()]
+            now += [
+                f"{frame} times {key} = {value}" for key, value in flat(experiment.drift_per_frame).items()
+            ]
+            raise GeometryError(f"after drift of {', '.join(now)}: {error}") from None
     return experiment
 
 

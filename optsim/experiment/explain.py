@@ -91,6 +91,7 @@ def explanation(name_or_path: str, assignments: Sequence[str]) -> dict[str, Any]
         "calibrations": {m.name: str(experiment.choice_of(m)) for m in experiment.methods},
         "densities": {name: densities(camera, each) for name, each in mosaics(experiment).items()},
         "drift": experiment.drift,
+        "drift_per_frame": experiment.drift_per_frame,
         "noise_e": probe.noise_e if probe else None,
         "effects": [asdict(each) for each in found],
         "plan": plan_record(skipping) if skipping else None,
@@ -211,6 +212,9 @@ def show(record: dict[str, Any]) -> list[object]:
             for key, value in flat(record["drift"]).items()
         ]
         items.append(f"after calibration, unknown to decoders, the camera has: {', '.join(now)}")
+    if record["drift_per_frame"]:
+        rates = [f"{key} {value}" for key, value in flat(record["drift_per_frame"]).items()]
+        items.append(f"from frame to frame, unknown to decoders, the camera changes by: {', '.join(rates)}")
     for name, ledger in cast("dict[str, dict[str, Any]]", record["ledger"]).items():
         rows = cast("list[dict[str, Any]]", ledger["rows"])
         items.append(

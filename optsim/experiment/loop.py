@@ -134,7 +134,10 @@ def shots(
         arrived = frames[: max(0, index - camera.latency_frames + 1)]
         code, state = method.scheme.next(index, arrived, state)
         photons = stream(experiment.seed, "shot", method.name, index)
-        take = partial(expose or camera.expose, truth, index, code, before, photons)
+        now = expose or camera.expose
+        if experiment.drift_per_frame:
+            now = experiment.at_work(index).with_nd(camera.objective.nd_transmission).expose
+        take = partial(now, truth, index, code, before, photons)
         frame, panel = cached_shot(cache, method.name, index, code, take)
         frames.append(frame)
         yield Shot(frame, before)

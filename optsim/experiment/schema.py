@@ -70,7 +70,7 @@ def explain_key(path: str) -> list[str]:
             raise unknown_name("key", ".".join([*done, step]), [".".join([*done, name]) for name in names])
         done.append(step)
         abouts = [keys[step] for table in tables if step in (keys := table.get("properties", {}))]
-        if done == ["drift"]:
+        if done in (["drift"], ["drift_per_frame"]):
             # Its tables are the camera's, each key a change of it.
             tables = _tables(schema["properties"]["camera"], schema["$defs"])
             continue

@@ -129,6 +129,8 @@ def trace_experiment(
         progress("capture", index + 1, traced.frame + 1)
     shot = next(taken)
     progress("capture", traced.frame + 1, traced.frame + 1)
+    if modelled.drift_per_frame:
+        camera = modelled.at_work(traced.frame).with_nd(camera.objective.nd_transmission)
     return trace_pixel(experiment, camera, radiance, truth, shot, traced)
 
 

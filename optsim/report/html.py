@@ -112,7 +112,10 @@ def _context(results: Results) -> dict[str, object]:
         "quantity": words.quantity,
         "plus_minus": words.plus_minus,
         "flat": flat(results.experiment),
-        "drift": flat(results.experiment.get("drift", {})),
+        "drift": [
+            *flat(results.experiment.get("drift", {})),
+            *((f"{key}, a frame", each) for key, each in flat(results.experiment.get("drift_per_frame", {}))),
+        ],
         "known": _known(results),
         "certified": [s for s in results.noise_ceiling if s.phase == phase and s.value is not None],
         "n_validated": sum(row.validated for row in results.evidence),

@@ -20,7 +20,7 @@ _CAMERA = "camera."
 # Parts behind the light on the panel: what changes in them leaves the truth as it is.
 _AFTER_THE_PANEL = ("relay", "splitter", "modulator", "sensor")
 # What is known, and what is done with it: neither is of the light.
-_OF_THE_DECODER = ("calibration", "reading_px", "methods", "drift")
+_OF_THE_DECODER = ("calibration", "reading_px", "methods", "drift", "drift_per_frame")
 # Their keys that the truth depends on all the same.
 _IN_THE_TRUTH = ("camera.splitter.scene_light", "camera.splitter.azimuth_rad")
 _MOST_VALUES = 1000
