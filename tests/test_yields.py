@@ -17,14 +17,15 @@ from optsim.experiment.experiment import load_experiment
 from optsim.study.folder import Workplace
 from optsim.study.measurement import measured
 from optsim.study.parameters import ALL
+from optsim.study.point import Point, changed_only
 from optsim.study.sheets import Sheet, read_sheet
 from optsim.study.stage import frames_to_score, make_stage
+from optsim.study.yield_causes import shared_by_failures, travel_of, won_by_halving
 from optsim.study.yields import (
     YieldPlan,
     assignments_of,
     binomial_interval,
     drawn,
-    shared_by_failures,
     yields,
 )
 from optsim.study.yields_page import lead, write_yield_page
@@ -321,6 +322,58 @@ def test_a_parameter_that_does_nothing_is_seldom_blamed():
         for _ in range(400)
     ]
     assert 6 <= sum(named) <= 36
+
+
+def test_halved_limits_win_the_cameras_that_turn_good():
+    """Recomputed from the scores; the interval by its definition, a 95 % one of matched pairs."""
+    rng = np.random.default_rng(4)
+    rows = [{"db": db, "good": bool(db >= 20)} for db in rng.uniform(18, 22, 60)]
+    for row in rows:
+        row["db, half of tilt"] = row["db"] + rng.uniform(0, 2)
+        row["db, half of shift_x"] = row["db"] - 0.2
+    first, last = won_by_halving(rows, 20.0)
+    assert (first["parameter"], last["parameter"]) == ("tilt", "shift_x")
+    turned = sum(row["db"] < 20 <= row["db, half of tilt"] for row in rows)
+    assert first["gained"] == turned > 5
+    assert first["lost"] == 0 < last["lost"]
+    assert first["good"] == sum(row["good"] for row in rows) + turned
+    cells = np.array([turned + 0.5, 0.5, 61 - turned])
+    values = np.repeat((1, -1, 0), (cells * 2).astype(int))
+    half = 1.96 * values.std() / np.sqrt(62)
+    np.testing.assert_allclose(first["interval"], (values.mean() - half, values.mean() + half), rtol=1e-6)
+    assert won_by_halving(rows, None) == []
+
+
+def test_travel_is_that_of_the_keys_that_compensators_set():
+    moves = np.random.default_rng(5).normal(1e-5, 3e-5, 400)
+    rows = [{"set relay.defocus_m": move, "set black_dn": 1.0, "db": 20.0} for move in moves]
+    (found,) = travel_of([*rows, {"db": None}])
+    assert (found["key"], found["cameras"]) == ("relay.defocus_m", 400)
+    ranked = np.sort(moves)
+    assert ranked[9] <= found["low"] <= ranked[10]
+    assert ranked[389] <= found["high"] <= ranked[390]
+    assert found["largest"] == np.abs(moves).max()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("without_workers")
+def test_a_yield_halves_each_change_and_says_how_far_compensators_go(base, tmp_path):
+    chosen = plan(draws=3, mode="compensated", compensators=("focus",), halve=True)
+    record = yields(base, chosen, Workplace(tmp_path))
+    write_yield_page(tmp_path, record)
+    row = record["rows"][1]
+    stage = make_stage(base, frames_to_score(base, 1))
+    less = changed_only(base, ALL["shift_x"].changes(base, row["shift_x"] / 2))
+    again = measured(stage, Point(less, "compensated", ("focus",), base.seed + 1))
+    assert again.db["hdr_mosaic", "static"] == row["db, half of shift_x"] != row["db"]
+    (won,) = record["won_by_halving"]
+    assert won["good"] == sum(each["db, half of shift_x"] >= record["target_db"] for each in record["rows"])
+    (turned,) = record["travel"]
+    assert turned["key"] == "relay.defocus_m"
+    assert 0 < turned["largest"] < 1.5e-4
+    shown = (tmp_path / "study.html").read_text()
+    assert "Travel of the compensators" in shown
+    assert "limits half as wide" in shown
 
 
 @pytest.mark.slow

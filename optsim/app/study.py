@@ -244,6 +244,9 @@ def yield_(
     loss: Annotated[str, typer.Option(metavar="DB", help="Without --target: loss that is allowed.")] = "1dB",
     method: Annotated[str | None, typer.Option(help="Method whose score counts [the first].")] = None,
     region: Annotated[str, typer.Option(help="Region whose score counts: all, moving or static.")] = "all",
+    halve: Annotated[
+        bool, typer.Option("--halve", help="Measure what each parameter's limits half as wide win.")
+    ] = False,
     rebuild: Annotated[
         int | None, typer.Option(min=0, help="Only print the command that builds this camera again.")
     ] = None,
@@ -261,7 +264,16 @@ def yield_(
     from optsim.study.point import MODES
     from optsim.study.sheets import read_sheet
     from optsim.study.yields import YieldPlan, assignments_of, yields
-    from optsim.study.yields_page import SHARED, lead, shared_lines, write_yield_page
+    from optsim.study.yields_page import (
+        SHARED,
+        TRAVEL,
+        WON,
+        lead,
+        shared_lines,
+        travel_lines,
+        won_lines,
+        write_yield_page,
+    )
 
     whole = _base(experiment, assignments, None)
     base = _base(experiment, assignments, method or whole.methods[0].name)
@@ -284,6 +296,7 @@ def yield_(
         target_db=None if target is None else _decibels(target, "--target"),
         loss_db=_decibels(loss),
         frames=frames,
+        halve=halve,
     )
     if rebuild is not None:
         words = [f"--set {shlex.quote(each)}" for each in assignments_of(base, plan, rebuild)]
@@ -292,7 +305,16 @@ def yield_(
         return
 
     def said(record: Record) -> list[Any]:
-        return [table("What failures share", SHARED, shared_lines(record)), lead(record)]
+        return [
+            table("What failures share", SHARED, shared_lines(record)),
+            *([table("Limits half as wide", WON, won_lines(record))] if halve else []),
+            *(
+                [table("Travel of the compensators", TRAVEL, travel_lines(record))]
+                if record["travel"]
+                else []
+            ),
+            lead(record),
+        ]
 
     work = partial(yields, base, plan)
     _study(f"yield-{base.name}", out, workers, scheduler, as_json, work, write_yield_page, said)

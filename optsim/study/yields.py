@@ -10,19 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from optsim.core.errors import ConfigError, GeometryError
 from optsim.core.progress import Progress, silent
-from optsim.core.quantities import Doubles
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
-from optsim.metrics.student import CONFIDENCE, quantile
 from optsim.study.comparison import add_work
 from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import Key, measured
@@ -30,6 +25,7 @@ from optsim.study.parameters import ALL
 from optsim.study.point import Mode, Point, changed_only, experiment_at
 from optsim.study.sheets import Sheet
 from optsim.study.stage import stage_of
+from optsim.study.yield_causes import HALVED, SET_TO, shared_by_failures, travel_of, won_by_halving
 
 # Successes, and failures, added to what was counted.
 _AGRESTI = 2.0
@@ -60,6 +56,8 @@ class YieldPlan:
         See ``target_db``.
     frames : int
         Coded frames to score.
+    halve : bool
+        Whether each camera is measured again with each parameter's change halved.
     """
 
     sheet: Sheet
@@ -71,6 +69,7 @@ class YieldPlan:
     target_db: float | None
     loss_db: float = 1.0
     frames: int = 3
+    halve: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,14 +95,7 @@ def drawn(base: Experiment, sheet: Sheet, mode: Mode, compensators: tuple[str, .
     changes: dict[str, float] = {}
     while len(refused) < _MOST_DRAWS:
         changes = sheet.draw(rng)
-        keys: dict[str, Any] = {}
-        for name, change in changes.items():
-            for key, value in ALL[name].changes(base, change).items():
-                # Two parameters may change the same key.
-                keys[key] = keys[key] + value - ALL[name].changes(base, 0.0)[key] if key in keys else value
-        if mode == "known":
-            keys["camera.serial_number"] = serial_number
-        point = Point(changed_only(base, keys), mode, compensators, base.seed + camera)
+        point = _point(base, changes, mode, compensators, camera)
         try:
             experiment_at(base, point)
         except (ConfigError, GeometryError, ValueError) as error:
@@ -111,6 +103,19 @@ def drawn(base: Experiment, sheet: Sheet, mode: Mode, compensators: tuple[str, .
             continue
         return Drawn(changes, serial_number, point, tuple(refused))
     return Drawn(changes, serial_number, None, tuple(refused))
+
+
+def _point(
+    base: Experiment, changes: dict[str, float], mode: Mode, compensators: tuple[str, ...], camera: int
+) -> Point:
+    keys: dict[str, Any] = {}
+    for name, change in changes.items():
+        for key, value in ALL[name].changes(base, change).items():
+            # Two parameters may change the same key.
+            keys[key] = keys[key] + value - ALL[name].changes(base, 0.0)[key] if key in keys else value
+    if mode == "known":
+        keys["camera.serial_number"] = base.camera.serial_number + camera
+    return Point(changed_only(base, keys), mode, compensators, base.seed + camera)
 
 
 def assignments_of(base: Experiment, plan: YieldPlan, camera: int) -> list[str]:
@@ -156,6 +161,7 @@ def yields(
         "compensators": list(plan.compensators),
         "method": plan.method,
         "region": plan.region,
+        "halve": plan.halve,
     }
     tasks = [
         StudyTask(
@@ -188,6 +194,8 @@ def yields(
         "interval": binomial_interval(sum(row["good"] for row in rows), len(rows)),
         "not_built": {"draws": len(again), "cameras": len(unbuilt), "reasons": dict(Counter(again))},
         "shared": shared_by_failures(rows, plan.sheet.limits),
+        "won_by_halving": won_by_halving(rows, target),
+        "travel": travel_of(rows),
     }
     write_table(place.folder, found, rows)
     return {**found, "rows": rows}
@@ -202,60 +210,6 @@ def binomial_interval(good: int, of: int) -> tuple[float, float]:
     share = (good + _AGRESTI) / n
     half = 1.96 * math.sqrt(share * (1 - share) / n)
     return max(0.0, share - half), min(1.0, share + half)
-
-
-def shared_by_failures(
-    rows: Sequence[dict[str, Any]], limits: dict[str, tuple[float, float]]
-) -> list[dict[str, Any]]:
-    """Say of each parameter which way it makes cameras worse, the one that explains most first.
-
-    ``failures`` and ``good`` are mean changes, with their sign, over the sheet's larger limit.
-    ``correlation`` is that of the change with the score, and ``size_correlation`` that of its size.
-    ``worse_at`` follows the stronger of the two. It is empty where that may be chance: one in twenty sheets
-    of parameters that do nothing names any.
-    """
-    names = [name for name, ends in limits.items() if max(ends) > 0]
-    found: list[dict[str, Any]] = []
-    for name in names:
-        limit = ALL[name].shown(max(limits[name]))
-        sides = {good: [r[name] / limit for r in rows if r["good"] == good] for good in (True, False)}
-        scored = [(r[name], r["db"]) for r in rows if r["db"] is not None]
-        signed, size = _correlation(scored), _correlation([(abs(change), db) for change, db in scored])
-        strongest = max(abs(signed), abs(size))
-        if strongest < _chance(len(scored), 2 * len(names)):
-            worse_at = ""
-        elif abs(signed) == strongest:
-            worse_at = "+" if signed < 0 else "−"
-        else:
-            worse_at = "both ends" if size < 0 else "the middle"
-        found.append(
-            {
-                "parameter": name,
-                "worse_at": worse_at,
-                "failures": float(np.mean(sides[False])) if sides[False] else None,
-                "good": float(np.mean(sides[True])) if sides[True] else None,
-                "correlation": signed,
-                "size_correlation": size,
-            }
-        )
-    return sorted(found, key=lambda each: -max(abs(each["correlation"]), abs(each["size_correlation"])))
-
-
-def _chance(cameras: int, trials: int) -> float:
-    """Correlation that one of so many trials exceeds by chance in one of twenty cases (Bonferroni)."""
-    if cameras < 3:
-        return math.inf
-    t = quantile(cameras - 2, 1 - (1 - CONFIDENCE) / 2 / trials)
-    return t / math.sqrt(cameras - 2 + t * t)
-
-
-def _correlation(pairs: Sequence[tuple[float, float]]) -> float:
-    """Correlation of pairs; 0 where it has no meaning."""
-    table = np.array(pairs, np.float64)
-    if len(table) < 3 or not table.std(axis=0).all():
-        return 0.0
-    matrix: Doubles = np.asarray(np.corrcoef(table.T))
-    return float(matrix[0, 1])
 
 
 def _measure_cameras(
@@ -276,6 +230,12 @@ def _measure_cameras(
             continue
         found = measured(stage, made.point)
         add_work(work, found.work)
+        halved: dict[str, float | None] = {}
+        for name in [name for name, change in made.changes.items() if change and drawing["halve"]]:
+            changes = {**made.changes, name: made.changes[name] / 2}
+            less = measured(stage, _point(stage.base, changes, mode, compensators, camera))
+            add_work(work, less.work)
+            halved[HALVED + name] = less.db.get(key)
         rows.append(
             {
                 "camera": camera,
@@ -283,6 +243,8 @@ def _measure_cameras(
                 "map_residual_px": found.map_residual_px,
                 "serial_number": made.serial_number,
                 **{name: ALL[name].shown(change) for name, change in made.changes.items()},
+                **halved,
+                **{SET_TO + name: value for name, value in found.values.items()},
                 "refused": found.refused,
                 "drawn_again": made.refused,
             }

@@ -17,6 +17,9 @@ from optsim.study.parameters import ALL
 from optsim.study.words import REGIONS, assumptions, signed, work_done
 
 SHARED = ("parameter", "worse at", "failures", "good", "correlation with dB", "of its size")
+WON = ("limits half as wide", "good", "gained", "lost", "more yield")
+TRAVEL = ("set", "from", "median", "to", "farthest", "unit")
+_SCREWS = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "px": (1.0, "CCD px")}
 _BINS = 12
 _NAMED = 3
 Rows = Sequence[dict[str, Any]]
@@ -78,6 +81,7 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
             ],
             [table(SHARED, shared_lines(record))],
         ),
+        *_remedies(record),
         Section("Sheet", _drawn_how(record["plan"]["sheet"]), [_sheet(record["plan"]["sheet"])]),
         Section(
             "All cameras",
@@ -108,6 +112,38 @@ def write_yield_page(folder: Path, record: dict[str, Any]) -> None:
     write_page(
         folder / PAGE, kind="optsim yield", title=title, lead=lead(record), sections=[*sections, rests]
     )
+
+
+def won_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
+    """Return the table of what halved limits win: see :data:`WON`."""
+    lines: list[tuple[object, ...]] = []
+    for each in record["won_by_halving"]:
+        low, high = each["interval"]
+        ends = f"{each['more_yield']:+.0%} ({low:+.0%} to {high:+.0%})"
+        lines.append((each["parameter"], each["good"], each["gained"], each["lost"], ends))
+    return lines
+
+
+def travel_lines(record: dict[str, Any]) -> list[tuple[object, ...]]:
+    """Return the table of compensators' travel: see :data:`TRAVEL`."""
+    lines: list[tuple[object, ...]] = []
+    for each in record["travel"]:
+        factor, unit = _SCREWS.get(each["key"].rpartition("_")[2], (1.0, ""))
+        ends = [f"{factor * each[end]:+.3g}" for end in ("low", "median", "high")]
+        lines.append((each["key"], *ends, f"{factor * each['largest']:.3g}", unit))
+    return lines
+
+
+def _remedies(record: dict[str, Any]) -> list[Section]:
+    """Say what halved limits win, and how far compensators go, if that was measured."""
+    found: list[Section] = []
+    if record["won_by_halving"]:
+        text = "The same cameras with one parameter's change halved; the interval is of matched pairs, 95 %."
+        found.append(Section("What limits half as wide win", [text], [table(WON, won_lines(record))]))
+    if record["travel"]:
+        text = "Settings of the compensators: the middle 95 % of the cameras, their median, the farthest one."
+        found.append(Section("Travel of the compensators", [text], [table(TRAVEL, travel_lines(record))]))
+    return found
 
 
 def _quantiles(scores: Sequence[float]) -> list[str]:
