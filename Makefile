@@ -4,7 +4,7 @@ PYTHON ?=
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.optsim-ready
 
-.PHONY: force demo test test-slow test-all docs setup benchmark regress planted-faults claims figure4 imperfections fidelity tolerances validate lint types architecture requirements clean help
+.PHONY: force demo test test-slow test-all docs setup benchmark regress planted-faults claims figure4 imperfections fidelity tolerances tolerances-prototype validate lint types architecture requirements clean help
 
 force:
 
@@ -50,8 +50,11 @@ figure4: setup ## all schemes on the same scenes, as the paper's figure 4; write
 imperfections: setup ## what each imperfection costs in the demo; writes reports/imperfections.md (20 minutes)
 	$(BIN)/python validation/imperfections.py
 
-tolerances: setup ## tolerance sheet, waterfall and yield of demo and prototype; writes reports/tolerances.md (90 minutes)
-	$(BIN)/python validation/tolerances.py
+tolerances: setup ## tolerance sheet, waterfall and yield of the demo; writes reports/tolerances.md (90 minutes)
+	$(BIN)/python validation/tolerances.py demo
+
+tolerances-prototype: setup ## the same of the paper's prototype; writes reports/tolerances_prototype.md (a night; goes on)
+	$(BIN)/python validation/tolerances.py paper_prototype
 
 fidelity: setup ## what each fine approximation is worth; writes reports/fidelity.md (30 minutes)
 	$(BIN)/python validation/fidelity.py
