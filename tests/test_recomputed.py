@@ -57,7 +57,9 @@ def by_formula(base):
     def measured(stage, point):
         changes = dict(point.changes)
         db = 30 - loss_db(changes.get(SHIFT, 0.0), changes.get(TURN, 0.0), point.mode)
-        return SimpleNamespace(db={("hdr_mosaic", "static"): db}, map_residual_px=0.0, refused="", work={})
+        return SimpleNamespace(
+            db={("hdr_mosaic", "static"): db}, map_residual_px=0.0, refused="", work={}, values={}
+        )
 
     with pytest.MonkeyPatch.context() as patch:
         for name in ("render_truth", "calibrate_all"):

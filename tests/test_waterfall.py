@@ -42,13 +42,13 @@ def test_effects_are_those_that_the_camera_has_behind_the_lens(base):
 
 
 def levels(value):
-    """Scores of the cameras with some of a, b and c off, in two seeds."""
+    """Scores of the cameras with some of a, b and c off, in four seeds."""
     sets = ("", "a", "b", "c", "ab", "ac", "bc", "abc")
     return {
         frozenset(off): {
             "off": list(off),
             "refused": "",
-            "db": [[["m", "all", value(set(off), seed)]] for seed in (0, 1)],
+            "db": [[["m", "all", value(set(off), seed)]] for seed in range(4)],
         }
         for off in sets
     }
@@ -61,7 +61,7 @@ def test_shares_add_up_to_the_total_and_share_an_interaction_fairly():
         return 30 + 0.1 * seed - 1.0 * ("b" in on) - 2.0 * ("c" in on) - 3.0 * ({"b", "c"} <= on)
 
     orders = sampled_orders("abc", 6, 1)
-    rows = steps_of(levels(value), orders, 2)
+    rows = steps_of(levels(value), orders, 4)
     share = {row["effect"]: row["share_db"] for row in rows}
     assert sum(share.values()) == pytest.approx(rows[0]["total_db"]) == pytest.approx(-6)
     assert sum(row["step_db"] for row in rows) == pytest.approx(-6)
@@ -69,6 +69,7 @@ def test_shares_add_up_to_the_total_and_share_an_interaction_fairly():
     steps = {row["effect"]: row["step_db"] for row in rows}
     assert steps == pytest.approx({"a": 0, "b": -1, "c": -5})
     assert [row["share_half"] for row in rows] == pytest.approx([0, 0, 0], abs=1e-9)
+    assert {row["share_half"] for row in steps_of(levels(value), orders, 3)} == {None}
 
 
 def test_orders_come_with_their_reverse_and_a_refused_camera_ends_only_its_own():

@@ -52,7 +52,7 @@ LOSS_DB = 1.0
 FRAMES = 1
 # The most that is measured of each preset.
 _SEEDS = Seeds(4, 4, LOSS_DB / 10)
-_STEP_SEEDS = {"demo": Seeds(8, 8), "paper_prototype": Seeds(3, 3)}
+_STEP_SEEDS = {"demo": Seeds(8, 8), "paper_prototype": Seeds(4, 4)}
 _BUDGET = {"demo": 8, "paper_prototype": 2}
 # What is done after a camera has drifted: what its calibration knows, and compensators.
 _REMEDIES: dict[str, tuple[Mode, tuple[str, ...], str]] = {

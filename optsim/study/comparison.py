@@ -32,8 +32,6 @@ class Seeds:
     wanted_db: float = 0.1
 
 
-FEW = Seeds()
-"""Seeds by default."""
 LIMITS = Seeds(4, 6)
 """Seeds of a limit: from four on it has an interval."""
 PAIR = Seeds(2, 2)

@@ -22,7 +22,7 @@ from optsim.experiment.calibrations import Calibrations
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import Frames, capture, decode, planned
 from optsim.metrics.scoring import FrameTally
-from optsim.study.comparison import FEW, Seeds, student
+from optsim.study.comparison import LIMITS, Seeds, student
 from optsim.study.crops import PICTURES
 from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import DB, pooled
@@ -56,7 +56,7 @@ class OperatorsPlan:
     """
 
     frames: int = 3
-    seeds: Seeds = FEW
+    seeds: Seeds = LIMITS
 
 
 def operators(
@@ -118,7 +118,7 @@ def rows_of(seeds: Sequence[Sequence[Sequence[Any]]]) -> list[dict[str, Any]]:
                     "region": region,
                     "what": name,
                     "db": mean.mean,
-                    "db_half": mean.half,
+                    "db_half": mean.stated_half,
                     "seeds": mean.n,
                     "below_noise": mean.below_noise if name in DIFFERENCES else "",
                 }

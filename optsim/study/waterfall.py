@@ -20,7 +20,7 @@ from optsim.core.errors import ConfigError, unknown_name
 from optsim.core.progress import Progress, silent
 from optsim.core.random_streams import stream
 from optsim.experiment.experiment import Experiment
-from optsim.study.comparison import FEW, Seeds, add_work, student
+from optsim.study.comparison import LIMITS, Seeds, add_work, student
 from optsim.study.folder import StudyTask, Workplace, compute, write_result, write_table
 from optsim.study.measurement import PointScores, measured
 from optsim.study.point import Point, changed_only, shares_truth
@@ -46,7 +46,7 @@ class WaterfallPlan:
     names: tuple[str, ...]
     orders: int = 2
     frames: int = 3
-    seeds: Seeds = FEW
+    seeds: Seeds = LIMITS
 
 
 def effects_of(base: Experiment, names: Sequence[str] = ()) -> tuple[str, ...]:
@@ -195,9 +195,9 @@ def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) ->
                     "effect": name,
                     "place": at,
                     "step_db": step.mean if step else None,
-                    "step_half": step.half if step else None,
+                    "step_half": step.stated_half if step else None,
                     "share_db": share.mean,
-                    "share_half": share.half,
+                    "share_half": share.stated_half,
                     "least_db": min(over_orders),
                     "most_db": max(over_orders),
                     "orders": len(retained),
@@ -205,7 +205,7 @@ def steps_of(levels: Levels, orders: Sequence[tuple[str, ...]], n_seeds: int) ->
                     "ideal_db": sum(ideal) / n_seeds,
                     "nominal_db": sum(nominal) / n_seeds,
                     "total_db": total.mean,
-                    "total_half": total.half,
+                    "total_half": total.stated_half,
                 }
             )
     return rows
