@@ -27,6 +27,7 @@ LAYERS = (
     "tasks",
     "dataset",
     "study",
+    "testing",
     "presets",
     "app",
     "__main__",

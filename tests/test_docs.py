@@ -153,9 +153,18 @@ def test_python_of_measurements_runs(folder: Path) -> None:
     assert (folder / "out" / "results.json").is_file()
 
 
+def test_python_of_extensions_runs_and_its_offers_are_those_of_the_package() -> None:
+    (code,) = [code for page, code in blocks("python") if page == "docs/how-to/extend.md"]
+    exec(code, {})
+    offers = tomllib.loads(toml("docs/how-to/extend.md", "[project.entry-points"))
+    package = ROOT / "tests" / "support" / "foreign_package" / "pyproject.toml"
+    wanted = tomllib.loads(package.read_text(encoding="utf-8"))["project"]["entry-points"]
+    assert offers["project"]["entry-points"] == wanted
+
+
 def test_all_python_is_run_by_a_test() -> None:
     pages = [page for page, code in blocks("python") if "render_truth" not in code]
-    assert set(pages) == {"docs/how-to/measurement.md", OF_A_RUN, OF_A_DATASET}
+    assert set(pages) == {"docs/how-to/measurement.md", "docs/how-to/extend.md", OF_A_RUN, OF_A_DATASET}
 
 
 def test_the_scene_loads_with_its_variations(folder: Path) -> None:
@@ -192,7 +201,7 @@ def test_keys_of_footage_exist(folder: Path) -> None:
 
 def test_all_toml_is_toml() -> None:
     found = [tomllib.loads(code) for _, code in blocks("toml")]
-    assert len(found) == 11
+    assert len(found) == 12
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from optsim.core.config import Part, read_toml
+from optsim.core.extensions import DECODERS, PARTS, SCHEMES, kind_of, offered
 
 
 def catalogue(what: str) -> list[tuple[str, str]]:
@@ -18,7 +21,7 @@ def catalogue(what: str) -> list[tuple[str, str]]:
     if what == "metrics":
         from optsim import metrics
 
-        return [(metric.name, _first_line(type(metric))) for metric in metrics.ALL]
+        return [(metric.name, _first_line(type(metric))) for metric in metrics.every_metric()]
     if what == "effects":
         from optsim.camera import effects
 
@@ -26,14 +29,19 @@ def catalogue(what: str) -> list[tuple[str, str]]:
     if what == "schemes":
         from optsim import coding
 
-        return [(_kind(part), _first_line(part)) for part in coding.ALL]
+        return _lines((*coding.ALL, *offered(SCHEMES).values()))
+    if what == "parts":
+        from optsim.camera import parts
+
+        own = (parts.Objective, parts.Splitter, parts.Modulator, parts.Relay, parts.Ccd)
+        return [(each.__name__.lower(), _first_line(each)) for each in own] + _lines(offered(PARTS).values())
     from optsim import decoding as reconstruct
 
-    return [(_kind(part), _first_line(part)) for part in reconstruct.ALL]
+    return _lines((*reconstruct.ALL, *offered(DECODERS).values()))
 
 
-def _kind(part: type[Part]) -> str:
-    return str(part.model_fields["kind"].default)
+def _lines(parts: Iterable[type[Part]]) -> list[tuple[str, str]]:
+    return [(kind_of(part), _first_line(part)) for part in parts]
 
 
 def _first_line(thing: type) -> str:

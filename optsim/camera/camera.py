@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from optsim.camera.geometry import GeometryReport, LatencyReport, geometry_report, latency_report
 from optsim.camera.ledger import LedgerRow, photon_ledger
-from optsim.camera.parts import Ccd, Modulator, Objective, Relay, Splitter, chain, form_image
+from optsim.camera.parts import AnyCcd, AnyModulator, AnyObjective, AnyRelay, AnySplitter, chain, form_image
 from optsim.core.config import Part
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.quantities import (
@@ -56,11 +56,11 @@ class CodedCamera(Part):
         Wavelength of the light, m; a scene with a band sets it.
     """
 
-    objective: Objective
-    splitter: Splitter
-    modulator: Modulator
-    relay: Relay
-    sensor: Ccd
+    objective: AnyObjective
+    splitter: AnySplitter
+    modulator: AnyModulator
+    relay: AnyRelay
+    sensor: AnyCcd
     panel_rows: int = Field(ge=1)
     panel_cols: int = Field(ge=1)
     slots_per_frame: int = Field(default=36, ge=1)

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from optsim.coding.motion_adaptive import MotionAdaptive
+from optsim.coding.periodic import PeriodicScheme
 from optsim.coding.static_schemes import (
     STATIC_SCHEMES,
     AnyStaticScheme,
@@ -17,9 +18,13 @@ from optsim.coding.static_schemes import (
     RandomLengths,
     ShutterGrid,
 )
+from optsim.core.config import Part
+from optsim.core.extensions import AS_IT_IS, SCHEMES, or_offered
 
 ALL = (*STATIC_SCHEMES, MotionAdaptive)
-Scheme = Annotated[AnyStaticScheme | MotionAdaptive, Field(discriminator="kind")]
+Scheme = Annotated[
+    AnyStaticScheme | MotionAdaptive, Field(discriminator="kind"), or_offered(SCHEMES, Part), AS_IT_IS
+]
 
 __all__ = [
     "ALL",
@@ -28,6 +33,7 @@ __all__ = [
     "HdrMosaic",
     "MotionAdaptive",
     "NormalPhotography",
+    "PeriodicScheme",
     "RandomBinary",
     "RandomExposure",
     "RandomLengths",

@@ -18,6 +18,7 @@ from optsim.coding.random_binary import RandomBinary
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.random_lengths import RandomLengths
 from optsim.coding.shutter_grid import ShutterGrid
+from optsim.core.extensions import AS_IT_IS, SCHEMES, or_offered
 
 AnyStaticScheme = (
     NormalPhotography
@@ -30,4 +31,6 @@ AnyStaticScheme = (
     | ShutterGrid
 )
 STATIC_SCHEMES: tuple[type[PeriodicScheme], ...] = get_args(AnyStaticScheme)
-StaticScheme = Annotated[AnyStaticScheme, Field(discriminator="kind")]
+StaticScheme = Annotated[
+    AnyStaticScheme, Field(discriminator="kind"), or_offered(SCHEMES, PeriodicScheme), AS_IT_IS
+]

@@ -14,13 +14,19 @@ from pydantic import Field, field_validator
 
 from optsim.calibration.calibration import Calibration
 from optsim.core.config import Part
+from optsim.core.extensions import AS_IT_IS, DECODERS, or_offered
 from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
 from optsim.decoding.average import Average
 from optsim.decoding.coded_images import box_mean
-from optsim.decoding.partial import Partial
+from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.partial_decoders import AnyPartialDecoder, HdrMerge, SparseCoding
 
-_Moving = Annotated[AnyPartialDecoder | Average, Field(discriminator="kind")]
+_Moving = Annotated[
+    AnyPartialDecoder | Average,
+    Field(discriminator="kind"),
+    or_offered(DECODERS, PartialDecoder),
+    AS_IT_IS,
+]
 # Least share of the image for which a video is decoded.
 _LEAST_SHARE = 0.05
 _SMOOTH_PX = 3

@@ -17,6 +17,7 @@ from optsim.calibration import Calibration, write_calibration
 from optsim.calibration.choice import CALIBRATION_FILE, CalibrationChoice
 from optsim.core.code_hash import hash_files
 from optsim.core.errors import OptsimError, StorageError
+from optsim.core.extensions import extension_versions
 from optsim.core.files import (
     content_hash,
     holds_nothing,
@@ -176,6 +177,7 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         **{name: version(name) for name in _PACKAGES},
+        **extension_versions(),
     }
 
 

@@ -141,10 +141,10 @@ class Scorer:
         for name, video in videos.items():
             light = video.irradiance_w_m2
             errors[name] = metrics.pixel_errors(
-                metrics.SAMPLE_METRICS, self.scale, light, reference, video.valid, slots
+                metrics.sample_metrics(), self.scale, light, reference, video.valid, slots
             )
             frame = metrics.FrameEstimate(truth, self.scale.luminance_cd_m2(light[:slots]), scored)
-            found.append(metrics.tally_classes(name, index, metrics.ALL, errors[name], frame))
+            found.append(metrics.tally_classes(name, index, metrics.every_metric(), errors[name], frame))
         if phase == "steady" and metrics.ADAPTIVE in videos:
             found += [
                 metrics.tally_pair(name, index, errors[metrics.ADAPTIVE], theirs, moving, self._window)
@@ -181,7 +181,7 @@ class Scorer:
             "coverage": self.board.coverage(self.tallies),
             "frame_series": self.board.frame_series(self.tallies),
             "slot_series": self.board.slot_series(self.tallies),
-            "class_series": metrics.class_series(metrics.ALL, self.classes),
+            "class_series": metrics.class_series(metrics.every_metric(), self.classes),
             "temporal": metrics.temporal_records(
                 metrics.HEADLINE_METRICS, self.tallies, self.camera.latency_frames
             ),

@@ -5,6 +5,7 @@ Metrics take luminance in cd/m^2, (slot, v, u), float32. One of samples (:class:
 To add one, write its file and add an instance to its list, which makes it one of :data:`ALL`.
 """
 
+from optsim.core.extensions import METRICS, offered_of
 from optsim.metrics.after_gain import AfterGainPsnr
 from optsim.metrics.claims import ADAPTIVE, judge_claims, measured
 from optsim.metrics.class_scores import ClassTally, class_series, tally_classes
@@ -42,6 +43,18 @@ HEADLINE_METRICS: tuple[Metric, ...] = (Pu21Psnr(), LogRmse(), Psnr())
 SAMPLE_METRICS: tuple[Metric, ...] = (*HEADLINE_METRICS, MuLawPsnr(), RelMse(), Smape())
 FRAME_METRICS: tuple[FrameMetric, ...] = (Pu21Ssim(), Pu21MsSsim(), FrameDifferencePsnr(), AfterGainPsnr())
 ALL: tuple[Metric | FrameMetric, ...] = (*SAMPLE_METRICS, *FRAME_METRICS)
+
+
+def sample_metrics() -> tuple[Metric, ...]:
+    """Return the metrics of samples, with those that other packages offer."""
+    return (*SAMPLE_METRICS, *(each.model_validate({}) for each in offered_of(METRICS, Metric)))
+
+
+def every_metric() -> tuple[Metric | FrameMetric, ...]:
+    """Return all metrics, those of samples first, with those that other packages offer."""
+    frames = (each.model_validate({}) for each in offered_of(METRICS, FrameMetric))
+    return (*sample_metrics(), *FRAME_METRICS, *frames)
+
 
 __all__ = [
     "ADAPTIVE",
@@ -85,6 +98,7 @@ __all__ = [
     "class_masks",
     "class_series",
     "error_by_luminance",
+    "every_metric",
     "first_steady",
     "judge_claims",
     "luminous_efficacy_lm_w",
@@ -96,6 +110,7 @@ __all__ = [
     "pixel_errors",
     "pooled_agreement",
     "pooled_mask_records",
+    "sample_metrics",
     "tally_classes",
     "tally_pair",
     "tally_uncertainty",
