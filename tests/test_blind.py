@@ -182,7 +182,7 @@ def test_differences_are_of_pairs_and_say_when_seeds_cannot_tell_them() -> None:
         db = {"ideal": 20.0, "calibrated": 25.0, "blind": 25.0 + blind, "true": 28.0}
         return [[name, "m", "all", value + level] for name, value in db.items()]
 
-    rows = {row["what"]: row for row in rows_of([seed(0, 1.0), seed(5, -1.1), seed(-3, 0.4)])}
+    rows = {row["what"]: row for row in rows_of([seed(0, 1.0), seed(5, -1.1), seed(-3, 0.4), seed(1, -0.2)])}
     assert rows["calibration loss"]["db"] == pytest.approx(3)
     assert rows["calibration loss"]["db_half"] == pytest.approx(0, abs=1e-9)
     assert not rows["calibration loss"]["below_noise"]

@@ -336,7 +336,7 @@ def test_an_exposure_over_15_orders_of_radiance_is_that_of_dense_float64(diffrac
         7,
         modulator={"fringing_px": 0.0},
         objective=lens | {"distortion": 0.0},
-        relay=lens | {"ghost_share": 0.0, "distortion": 0.0},
+        relay=lens | {"ghost_share": 0.0, "distortion": 0.0, "focus": "paraxial"},
     )
     rng, view = np.random.default_rng(5), camera.view
     radiance = np.geomspace(1e-6, 1e9, view.cols) * rng.uniform(0.3, 1, (view.rows, view.cols))

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import pkgutil
 import re
 import shlex
 import sys
@@ -197,6 +198,14 @@ def test_keys_of_footage_exist(folder: Path) -> None:
     uncommented = tomllib.loads(re.sub(r"^# ", "", code, flags=re.MULTILINE))
     known = Experiment.model_json_schema()["$defs"]["FootageSource"]["properties"]
     assert set(uncommented["source"]["footage"]) <= set(known)
+
+
+def test_the_ten_concepts_have_their_homes() -> None:
+    text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+    homes = re.findall(r"^\| [A-Z]\w+ \| .* \| `(optsim[\w.]+)` \|$", text, flags=re.MULTILINE)
+    assert len(homes) == 10
+    for home in homes:
+        assert pkgutil.resolve_name(home)
 
 
 def test_all_toml_is_toml() -> None:

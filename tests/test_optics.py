@@ -198,7 +198,9 @@ def test_negative_monte_carlo_light_stays_in_the_sums():
 @pytest.mark.parametrize("field_error", [0.02, 1.0])
 def test_what_a_panel_pixel_sends_through_the_relay_has_its_whole_psf_wings_and_all(field_error):
     """In panel pixels, on which the wings work: each mean is that of the pixel's own cells' PSFs."""
-    relay = prototype_relay().model_copy(update={"field_error": field_error, "ghost_share": 0.0})
+    relay = prototype_relay().model_copy(
+        update={"field_error": field_error, "ghost_share": 0.0, "focus": "paraxial"}
+    )
     rows, cols, pitch, cell_m = 240, 300, 3, 20e-6 / 3
     geometry = relay.geometry((rows, cols), (240, 300), 0.96, 4.54e-6)
     blur = relay.operator(geometry, 6.0, cell_m, 0.9, pitch).blur

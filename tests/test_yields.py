@@ -207,7 +207,9 @@ def test_a_camera_that_cannot_be_built_is_not_counted_as_bad(base, tmp_path, mon
     def measured_by_formula(stage, point):
         bad = dict(point.changes).get("camera.relay.shift_x_px", 0) < -2
         db = {} if bad else {("hdr_mosaic", "static"): 30.0}
-        return SimpleNamespace(db=db, map_residual_px=0.0, refused="no dots" if bad else "", work={})
+        return SimpleNamespace(
+            db=db, map_residual_px=0.0, refused="no dots" if bad else "", work={}, values={}
+        )
 
     for name in ("render_truth", "calibrate_all"):
         monkeypatch.setattr(f"optsim.study.folder.{name}", lambda *_, **__: None)

@@ -137,6 +137,8 @@ class Relay(LensGroup):
         wavefront, from_focus_m = self.wavefront, self.defocus_m + self.mount.growth_m(self.mount.along_m)
         if self.focus == "paraxial" or wavefront == Wavefront() or not self.diffraction:
             return from_focus_m
+        # Before the search, which takes a plain lens group: a message names the relay.
+        self._check_window(f_number, cell_m, from_focus_m, MONO_WAVELENGTH_M)
         if self.focus == "centre":
             wavefront = Wavefront(spherical_waves=wavefront.spherical_waves)
         lens = LensGroup(
