@@ -1,6 +1,5 @@
 """Waterfalls: which effects are steps, and shares that add up to the total."""
 
-import numpy as np
 import pytest
 from small_study import load, without_workers, write_experiment  # noqa: F401  a fixture
 from test_cli import cli  # noqa: F401  a fixture
@@ -120,7 +119,8 @@ def test_a_waterfall_of_a_camera_adds_up(base, tmp_path):
         assert rows[0]["total_db"] == pytest.approx(total)
         assert sum(row["share_db"] for row in rows) == pytest.approx(total)
         assert sum(row["step_db"] for row in rows) == pytest.approx(total)
-        assert np.isfinite([row["share_half"] for row in rows]).all()
+        # Two seeds tell no interval.
+        assert {row["share_half"] for row in rows} == {None}
     assert lines_of(record["rows"], "hdr_mosaic", "all")[-1][0] == "all together"
     assert "2 effects together change hdr_mosaic by" in lead(record)
     assert (tmp_path / "study.html").read_text().count("<svg") == 3
