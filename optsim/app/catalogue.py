@@ -33,8 +33,14 @@ def catalogue(what: str) -> list[tuple[str, str]]:
     if what == "parts":
         from optsim.camera import parts
 
-        own = (parts.Objective, parts.Splitter, parts.Modulator, parts.Relay, parts.Ccd)
-        return [(each.__name__.lower(), _first_line(each)) for each in own] + _lines(offered(PARTS).values())
+        own = {
+            "objective": parts.Objective,
+            "splitter": parts.Splitter,
+            "modulator": parts.Modulator,
+            "relay": parts.Relay,
+            "sensor": parts.Ccd,
+        }
+        return [(name, _first_line(each)) for name, each in own.items()] + _lines(offered(PARTS).values())
     from optsim import decoding as reconstruct
 
     return _lines((*reconstruct.ALL, *offered(DECODERS).values()))

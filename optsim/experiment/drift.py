@@ -56,7 +56,7 @@ def _rate(key: str, value: object) -> float:
     try:
         rate = parse_quantity(key, value) if isinstance(value, str) else value
     except ValueError as error:
-        raise ConfigError(f"drift_per_frame.{key}: {error}") from None
+        raise ConfigError(f"drift_per_frame.{key}: got {value!r}; {error}; fix: a change a frame") from None
     if isinstance(rate, bool) or not isinstance(rate, int | float):
         raise ConfigError(f"drift_per_frame.{key}: got {value!r}, expected a change a frame, a number")
     return rate
