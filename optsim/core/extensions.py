@@ -6,7 +6,6 @@ an entry point is the class's ``kind``. Nothing is loaded before a kind is asked
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 from collections.abc import Mapping
 from functools import cache
@@ -18,6 +17,7 @@ from pydantic import SerializeAsAny, ValidationError, ValidatorFunctionWrapHandl
 
 from optsim.core.config import Part, build
 from optsim.core.errors import ConfigError
+from optsim.core.files import content_hash
 
 DECODERS, SCHEMES, METRICS, PARTS = (f"optsim.{name}" for name in ("decoders", "schemes", "metrics", "parts"))
 AS_IT_IS: Any = SerializeAsAny()  # pyright: ignore[reportCallIssue, reportUnknownVariableType]
@@ -103,6 +103,7 @@ def _refused(point: EntryPoint, why: str) -> ConfigError:
     return ConfigError(f"entry point {point.group}: {point.name}: {why}; fix: mend or uninstall {owner}")
 
 
+@cache
 def _version(part: type[Part]) -> str:
     from importlib.metadata import packages_distributions, version
 
@@ -112,6 +113,6 @@ def _version(part: type[Part]) -> str:
 
 def _hash(part: type[Part]) -> str:
     try:
-        return hashlib.sha256(Path(inspect.getfile(part)).read_bytes()).hexdigest()[:12]
+        return content_hash(Path(inspect.getfile(part)))[:12]
     except (OSError, TypeError):
         return "no file"

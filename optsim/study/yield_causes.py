@@ -102,7 +102,7 @@ def won_by_halving(rows: Sequence[dict[str, Any]], target_db: float | None) -> l
 def travel_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Say of each of the camera's keys that a compensator sets how far it goes, in the key's unit.
 
-    The middle 95 % of the cameras, their median and the largest way.
+    The middle 95 % of the cameras, their median, and the largest setting.
     """
     columns = dict.fromkeys(name for row in rows for name in row if name.startswith(f"{SET_TO}relay."))
     found: list[dict[str, Any]] = []
