@@ -85,6 +85,17 @@ def test_page_and_figures_hold_the_draws_verdicts(claims: ModuleType) -> None:
     assert "| 2 | main | 1 | 25.0% | -4.100 |" in page
 
 
+def test_figure_4_compares_each_rival_on_its_own_pixels(claims: ModuleType) -> None:
+    near = [-3.6, -4.1, -3.2, -3.9]
+    page = claims.figure4({1: {"half_moving": claims.judged([made_up(k, v) for k, v in enumerate(near)])}})
+    mean, half = sum(near) / 4, stats.t.ppf(0.975, 3) * stats.sem(near)
+    assert "## Latency 1, the demo's\n\n### half_moving, room" in page
+    static = f"{20 - mean:.2f} | {mean:+.2f} ± {half:.2f}"
+    row = f"| flutter | {static} | {static} | {20 + mean:.3f} | {mean:+.3f} ± {half:.3f} |"
+    assert row in page
+    assert f"| grid | {20 - mean - 2:.2f} | {mean + 2:+.2f} ± {half:.2f} |" in page
+
+
 def test_stored_verdicts_follow_from_their_intervals() -> None:
     """By other code than that which wrote them."""
     stored = json.loads((ROOT / "reports" / "figures" / "claims.json").read_text())
