@@ -26,7 +26,14 @@ from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
-from optsim.decoding import Average, GaussianMixture, Interpolation, SparseCoding, TotalVariation
+from optsim.decoding import (
+    GaussianMixture,
+    Interpolation,
+    Joined,
+    SparseCoding,
+    TotalVariation,
+    VelocityMixture,
+)
 from optsim.decoding.partial import PartialDecoder
 from optsim.experiment.measurement import Measurement, Sensor, coded_measurement
 
@@ -48,7 +55,8 @@ def decoders() -> dict[str, PartialDecoder]:
         "single Gaussian": GaussianMixture(stride_px=2, single=True),
         "dictionary": sparse,
         "mixture": mixture,
-        "average": Average(sparse=sparse, mixture=mixture),
+        "velocity mixture": VelocityMixture(),
+        "joined": Joined(decoders=(sparse, VelocityMixture())),
     }
 
 

@@ -20,7 +20,14 @@ from optsim.camera.true_calibration import ideal_calibration
 from optsim.coding import RandomExposure
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
-from optsim.decoding import Average, GaussianMixture, Interpolation, SparseCoding, TotalVariation
+from optsim.decoding import (
+    GaussianMixture,
+    Interpolation,
+    Joined,
+    SparseCoding,
+    TotalVariation,
+    VelocityMixture,
+)
 from optsim.decoding.partial import PartialDecoder
 
 _SIDE = 256
@@ -34,16 +41,22 @@ def decoders() -> list[tuple[str, str, PartialDecoder]]:
     few = [("sparse_coding, stride 2", f"{n} atoms", SparseCoding(stride_px=2, max_atoms=n)) for n in atoms]
     mixed = [("gaussian_mixture", f"stride {n}", GaussianMixture(stride_px=n)) for n in strides]
     single = [("single Gaussian", f"stride {n}", GaussianMixture(stride_px=n, single=True)) for n in strides]
-    means = [
-        (
-            "average",
-            f"stride {n}",
-            Average(sparse=SparseCoding(stride_px=n), mixture=GaussianMixture(stride_px=n)),
-        )
-        for n in strides
+    velocity = [("velocity_mixture", f"stride {n}", VelocityMixture(stride_px=n)) for n in (6, 4)]
+    joined = [
+        ("joined", f"stride {n}", Joined(decoders=(SparseCoding(stride_px=n), VelocityMixture())))
+        for n in (2, 1)
     ]
     variation = [("total_variation", f"{n} rounds", TotalVariation(rounds=n)) for n in rounds]
-    return [("interpolation", "", Interpolation()), *sparse, *few, *mixed, *single, *means, *variation]
+    return [
+        ("interpolation", "", Interpolation()),
+        *sparse,
+        *few,
+        *mixed,
+        *single,
+        *velocity,
+        *joined,
+        *variation,
+    ]
 
 
 def measure(name: str, progress: Progress = silent) -> dict[str, Any]:

@@ -18,13 +18,14 @@ from optsim.core.progress import silent
 from optsim.core.quantities import ExposureCode
 from optsim.decoding import (
     ALL,
-    Average,
     GaussianMixture,
     HdrMerge,
     Interpolation,
+    Joined,
     MotionDeblurring,
     SparseCoding,
     Union,
+    VelocityMixture,
 )
 from optsim.experiment.train import training_textures
 from optsim.optics import moving_blur
@@ -173,8 +174,8 @@ def test_quality_is_that_of_every_decoder_of_moving_light(monkeypatch):
     # The merge is of what stands still, the union is made of it and of one of the others; deblurring takes
     # codes that all pixels share, which the film's isn't.
     assert kinds == set(ALL) - {HdrMerge, Union, MotionDeblurring}
-    average = next(d for line, setting, d in quality.decoders() if (line, setting) == ("average", "stride 4"))
-    assert average == Average(sparse=SparseCoding(stride_px=4), mixture=GaussianMixture(stride_px=4))
+    joined = next(d for line, setting, d in quality.decoders() if (line, setting) == ("joined", "stride 2"))
+    assert joined == Joined(decoders=(SparseCoding(stride_px=2), VelocityMixture()))
     few = [("interpolation", "", Interpolation())]
     few += [("gaussian_mixture", f"stride {n}", GaussianMixture(stride_px=n)) for n in (8, 2)]
     monkeypatch.setattr(quality, "decoders", lambda: few)

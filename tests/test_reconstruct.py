@@ -27,15 +27,16 @@ from optsim.core.errors import ConfigError
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import (
     ALL,
-    Average,
     Decoder,
     GaussianMixture,
     HdrMerge,
     Interpolation,
+    Joined,
     MotionDeblurring,
     SparseCoding,
     TotalVariation,
     Union,
+    VelocityMixture,
     shared_weights,
 )
 from optsim.decoding.coded_images import coded_images
@@ -44,7 +45,8 @@ from optsim.priors.dictionary import Dictionary, save_dictionary, shipped_dictio
 from optsim.priors.mixture import shipped_mixture
 
 ROWS, COLS = 32, 40
-VIDEO = (SparseCoding, GaussianMixture, Average, Interpolation, TotalVariation, MotionDeblurring)
+PATCHES = (SparseCoding, GaussianMixture, VelocityMixture, Joined)
+VIDEO = (*PATCHES, Interpolation, TotalVariation, MotionDeblurring)
 NATURAL = {
     HdrMerge: HdrMosaic(),
     Union: MotionAdaptive(),
@@ -471,7 +473,7 @@ def test_decoders_read_from_tables_and_dictionaries_must_fit(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "decoder", [SparseCoding(), GaussianMixture(), Average()], ids=lambda each: each.kind
+    "decoder", [SparseCoding(), GaussianMixture(), VelocityMixture()], ids=lambda each: each.kind
 )
 def test_priors_serve_frames_of_fewer_slots(decoder):
     """28 slots, as a readout of 39 ms leaves, with the priors of 36: well ahead of what needs no prior."""
@@ -585,13 +587,3 @@ def test_total_variation_agrees_with_what_was_measured_as_far_as_the_noise_lets_
     assert many < 0.02 < 2 * few
     loud = replace(calibration, read_noise_dn=2e3)
     assert off(TotalVariation(), loud) > 5 * off(TotalVariation(), calibration)
-
-
-def test_average_is_the_mean_of_its_two():
-    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
-    frames = film(calibration, RandomExposure(), crossing(1), np.random.default_rng(1))
-    (both,) = Average().partials(frames, calibration)
-    (one,) = SparseCoding().partials(frames, calibration)
-    (other,) = GaussianMixture(stride_px=1).partials(frames, calibration)
-    wanted = (one.irradiance_w_m2 + other.irradiance_w_m2) / 2
-    np.testing.assert_allclose(both.irradiance_w_m2, wanted, rtol=1e-6)

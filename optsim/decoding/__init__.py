@@ -6,7 +6,7 @@ from pydantic import Field
 
 from optsim.core.config import Part
 from optsim.core.extensions import AS_IT_IS, DECODERS, or_offered
-from optsim.decoding.average import Average
+from optsim.decoding.joined import Joined
 from optsim.decoding.partial import PartialDecoder
 from optsim.decoding.partial_decoders import (
     AnyPartialDecoder,
@@ -16,14 +16,15 @@ from optsim.decoding.partial_decoders import (
     MotionDeblurring,
     SparseCoding,
     TotalVariation,
+    VelocityMixture,
 )
 from optsim.decoding.union import Union
 
 # Decoders that the union may take for moving pixels stand in one list,
 # :mod:`optsim.decoding.partial_decoders`.
-ALL: tuple[type[Part], ...] = (*get_args(AnyPartialDecoder), Average, Union)
+ALL: tuple[type[Part], ...] = (*get_args(AnyPartialDecoder), Joined, Union)
 Decoder = Annotated[
-    AnyPartialDecoder | Average | Union,
+    AnyPartialDecoder | Joined | Union,
     Field(discriminator="kind"),
     or_offered(DECODERS, Part),
     AS_IT_IS,
@@ -31,14 +32,15 @@ Decoder = Annotated[
 
 __all__ = [
     "ALL",
-    "Average",
     "Decoder",
     "GaussianMixture",
     "HdrMerge",
     "Interpolation",
+    "Joined",
     "MotionDeblurring",
     "PartialDecoder",
     "SparseCoding",
     "TotalVariation",
     "Union",
+    "VelocityMixture",
 ]

@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import cast
+from typing import Self, cast
 
 import numpy as np
 
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import LEAST_EXPOSURE, Crosstalk, demixed_frames, nearest
 from optsim.core.quantities import Bools, CodedFrame, Floats
-from optsim.decoding.partial import Partial, positive_mean
+from optsim.decoding.partial import Partial, PartialDecoder, positive_mean
 
 # Side of the neighbourhood in which errors are nearly equal: that of the shipped priors' patches.
 _AROUND = 8
@@ -49,6 +50,35 @@ class CodedImage:
     weights: Floats
     usable: Bools
     saturated: Bools
+
+
+ImageDecoder = Callable[[CodedFrame, "CodedImage"], Partial]
+
+
+class CodedImageDecoder(PartialDecoder, ABC):
+    """A decoder that makes a video of each coded image by itself.
+
+    Parameters
+    ----------
+    crosstalk : {"undone", "row_summed"}
+        Whether the neighbours' light is removed from the image or added to the weights.
+    """
+
+    crosstalk: Crosstalk = "undone"
+
+    @abstractmethod
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare for a calibration; what it returns decodes one coded image at a time."""
+
+    def quick(self) -> Self:
+        """Return a decoder of nearly the same errors in less time, for trials."""
+        return self
+
+    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
+        """Decode as :meth:`decode`, with the blend weights of the union."""
+        decoded = self.image_decoder(calibration)
+        for frame, image in coded_images(frames, calibration, self.crosstalk):
+            yield decoded(frame, image)
 
 
 def coded_images(

@@ -3,25 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import Crosstalk, nearest
+from optsim.calibration.demixed import nearest
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.core.threads import n_threads
-from optsim.decoding.coded_images import CodedImage, coded_images, covered
+from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
 from optsim.decoding.mixture.posterior import MeasuredMixture, measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
-from optsim.decoding.partial import Partial, PartialDecoder
+from optsim.decoding.partial import Partial
 from optsim.decoding.patch_grid import overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.mixture import Mixture, load_mixture, shipped_mixture
@@ -37,7 +36,7 @@ _NOTHING = np.float32(1e-12)
 _NOISIEST = 1e12
 
 
-class GaussianMixture(PartialDecoder):
+class GaussianMixture(CodedImageDecoder):
     """Posterior mean over a learned Gaussian mixture, averaged over overlapping patches.
 
     Yang et al., IEEE Trans. Image Process. 23, 4863 (2014), doi:10.1109/TIP.2014.2344294. The same code, mask
@@ -72,18 +71,24 @@ class GaussianMixture(PartialDecoder):
     stride_px: int = Field(default=2, ge=1, le=8)
     noise_gain: float = Field(default=1.0, gt=0)
     weight_tolerance: float = Field(default=0.02, ge=0)
-    crosstalk: Crosstalk = "undone"
     uncertainty: bool = False
 
-    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """Decode as :meth:`decode`, with the blend weights of the union."""
+    def quick(self) -> Self:
+        """Return it with every other patch."""
+        return self.model_copy(update={"stride_px": max(2, self.stride_px)})
+
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare the mixture for a calibration."""
         prior = self._prior(calibration)
         spread = Spread.of(prior) if self.uncertainty else None
-        for frame, image in coded_images(frames, calibration, self.crosstalk):
+
+        def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
             corners = patch_corners(frame.code.moving, prior.patch, self.stride_px)
             total, count, variance = self._painted(prior, spread, image, corners, frame)
             full = overlap(image.usable.shape, prior.patch, self.stride_px)
-            yield covered(frame, image, total, count, full, variance)
+            return covered(frame, image, total, count, full, variance)
+
+        return decoded
 
     def _prior(self, calibration: Calibration) -> Mixture:
         found = shipped_mixture() if self.mixture is None else load_mixture(Path(self.mixture))

@@ -3,23 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import Literal, cast
 
 import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import Crosstalk
 from optsim.core.quantities import CodedFrame, Floats
-from optsim.decoding.coded_images import coded_images, covered
-from optsim.decoding.partial import Partial, PartialDecoder
+from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
+from optsim.decoding.partial import Partial
 
 # Gaussians are cut here, in standard deviations; pixels without a sample within it are invalid.
 _CUT = 4.0
 
 
-class Interpolation(PartialDecoder):
+class Interpolation(CodedImageDecoder):
     """Normalised convolution of the samples in space and time.
 
     H. Knutsson and C.-F. Westin, CVPR 1993, doi:10.1109/CVPR.1993.341081. A pixel's mean irradiance while it
@@ -37,11 +36,11 @@ class Interpolation(PartialDecoder):
     kind: Literal["interpolation"] = "interpolation"
     sigma_px: float = Field(default=1.0, gt=0, le=20)
     sigma_slots: float = Field(default=1.5, gt=0, le=20)
-    crosstalk: Crosstalk = "undone"
 
-    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """Decode as :meth:`decode`, as partial reconstructions."""
-        for frame, image in coded_images(frames, calibration, self.crosstalk):
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare for a calibration."""
+
+        def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
             # Squared: the leak of a dark panel, equal in every slot, has little information on any of them.
             certainty = image.weights**2
             certainty /= np.maximum(certainty.sum(axis=2, keepdims=True), np.float32(1e-12))
@@ -52,7 +51,9 @@ class Interpolation(PartialDecoder):
             # Slots with the shutter closed don't count: a missing sample there is no fault.
             found = (known[:, :, : calibration.coded_slots] > 0).all(axis=2)
             moving = (frame.code.moving & found).astype(np.float32)
-            yield covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))
+            return covered(frame, image, video * moving[:, :, None], moving, np.ones_like(moving))
+
+        return decoded
 
     def _smoothed(self, stack: Floats) -> Floats:
         from scipy import ndimage

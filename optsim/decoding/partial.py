@@ -36,6 +36,9 @@ class Partial:
         Slots of the frame's period.
     uncertainty_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32, or None
         Standard deviation of the irradiance as the decoder predicts it; None if unknown.
+    held_out : ndarray of shape (v, u), float32, or None
+        Squared error of each sample as the others predict it, of mean light while the pixel was open; NaN
+        where there is none, None if unknown.
     """
 
     index: int
@@ -46,6 +49,7 @@ class Partial:
     moving: Bools
     slots: int
     uncertainty_w_m2: Floats | None = None
+    held_out: Floats | None = None
 
     def finished(self) -> Reconstruction:
         """Convert it to a reconstruction of all slots."""

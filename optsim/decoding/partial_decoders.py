@@ -6,7 +6,14 @@ from optsim.decoding.interpolation import Interpolation
 from optsim.decoding.motion_deblurring import MotionDeblurring
 from optsim.decoding.sparse_coding import SparseCoding
 from optsim.decoding.total_variation import TotalVariation
+from optsim.decoding.velocity_mixture import VelocityMixture
 
 AnyPartialDecoder = (
-    HdrMerge | SparseCoding | GaussianMixture | Interpolation | TotalVariation | MotionDeblurring
+    HdrMerge
+    | SparseCoding
+    | GaussianMixture
+    | VelocityMixture
+    | Interpolation
+    | TotalVariation
+    | MotionDeblurring
 )

@@ -18,13 +18,16 @@ def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
     return np.stack([v[rows], u[cols]], axis=1)
 
 
-def overlap(shape: tuple[int, ...], patch: int, stride: int) -> Floats:
-    """Count the patches of the whole grid over each pixel: array of shape (v, u), float32."""
+def overlap(shape: tuple[int, ...], patch: int, stride: int, along: Floats | None = None) -> Floats:
+    """Count the patches of the whole grid over each pixel: array of shape (v, u), float32.
+
+    ``along`` is the weight of a pixel by its place along either side of a patch, instead of 1.
+    """
     counts: list[Floats] = []
     for length in shape:
         count = np.zeros(length, np.float32)
         for start in _starts(length, patch, stride):
-            count[start : start + patch] += 1
+            count[start : start + patch] += 1 if along is None else along
         counts.append(count)
     return counts[0][:, None] * counts[1]
 

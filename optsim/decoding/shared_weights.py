@@ -25,6 +25,8 @@ _COMPARED, _LEAST_PAIRS = 1024, 16
 _APART = 4
 # A lag at which more pairs than this differ is no period.
 _MOST_DIFFERING = 0.5
+# A tile that this share of the pixels follows is taken before one of more places.
+_MOST_FOLLOW = 0.8
 # Pixels from which the weights of a place in the tile are taken.
 _AVERAGED = 101
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -50,11 +52,7 @@ class SharedWeights:
 
     def weights(self, phase: int) -> Floats:
         """Weights (pixel, slot) of the patches that start at a place of the tile."""
-        rows, cols, slots = self.tile.shape
-        first_v, first_u = divmod(phase, cols)
-        v = np.mod(first_v + np.arange(self.patch), rows)
-        u = np.mod(first_u + np.arange(self.patch), cols)
-        return self.tile[v[:, None], u].reshape(self.patch**2, slots)
+        return weights_at(self.tile, phase, self.patch)
 
     @property
     def matrices(self) -> int:
@@ -80,9 +78,43 @@ def shared_weights(
         # No tile includes patches with a hole.
         left_out &= _gathered(mask, corners, patch) == patch**2
     for tile in ((rows, u), (v, cols)):
-        if 2 * len(np.unique(_places(corners[left_out], tile))) < left_out.sum():
+        if 2 * len(np.unique(places(corners[left_out], tile))) < left_out.sum():
             other = _shared(weights, mask, corners, patch, tolerance, tile)
             best = min(best, other, key=lambda each: each.matrices)
+    return best
+
+
+def weights_at(tile: Floats, place: int, patch: int) -> Floats:
+    """Weights (pixel, slot) of a patch that starts at a place of a tile, which repeats."""
+    rows, cols, slots = tile.shape
+    first_v, first_u = divmod(place, cols)
+    v = np.mod(first_v + np.arange(patch), rows)
+    u = np.mod(first_u + np.arange(patch), cols)
+    return tile[v[:, None], u].reshape(patch**2, slots)
+
+
+def followed_tile(weights: Floats, mask: Bools, tolerance: float) -> tuple[Floats, Bools]:
+    """Find the periodic tile that most pixels follow, and the pixels that do.
+
+    Returns
+    -------
+    tile : ndarray of shape (v, u, slot), float32
+        Weights; as many rows or columns as the image where there is no period or weights drift along it.
+    follows : ndarray of shape (v, u), bool
+        Pixels of the mask whose weights differ by less than the tolerance, relative rms.
+    """
+    rows, cols = mask.shape
+    v, u = code_period(weights, mask, tolerance / _APART)
+    best = np.zeros((v, u, weights.shape[2]), np.float32), np.zeros_like(mask)
+    for shape in ((v, u), (rows, u), (v, cols), (rows, cols)):
+        tile = np.zeros((*shape, weights.shape[2]), np.float32)
+        _fill_medians(weights, mask, tile)
+        error, energy = _deviation(weights, tile)
+        follows = mask & (error <= tolerance**2 * energy)
+        if follows.sum() > best[1].sum():
+            best = tile, follows
+        if best[1].sum() >= _MOST_FOLLOW * mask.sum():
+            break
     return best
 
 
@@ -112,7 +144,7 @@ def _shared(
     nominal = np.zeros((*tile, weights.shape[2]), np.float32)
     _fill_medians(weights, mask, nominal)
     error, energy = (_gathered(image, corners, patch) for image in _deviation(weights, nominal))
-    return SharedWeights(nominal, np.where(error > tolerance**2 * energy, -1, _places(corners, tile)), patch)
+    return SharedWeights(nominal, np.where(error > tolerance**2 * energy, -1, places(corners, tile)), patch)
 
 
 def _gathered(image: Doubles | Bools, corners: Ints, patch: int) -> Doubles:
@@ -123,7 +155,7 @@ def _gathered(image: Doubles | Bools, corners: Ints, patch: int) -> Doubles:
     return sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
 
 
-def _places(corners: Ints, tile: tuple[int, int]) -> Ints:
+def places(corners: Ints, tile: tuple[int, int]) -> Ints:
     """Place in the tile at which each patch starts, row by row."""
     return corners[:, 0] % tile[0] * tile[1] + corners[:, 1] % tile[1]
 

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import Crosstalk
 from optsim.core.quantities import CodedFrame
-from optsim.decoding.coded_images import coded_images, covered
-from optsim.decoding.partial import Partial, PartialDecoder
+from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
+from optsim.decoding.partial import Partial
 from optsim.decoding.patch_grid import overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.dictionary import Dictionary, load_dictionary, shipped_dictionary
 from optsim.priors.prior_file import fitted
 
 
-class SparseCoding(PartialDecoder):
+class SparseCoding(CodedImageDecoder):
     """Orthogonal matching pursuit patch by patch, overlapping patches averaged.
 
     Only patches that touch ``code.moving`` are decoded, so the time grows with the moving area. The
@@ -50,16 +48,20 @@ class SparseCoding(PartialDecoder):
     max_atoms: int = Field(default=10, ge=1, le=64)
     noise_gain: float = Field(default=1.1, ge=0)
     weight_tolerance: float = Field(default=0.02, ge=0)
-    crosstalk: Crosstalk = "undone"
 
-    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """Decode as :meth:`decode`, with the blend weights of the union."""
+    def quick(self) -> Self:
+        """Return it with every other patch."""
+        return self.model_copy(update={"stride_px": max(2, self.stride_px)})
+
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare the dictionary for a calibration."""
         # Imports numba, which reading an experiment must not.
         from optsim.decoding.sparse.patch_codes import PatchCoder
 
         coder = PatchCoder.of(self._dictionary(calibration))
         patch = coder.atoms.shape[1]
-        for frame, image in coded_images(frames, calibration, self.crosstalk):
+
+        def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
             moving = frame.code.moving
             corners = patch_corners(moving, patch, self.stride_px)
             tolerance = self.weight_tolerance
@@ -68,7 +70,9 @@ class SparseCoding(PartialDecoder):
                 image, corners, shared, cap=self.max_atoms, noise_gain=self.noise_gain
             )
             total, count = coder.paint(corners, support, amounts, calibration.shape)
-            yield covered(frame, image, total, count, overlap(calibration.shape, patch, self.stride_px))
+            return covered(frame, image, total, count, overlap(calibration.shape, patch, self.stride_px))
+
+        return decoded
 
     def _dictionary(self, calibration: Calibration) -> Dictionary:
         found = shipped_dictionary() if self.dictionary is None else load_dictionary(Path(self.dictionary))

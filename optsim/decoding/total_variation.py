@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import Crosstalk, nearest
+from optsim.calibration.demixed import nearest
 from optsim.core.compiled import compiled
 from optsim.core.quantities import CodedFrame, Floats
-from optsim.decoding.coded_images import CodedImage, coded_images, covered
-from optsim.decoding.partial import Partial, PartialDecoder
+from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
+from optsim.decoding.partial import Partial
 from optsim.decoding.tv_smoothing import smoothed
 
 _SLOTS_LIKE_PIXELS = 24
 _WHITE = 99.0  # percentile of the means that is brought to 1 before the total variation is weighed
 
 
-class TotalVariation(PartialDecoder):
+class TotalVariation(CodedImageDecoder):
     """Generalised alternating projection with total variation (GAP-TV).
 
     X. Yuan, "Generalized alternating projection based total variation minimization for compressive sensing",
@@ -50,15 +49,17 @@ class TotalVariation(PartialDecoder):
     time_weight: float | None = Field(default=None, ge=0, le=10)
     rounds: int = Field(default=40, ge=1, le=1000)
     inner_rounds: int = Field(default=4, ge=1, le=100)
-    crosstalk: Crosstalk = "undone"
 
-    def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:
-        """Decode as :meth:`decode`, as partial reconstructions."""
-        for frame, image in coded_images(frames, calibration, self.crosstalk):
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare for a calibration."""
+
+        def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
             # Pixels that no slot opens are smoothed with the others.
             moving = (frame.code.moving & image.usable.any()).astype(np.float32)
             video = self._video(image) * moving[:, :, None] if moving.any() else np.zeros_like(image.weights)
-            yield covered(frame, image, video, moving, np.ones_like(moving))
+            return covered(frame, image, video, moving, np.ones_like(moving))
+
+        return decoded
 
     def _video(self, image: CodedImage) -> Floats:
         """Light of one coded image, (v, u, slot)."""

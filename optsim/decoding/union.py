@@ -16,13 +16,13 @@ from optsim.calibration.calibration import Calibration
 from optsim.core.config import Part
 from optsim.core.extensions import AS_IT_IS, DECODERS, or_offered
 from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
-from optsim.decoding.average import Average
 from optsim.decoding.coded_images import box_mean
+from optsim.decoding.joined import Joined
 from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.partial_decoders import AnyPartialDecoder, HdrMerge, SparseCoding
 
 _Moving = Annotated[
-    AnyPartialDecoder | Average,
+    AnyPartialDecoder | Joined,
     Field(discriminator="kind"),
     or_offered(DECODERS, PartialDecoder),
     AS_IT_IS,

@@ -1,0 +1,227 @@
+# pyright: reportMissingTypeStubs=false
+"""Video from one coded image: textures that move, one Gaussian a velocity, weighted by their evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+from threadpoolctl import threadpool_limits
+
+from optsim.calibration.calibration import Calibration
+from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
+from optsim.core.threads import side_by_side
+from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
+from optsim.decoding.mixture.moving_textures import (
+    TIMES_SLOTS,
+    Component,
+    Posterior,
+    Windows,
+    likelihoods,
+    posterior,
+)
+from optsim.decoding.partial import Partial
+from optsim.decoding.patch_grid import overlap, patch_corners
+from optsim.decoding.shared_weights import followed_tile, places, weights_at
+
+# Speeds, panel pixels a slot, and directions of each: about as dense as a window of 12 tells apart.
+_RINGS = (
+    *((0.05, 6), (0.1, 8), (0.2, 12), (0.35, 14), (0.55, 16)),
+    *((0.8, 18), (1.1, 20), (1.5, 22), (2.0, 24), (2.7, 28)),
+)
+# Relative rms deviation of a pixel's weights from the tile's beyond which they are another code's.
+_DEVIATING = 0.25
+_LEAST_MEASURED, _LEAST_ALIKE = 0.4, 0.1  # of a window's pixels: any sample, and one like the tile's
+_BEST = 2  # velocities of a window with weights of its own
+# Weights below this share of a pixel's largest are gathered in so many slots.
+_LEAK, _LEAK_SLOTS = 0.03, 4
+_LONG = 8  # slots of an exposure that are taken one by one
+_BLOCK, _OWN_BLOCK = 2048, 32  # windows of a job
+_TINY = np.float32(1e-12)
+
+
+class VelocityMixture(CodedImageDecoder):
+    """Posterior mean over textures that translate, each with one of some hundred velocities.
+
+    In a window the light of two pixels in two slots has the covariance ``exp(-|dx - v dt| / length -
+    |dt| / time)``, and a free mean. Each velocity ``v`` and coherence time is a Gaussian. Its evidence for
+    the window's samples, with the scale integrated out, is its weight in the mean. Nothing is trained, and
+    any code can be decoded; a code without a period takes much longer. Whole windows are averaged, weighted
+    by a squared triangle. Where another code begins, velocities come from the pixels of the periodic tile,
+    and the light from all.
+
+    Parameters
+    ----------
+    window_px, stride_px : int
+        Side of a window, and distance of windows, panel pixels.
+    fastest : float
+        Largest speed, panel pixels a slot.
+    noise_gain : float
+        Assumed standard deviation of the noise, relative to the predicted one; more smooths more.
+    uncertainty : bool
+        Whether to predict the standard deviation of each window's posterior by the law of total variance, and
+        average the variances over overlapping windows. It leaves out calibration errors, samples that are
+        missing, and light unlike the Gaussians'. It takes as long again.
+    crosstalk : {"undone", "row_summed"}
+        Whether the neighbours' light is removed from the image or added to the weights.
+    """
+
+    kind: Literal["velocity_mixture"] = "velocity_mixture"
+    window_px: int = Field(default=12, ge=6, le=16)
+    stride_px: int = Field(default=4, ge=1, le=8)
+    fastest: float = Field(default=2.7, ge=0, le=2.7)
+    noise_gain: float = Field(default=1.0, gt=0)
+    uncertainty: bool = False
+
+    def image_decoder(self, calibration: Calibration) -> ImageDecoder:
+        """Prepare for the frames of a calibration."""
+        size = min(self.window_px, *calibration.shape)
+        components = _components(self.fastest)
+        at_first = [component for component in components if component[2] == TIMES_SLOTS[0]]
+
+        def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
+            corners = _corners(frame.code.moving, size, self.stride_px)
+            tile, follows = followed_tile(image.weights, frame.code.moving & image.usable, _DEVIATING)
+            exposure = np.maximum(image.exposure, _TINY)
+            means = (image.signal / exposure).astype(np.float32)
+            noise = (image.variance / np.square(exposure)).astype(np.float32)
+            windows = Windows(*(_cut(each, corners, size) for each in (means, noise, image.usable)))
+            like_tile = replace(windows, measured=_cut(follows, corners, size))
+            strange = (windows.measured & ~like_tile.measured).any(axis=1)
+            enough = windows.measured.mean(axis=1) >= _LEAST_MEASURED
+            enough &= like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
+            place = places(corners, tile.shape[:2])
+
+            def shared(members: Ints) -> Posterior:
+                weights = _few(weights_at(tile, int(place[members[0]]), size))
+                some = like_tile.some(members)
+                return posterior(weights, some, components, self.noise_gain, spread=self.uncertainty)
+
+            def alone(members: Ints) -> Posterior:
+                """Velocities by the pixels like the tile, then light by all pixels' own weights."""
+                weights = _few(weights_at(tile, int(place[members[0]]), size))
+                shares = likelihoods(weights, like_tile.some(members), at_first, self.noise_gain)
+                found: list[Posterior] = []
+                for m, share in zip(members, shares.T, strict=True):
+                    (v, u), best = corners[m], np.argsort(-share, kind="stable")[:_BEST]
+                    own = _few(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
+                    moves = [at_first[int(k)] for k in best if share[k] > 0]
+                    chosen = [
+                        (along_v, along_u, time) for time in TIMES_SLOTS for along_v, along_u, _ in moves
+                    ]
+                    some = windows.some(np.array([m]))
+                    found.append(posterior(own, some, chosen, self.noise_gain, spread=self.uncertainty))
+                return Posterior.joined(found)
+
+            jobs: list[tuple[Callable[[Ints], Posterior], Ints]] = []
+            for solve, kind, block in ((shared, ~strange, _BLOCK), (alone, strange, _OWN_BLOCK)):
+                for each in np.unique(place[enough & kind]):
+                    members = np.flatnonzero(enough & kind & (place == each))
+                    jobs += [(solve, members[k : k + block]) for k in range(0, len(members), block)]
+            with threadpool_limits(1):
+                answers = side_by_side(lambda job=job: job[0](job[1]) for job in jobs)
+            canvas = _Canvas.of(image.weights, self.uncertainty)
+            for (_, members), found in zip(jobs, answers, strict=True):
+                canvas.add(corners[members], found, windows.measured[members])
+            full = overlap(image.usable.shape, size, self.stride_px, _triangle(size))
+            partial = covered(frame, image, *canvas.means(), full, canvas.variance)
+            return replace(partial, held_out=canvas.held_out())
+
+        return decoded
+
+
+@dataclass(frozen=True, eq=False)
+class _Canvas:
+    """Windows summed over the image, by a squared triangle."""
+
+    total: Floats
+    count: Floats
+    errors: Floats
+    times: Floats
+    variance: Floats | None
+
+    @classmethod
+    def of(cls, weights: Floats, spread: bool) -> _Canvas:
+        """Start an empty one for an image of such weights, (v, u, slot)."""
+        total, flat = np.zeros_like(weights), np.zeros_like(weights[:, :, 0])
+        return cls(total, flat, flat.copy(), flat.copy(), total.copy() if spread else None)
+
+    def add(self, corners: Ints, found: Posterior, measured: Bools) -> None:
+        """Add windows."""
+        size = math.isqrt(measured.shape[1])
+        taper = np.outer(_triangle(size), _triangle(size))
+        for k, (v, u) in enumerate(corners):
+            at = slice(v, v + size), slice(u, u + size)
+            self.total[at] += found.videos[k].reshape(size, size, -1) * taper[:, :, None]
+            if self.variance is not None and found.variances is not None:
+                self.variance[at] += found.variances[k].reshape(size, size, -1) * taper[:, :, None]
+            self.count[at] += taper
+            self.errors[at] += np.square(found.residuals[k].reshape(size, size) * taper)
+            self.times[at] += np.square(measured[k].reshape(size, size) * taper)
+
+    def means(self) -> tuple[Floats, Floats]:
+        """Return sums and their weights, for :func:`covered`; variances become means."""
+        if self.variance is not None:
+            self.variance[:] /= np.maximum(self.count, _TINY)[:, :, None]
+        return self.total, self.count
+
+    def held_out(self) -> Floats:
+        """Squared residual of each sample; NaN without one."""
+        found = np.full_like(self.errors, np.nan)
+        np.divide(self.errors, self.times, out=found, where=self.times > 0)
+        return found
+
+
+def _components(fastest: float) -> list[Component]:
+    velocities = [(0.0, 0.0)]
+    for speed, n in _RINGS:
+        if speed <= fastest:
+            angles = 2 * np.pi * np.arange(n) / n
+            velocities += [(speed * float(np.sin(a)), speed * float(np.cos(a))) for a in angles]
+    return [(*velocity, time) for time in TIMES_SLOTS for velocity in velocities]
+
+
+def _few(weights: Floats) -> Floats:
+    """Weights relative to their sum, the small ones gathered in a few slots: (p, slot)."""
+    # What never opens in the tile counts as not measured: any weights do.
+    weights = np.where(weights.any(axis=1, keepdims=True), weights, np.float32(1))
+    small = weights < _LEAK * weights.max(axis=1, keepdims=True)
+    found = np.where(small, 0, weights)
+    slots = weights.shape[1]
+    # A long exposure is one of every third slot.
+    long = (found > 0).sum(axis=1) > _LONG
+    for first in range(0, slots, 3):
+        part = found[long, first : first + 3]
+        found[long, first : first + 3] = 0
+        found[long, min(first + 1, slots - 1)] = part.sum(axis=1)
+    parts = min(_LEAK_SLOTS, slots)
+    edges = [slots * part // parts for part in range(parts + 1)]
+    for first, end in pairwise(edges):
+        found[:, (first + end) // 2] += (weights * small)[:, first:end].sum(axis=1)
+    return found / np.maximum(found.sum(axis=1, keepdims=True), _TINY)
+
+
+def _cut(image: Floats | Bools, corners: Ints, size: int) -> Any:
+    """Cut windows of an image (v, u): (n, pixel)."""
+    windows = np.lib.stride_tricks.sliding_window_view(image, (size, size))
+    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), size**2)
+
+
+def _corners(moving: Bools, size: int, stride: int) -> Ints:
+    """First rows and columns of the windows whose middle half, or at the edge any part, touches a mask."""
+    corners = patch_corners(moving, size, stride)
+    middle = np.zeros((size, size), bool)
+    middle[size // 4 : size - size // 4, size // 4 : size - size // 4] = True
+    inside = _cut(moving, corners, size)[:, middle.ravel()].any(axis=1)
+    at_edge = ((corners == 0) | (corners == np.array(moving.shape) - size)).any(axis=1)
+    return corners[inside | at_edge]
+
+
+def _triangle(size: int) -> Floats:
+    """Weights along a side of a window."""
+    return np.square(np.minimum(np.arange(1, size + 1), np.arange(size, 0, -1))).astype(np.float32)
