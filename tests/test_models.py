@@ -93,6 +93,30 @@ def test_materials_come_from_the_file(folder):
     np.testing.assert_allclose(parts[textured][0].picture, 0.5028865, atol=1e-5)
 
 
+def test_parts_that_look_alike_have_one_material_and_are_one_mesh(tmp_path):
+    looks = [
+        {"baseColorFactor": [200, 20, 20, 255], "roughnessFactor": 0.4},
+        {"baseColorFactor": [9, 9, 9, 255]},
+    ]
+    boxes = []
+    for k in range(6):
+        box = trimesh.creation.box((1, 1, 1))
+        box.apply_translation((2 * k, 0, 0))
+        material = trimesh.visual.material.PBRMaterial(name=f"m{k}", metallicFactor=0.0, **looks[k % 2])
+        box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)), material=material)
+        boxes.append(box)
+    trimesh.Scene(boxes).export(tmp_path / "six.glb")
+    found = scene(tmp_path, '[objects.six]\nkind = "mesh"\nfile = "six.glb"\nheight_m = 0.1\n')
+    assert len(found.objects) == 6
+    used = {item.material for item in found.objects.values()}
+    assert len(used) == len(found.materials.keys() - {"grey"}) == len(found.still_meshes()) == 2
+    # Each keeps its own colour: materials alternate as the boxes do.
+    for item in found.objects.values():
+        surface = read_model(tmp_path / "six.glb").parts[item.part][0]
+        luminance = np.dot(surface.colour[:3], (0.2126, 0.7152, 0.0722))
+        assert found.materials[item.material].reflectance == pytest.approx(luminance, rel=1e-3)
+
+
 def test_pictures_are_linear_reflectance_with_row_0_below(tmp_path):
     grey = np.array([[0, 188], [255, 10]], np.uint8)
     Image.fromarray(grey).save(tmp_path / "a.png")

@@ -367,3 +367,41 @@ def test_near_and_far_things_are_seen_at_every_scale(scale, share):
     assert bool(np.all(hit.is_valid()))
     found = (float(hit.p.y[0]) * unit_m(scene) + 1.5 * scale) / scale
     assert found == pytest.approx(depth, rel=1e-3)
+
+
+def test_equal_materials_are_one_surface_object():
+    """Each launch traces every surface object: a model of a hundred parts must not have a hundred."""
+    import mitsuba as mi
+
+    quads = ("red", "also red", "tiled red", "blue")
+    shared = {"kind": "plastic", "texture": "planks"}
+    looks = {
+        "red": shared,
+        "also red": shared,
+        "tiled red": {**shared, "tile_m": 0.3},
+        "blue": {**shared, "reflectance": 0.2},
+    }
+    quad = {"kind": "quad", "edge_u_m": [1, 0, 0], "edge_v_m": [0, 0, 1]}
+    table = {
+        "name": "quads",
+        "description": "four quads of two looks",
+        "white_w_m2_sr": 1.0,
+        "camera": {"position_m": [0, -3, 1], "target_m": [0, 0, 0.5]},
+        "materials": looks,
+        "lamps": {
+            "top": {
+                "center_m": [0, 0, 3],
+                "edge_u_m": [1, 0, 0],
+                "edge_v_m": [0, -1, 0],
+                "radiance_w_m2_sr": 1,
+            }
+        },
+        "objects": {
+            name: {**quad, "material": name, "corner_m": [k - 2, 0, 0]} for k, name in enumerate(quads)
+        },
+    }
+    scene = build(Scene, table, where="quads")
+    content = describe(mi, scene, VIEW, movers=True)
+    surfaces = {name: content[f"still_{name}"].bsdf() for name in quads}
+    assert surfaces["red"] is surfaces["also red"] is surfaces["tiled red"]
+    assert surfaces["blue"] is not surfaces["red"]

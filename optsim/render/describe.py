@@ -84,8 +84,17 @@ def describe(mi: Any, scene: Scene, view: View, *, movers: bool, static: Any = N
         content[f"lamp_{name}"] = _lamp(mi, lamp, unit, bands)
     if scene.sky is not None and scene.sky.lit:
         content["sky"] = _sky(mi, scene.sky, bands)
-    for name, (mesh, material) in meshes.items():
-        content[name] = _mesh(mi, name, mesh, scene.materials[material], unit, bands)
+    # A kernel has the code of every surface object, and each launch traces them all: equal ones are one.
+    surfaces: list[tuple[Material, Any]] = []
+    for name, (mesh, key) in meshes.items():
+        material = scene.materials[key]
+        tiled = isinstance(material, Diffuse | Plastic | Principled)
+        alike = material.model_copy(update={"tile_m": 1.0}) if tiled else material
+        surface = next((found for known, found in surfaces if known == alike), None)
+        if surface is None:
+            surface = mi.load_dict(_surface(mi, material, bands))
+            surfaces.append((alike, surface))
+        content[name] = _mesh(mi, name, mesh, material, surface, unit, bands)
     if scene.static is not None:
         with _named(scene.static):
             loaded: Any = mi.parser.instantiate(*static)
@@ -118,10 +127,18 @@ def _named(static: StaticShapes) -> Generator[None, None, None]:
         raise ConfigError(f"{Path(static.folder) / static.name}: Mitsuba cannot load it: {said}") from None
 
 
-def _mesh(mi: Any, name: str, mesh: Mesh, material: Material, unit: float, bands: tuple[Band, ...]) -> Any:
+def _mesh(
+    mi: Any,
+    name: str,
+    mesh: Mesh,
+    material: Material,
+    surface: Any,
+    unit: float,
+    bands: tuple[Band, ...],
+) -> Any:
     """Make a Mitsuba mesh with smooth normals and texture coordinates."""
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_surface(mi, material, bands))
+    properties["bsdf"] = surface
     shape = mi.Mesh(
         name,
         len(mesh.vertices_m),

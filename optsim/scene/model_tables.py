@@ -201,9 +201,14 @@ def _expanded(
                 shown.append("picture")
             if shown:
                 material |= dict.fromkeys(shown, str(file))
-                material |= {"sha256": stated["sha256"], "part": number}
-            materials[key] = material
-        found[key] = {**stated, "material": stated.get("material") or key, "part": number}
+                first = next(k for k, (known, _) in enumerate(model.parts) if known is surface)
+                material |= {"sha256": stated["sha256"], "part": first}
+            # Parts that look alike have one material: what stands still is then one mesh, traced at once.
+            own = next((name for name, known in materials.items() if known == material), key)
+            materials[own] = material
+        else:
+            own = stated["material"]
+        found[key] = {**stated, "material": own, "part": number}
     if said := listed(*lost):
         warnings.warn(f"{file.name}: left out: {said}", stacklevel=2)
     return found
