@@ -1,6 +1,7 @@
 """The walls of the building, held by reading the imports of every file."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -203,3 +204,33 @@ def test_explain_compiles_nothing_and_needs_no_renderer() -> None:
     program = "from optsim.experiment.explain import explanation\nexplanation('demo', [])\n"
     heavy = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "trimesh", "jinja2"}
     assert imported(program, heavy) == []
+
+
+# Words of an earlier private language: a name that needs one has a plainer one (docs/concepts.md).
+RETIRED = {"crime", "luck", "picks", "says", "told", "unnatural", "untold"}
+
+
+def retired(text: str) -> set[str]:
+    """Retired words in the names that a file defines or uses."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                names.add(name)
+            case ast.Name(id=name) | ast.arg(arg=name) | ast.Attribute(attr=name):
+                names.add(name)
+            case _:
+                pass
+    words = {word.lower() for name in names for word in re.split(r"_|(?<=[a-z0-9])(?=[A-Z])", name)}
+    return words & RETIRED
+
+
+@pytest.mark.parametrize(
+    "path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix()
+)
+def test_no_name_uses_a_retired_word(path: Path) -> None:
+    assert not retired(path.read_text(encoding="utf-8"))
+
+
+def test_the_check_of_words_sees_them() -> None:
+    assert retired("def f(told): return UnnaturalLight.luck") == {"told", "unnatural", "luck"}

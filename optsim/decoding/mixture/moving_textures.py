@@ -223,7 +223,7 @@ def _solved(covariance: Doubles, noise: float, samples: Floats, measured: Bools,
     if holes:
         wide = root.astype(np.float64)
         _leave_out(wide.T @ wide, measured, pulls, diagonal, squares, log_root, whole)
-    return _Solved(root, pulls, diagonal, squares, log_root)
+    return _Solved(root, pulls, diagonal, squares.clip(0), log_root)
 
 
 def _space(weights: Floats) -> Floats:
