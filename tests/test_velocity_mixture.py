@@ -53,7 +53,7 @@ def dense_posterior(weights, samples, noise, there):
     texture = max(np.square(y).mean() - noise, 0.05 * noise)
     still = measuring(weights) @ dense_covariance(COMPONENTS[0]) @ measuring(weights).T
     unit = np.diag(still).mean() - still.mean()
-    level = 2.0 ** round(math.log2(min(max(noise * unit / texture, 1e-4), 20)))
+    level = 4.0 ** round(math.log(min(max(noise * unit / texture, 1e-4), 20), 4))
     logs, videos, residuals = [], [], []
     for component in COMPONENTS:
         matrix = measuring(weights)[there]
@@ -113,7 +113,7 @@ def test_draws_from_a_component_err_by_what_is_said():
         )
         found = posterior(weights, windows, [(0.4, -0.2, 100.0)], 1.0, spread=True)
         scores.append((np.square(found.videos - videos) / found.variances).mean(axis=1))
-    # The level of noise over texture is known to a factor of two only: some per cent of the variance.
+    # The level of noise over texture is known to a factor of four only: some per cent of the variance.
     assert np.concatenate(scores).mean() == pytest.approx(1, abs=0.1)
 
 

@@ -285,7 +285,11 @@ def _geometry_rows(geometry: dict[str, Any]) -> list[Row]:
         ("image of the used panel", both("footprint_{}_px"), "CCD pixels"),
         ("margin on the narrower side", both("margin_{}_px"), "CCD pixels"),
         ("ratio", f"{geometry['ratio']:.4g}", "CCD pixels a panel pixel"),
-        ("centre-pixel error repeats after", f"{geometry['moire_period_px'] or 0:.4g}", "panel pixels (0: aligned)"),
+        (
+            "centre-pixel error repeats after",
+            f"{geometry['moire_period_px'] or 0:.4g}",
+            "panel pixels (0: aligned)",
+        ),
         ("cone that the relay's stop passes", f"{geometry['relay_accepts']:.4g}", "share"),
         ("fits", "yes" if geometry["fits"] else "no", ""),
     ]

@@ -23,7 +23,7 @@ _LENGTH_PX = 6.0
 TIMES_SLOTS = 100.0, 3000.0
 # Variance of a window's mean, relative to its texture's, and 1: large, so that the mean is free.
 _MEAN = 31.0
-# Noise over texture, variances. Finer steps than a factor of two make no difference.
+# Noise over texture, variances, in steps of a factor of four: of two cost 0.001 dB less and 30 % more time.
 _CLEAN, _NOISY = 1e-4, 20.0
 _LEAST_TEXTURE = 0.05  # of the noise
 _NEGLIGIBLE = 0.05  # of the best component's share
@@ -151,7 +151,7 @@ def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> tuple[F
     _fill_signal_covariance(table, weights, signals)
     # Scatter of samples about their mean, of a texture of unit variance.
     unit = np.trace(signals) / len(signals) - signals.mean()
-    level = np.rint(np.log2(np.clip(noise * unit / texture, _CLEAN, _NOISY))).astype(np.int64)
+    level = 2 * np.rint(np.log2(np.clip(noise * unit / texture, _CLEAN, _NOISY)) / 2).astype(np.int64)
     return samples, mean.astype(np.float32), level
 
 
