@@ -6,12 +6,12 @@ from ideal_camera import SLOTS, expose, ideal_calibration, still_light
 
 from optsim.coding import FlutterShutter, RandomExposure
 from optsim.core.quantities import ExposureCode
-from optsim.decoding import ALL, Average, GaussianMixture, MotionDeblurring
+from optsim.decoding import ALL, GaussianMixture, Joined, MotionDeblurring, SparseCoding
 
 ROWS, COLS = 32, 36
 # Patches far apart take less time.
 SPARSE_GRID = GaussianMixture(stride_px=4)
-FASTER = {GaussianMixture: SPARSE_GRID, Average: Average(mixture=SPARSE_GRID)}
+FASTER = {GaussianMixture: SPARSE_GRID, Joined: Joined(decoders=(SparseCoding(), SPARSE_GRID))}
 
 
 def closed_pixels():

@@ -25,7 +25,8 @@ from optsim.decoding.partial_decoders import (
 
 # Turns in which every sample is left out once; period of what is left out, so that patches share weights.
 _TURNS, _TILE = 4, 8
-_TINY, _LEAST = np.float32(1e-30), np.float32(1e-9)
+_TINY = np.float32(1e-12)
+_LEAST, _MOST = np.float32(1e-9), np.float32(1e9)  # of relative squared errors
 
 _Member = Annotated[
     SparseCoding | GaussianMixture | VelocityMixture | Interpolation | TotalVariation,
@@ -42,7 +43,7 @@ class Joined(CodedImageDecoder):
     Parameters
     ----------
     decoders : list of decoder
-        At least two, with their keys.
+        At least two decoders of coded images, with their keys.
     smooth_px : float
         Standard deviation of the Gaussian that smooths the errors, panel pixels.
     power : float
@@ -85,12 +86,13 @@ class Joined(CodedImageDecoder):
         exposure = np.maximum(image.exposure, _TINY)
         power = (np.square(image.signal) + image.variance) / np.square(exposure)
         scale = np.maximum(self._smooth(power, image.usable), _TINY)
-        weights: list[Floats] = []
+        errors_px: list[Floats] = []
         for part, error in zip(parts, errors, strict=True):
             there = np.isfinite(error) & image.usable
             relative = self._smooth(np.where(there, error, 0) / scale, there)
-            share = (part.blend_weight > 0) * np.maximum(relative, _LEAST) ** -self.power
-            weights.append(share.astype(np.float32))
+            errors_px.append(np.where(part.blend_weight > 0, np.maximum(relative, _LEAST), np.inf))
+        best = np.minimum(np.min(errors_px, axis=0), _MOST)
+        weights = [np.isfinite(each) * (best / each) ** self.power for each in errors_px]
         total = np.maximum(np.sum(weights, axis=0), _TINY)
         return [(each / total).astype(np.float32) for each in weights]
 

@@ -36,7 +36,7 @@ _RINGS = (
 )
 # Relative rms deviation of a pixel's weights from the tile's beyond which they are another code's.
 _DEVIATING = 0.25
-_LEAST_MEASURED, _LEAST_ALIKE = 0.4, 0.1  # of a window's pixels: any sample, and one like the tile's
+_LEAST_MEASURED, _LEAST_ALIKE = 0.2, 0.1  # of a window's pixels: any sample, and one like the tile's
 _BEST = 2  # velocities of a window with weights of its own
 # Weights below this share of a pixel's largest are gathered in so many slots.
 _LEAK, _LEAK_SLOTS = 0.03, 4
@@ -90,11 +90,12 @@ class VelocityMixture(CodedImageDecoder):
             exposure = np.maximum(image.exposure, _TINY)
             means = (image.signal / exposure).astype(np.float32)
             noise = (image.variance / np.square(exposure)).astype(np.float32)
-            windows = Windows(*(_cut(each, corners, size) for each in (means, noise, image.usable)))
+            # Wide gaps repeat their nearest sample.
+            windows = Windows(*(_cut(each, corners, size) for each in (means, noise, image.exposure > 0)))
             like_tile = replace(windows, measured=_cut(follows, corners, size))
             strange = (windows.measured & ~like_tile.measured).any(axis=1)
             enough = windows.measured.mean(axis=1) >= _LEAST_MEASURED
-            enough &= like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
+            alike = like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
             place = places(corners, tile.shape[:2])
 
             def shared(members: Ints) -> Posterior:
@@ -102,24 +103,32 @@ class VelocityMixture(CodedImageDecoder):
                 some = like_tile.some(members)
                 return posterior(weights, some, components, self.noise_gain, spread=self.uncertainty)
 
-            def alone(members: Ints) -> Posterior:
+            def alone(m: int, moves: list[Component]) -> Posterior:
+                v, u = corners[m]
+                own = _few(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
+                chosen = [(along_v, along_u, time) for time in TIMES_SLOTS for along_v, along_u, _ in moves]
+                some = windows.some(np.array([m]))
+                return posterior(own, some, chosen, self.noise_gain, spread=self.uncertainty)
+
+            def moving(members: Ints) -> Posterior:
                 """Velocities by the pixels like the tile, then light by all pixels' own weights."""
                 weights = _few(weights_at(tile, int(place[members[0]]), size))
                 shares = likelihoods(weights, like_tile.some(members), at_first, self.noise_gain)
                 found: list[Posterior] = []
                 for m, share in zip(members, shares.T, strict=True):
-                    (v, u), best = corners[m], np.argsort(-share, kind="stable")[:_BEST]
-                    own = _few(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
-                    moves = [at_first[int(k)] for k in best if share[k] > 0]
-                    chosen = [
-                        (along_v, along_u, time) for time in TIMES_SLOTS for along_v, along_u, _ in moves
-                    ]
-                    some = windows.some(np.array([m]))
-                    found.append(posterior(own, some, chosen, self.noise_gain, spread=self.uncertainty))
+                    best: list[int] = np.argsort(-share, kind="stable")[:_BEST].tolist()
+                    found.append(alone(m, [at_first[k] for k in best if share[k] > 0]))
                 return Posterior.joined(found)
 
+            def still(members: Ints) -> Posterior:
+                return Posterior.joined([alone(m, at_first[:1]) for m in members])
+
             jobs: list[tuple[Callable[[Ints], Posterior], Ints]] = []
-            for solve, kind, block in ((shared, ~strange, _BLOCK), (alone, strange, _OWN_BLOCK)):
+            for solve, kind, block in (
+                (shared, ~strange, _BLOCK),
+                (moving, strange & alike, _OWN_BLOCK),
+                (still, strange & ~alike, _OWN_BLOCK),
+            ):
                 for each in np.unique(place[enough & kind]):
                     members = np.flatnonzero(enough & kind & (place == each))
                     jobs += [(solve, members[k : k + block]) for k in range(0, len(members), block)]
