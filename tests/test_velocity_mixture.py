@@ -5,9 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ideal_camera import film, ideal_calibration
+from ideal_camera import expose, film, ideal_calibration
 
 from optsim.coding import RandomExposure
+from optsim.core.quantities import ExposureCode
 from optsim.decoding import Joined, SparseCoding, VelocityMixture
 from optsim.decoding.coded_images import coded_images
 from optsim.decoding.joined import held_out
@@ -17,7 +18,7 @@ from optsim.decoding.shared_weights import followed_tile
 SIDE, SLOTS, MEAN, LENGTH, TIMES = 6, 8, 31.0, 6.0, (100.0, 3000.0)
 VELOCITIES = [(0.0, 0.0), (0.4, -0.2), (0.0, 0.9)]
 COMPONENTS = [(*velocity, time) for time in TIMES for velocity in VELOCITIES]
-ROWS, COLS = 32, 40
+ROWS, COLS, EDGE = 32, 40, 28
 
 
 @cache
@@ -146,6 +147,26 @@ def test_it_needs_its_velocities_and_beats_the_dictionary_on_what_moves():
     assert moving < 0.5 * still
     assert moving < 0.8 * sparse
     assert joined < 0.8 * sparse
+
+
+def test_pixels_of_another_code_count_by_their_own_weights():
+    """Beside a long exposure, which is no part of the tile, light is nearly as well known as without it."""
+    light = moving_texture(0.35)
+    calibration = ideal_calibration(ROWS, COLS)
+    scheme = RandomExposure()
+    code, _ = scheme.next(0, [], scheme.init(calibration, np.random.default_rng(2)))
+    mixed = code.levels.copy()
+    mixed[:, :, EDGE:] = 0
+    mixed[12:24, :, EDGE:] = 255
+    left = np.broadcast_to(np.arange(COLS) < EDGE, (ROWS, COLS))
+    beside = (slice(None), slice(None), slice(EDGE - 4, EDGE))
+    errors = []
+    for levels, moving in ((code.levels, np.ones_like(left)), (mixed, left)):
+        frame, _ = expose(calibration, light, 0, ExposureCode(levels, moving), None, np.random.default_rng(3))
+        (found,) = VelocityMixture(fastest=0.35).decode([frame], calibration)
+        errors.append(float(np.square(found.irradiance_w_m2 - light)[beside].mean()))
+    scatter = float(np.square(light - light.mean()).mean())
+    assert errors[1] < 1.5 * errors[0] < 0.1 * scatter
 
 
 def test_its_own_left_out_errors_are_near_those_of_four_turns():
