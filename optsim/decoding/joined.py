@@ -85,7 +85,8 @@ class Joined(CodedImageDecoder):
         """Shares of the decoders, (v, u) each; they sum to 1 where any has a video."""
         exposure = np.maximum(image.exposure, _TINY)
         power = (np.square(image.signal) + image.variance) / np.square(exposure)
-        scale = np.maximum(self._smooth(power, image.usable), _TINY)
+        smooth = self._smooth(power, image.usable)
+        scale = np.maximum(smooth, _TINY * (smooth.max(initial=0) or 1))
         errors_px: list[Floats] = []
         for part, error in zip(parts, errors, strict=True):
             there = np.isfinite(error) & image.usable

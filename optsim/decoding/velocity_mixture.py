@@ -89,7 +89,9 @@ class VelocityMixture(CodedImageDecoder):
             tile, follows = followed_tile(image.weights, frame.code.moving & image.usable, _DEVIATING)
             exposure = np.maximum(image.exposure, _TINY)
             means = (image.signal / exposure).astype(np.float32)
-            noise = (image.variance / np.square(exposure)).astype(np.float32)
+            unit = np.float32(np.abs(means).max(initial=0) or 1)
+            means /= unit
+            noise = (image.variance / np.square(exposure * unit)).astype(np.float32)
             # Wide gaps repeat their nearest sample.
             windows = Windows(*(_cut(each, corners, size) for each in (means, noise, image.exposure > 0)))
             like_tile = replace(windows, measured=_cut(follows, corners, size))
@@ -138,8 +140,9 @@ class VelocityMixture(CodedImageDecoder):
             for (_, members), found in zip(jobs, answers, strict=True):
                 canvas.add(corners[members], found, windows.measured[members])
             full = overlap(image.usable.shape, size, self.stride_px, _triangle(size))
-            partial = covered(frame, image, *canvas.means(), full, canvas.variance)
-            return replace(partial, held_out=canvas.held_out())
+            canvas.brighten(unit)
+            partial = covered(frame, image, canvas.total, canvas.count, full, canvas.variance)
+            return replace(partial, held_out=canvas.held_out() * unit**2)
 
         return decoded
 
@@ -173,11 +176,11 @@ class _Canvas:
             self.errors[at] += np.square(found.residuals[k].reshape(size, size) * taper)
             self.times[at] += np.square(measured[k].reshape(size, size) * taper)
 
-    def means(self) -> tuple[Floats, Floats]:
-        """Return sums and their weights, for :func:`covered`; variances become means."""
+    def brighten(self, unit: np.float32) -> None:
+        """Convert sums to a unit of light, and summed variances to means."""
+        self.total[:] *= unit
         if self.variance is not None:
-            self.variance[:] /= np.maximum(self.count, _TINY)[:, :, None]
-        return self.total, self.count
+            self.variance[:] *= unit**2 / np.maximum(self.count, _TINY)[:, :, None]
 
     def held_out(self) -> Floats:
         """Squared residual of each sample; NaN without one."""
