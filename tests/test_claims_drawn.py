@@ -85,6 +85,16 @@ def test_page_and_figures_hold_the_draws_verdicts(claims: ModuleType) -> None:
     assert "| 2 | main | 1 | 25.0% | -4.100 |" in page
 
 
+def test_each_claim_has_the_bound_that_was_registered(claims: ModuleType) -> None:
+    """A loss of 0.05 is a sixth of the 0.3 dB that are allowed, and five times the 0.01 stops."""
+    near = [-0.051, -0.049, -0.05, -0.05, -0.052, -0.048]
+    verdicts = claims.judged([made_up(k, each) for k, each in enumerate(near)])["verdicts"]
+    assert [(v.unit, v.verdict) for v in verdicts] == [("dB", "holds"), ("dB", "holds"), ("stops", "fails")]
+    near = [-0.35 + each for each in (0.001, -0.001, 0, 0, 0.002, -0.002)]
+    verdicts = claims.judged([made_up(k, each) for k, each in enumerate(near)])["verdicts"]
+    assert [v.verdict for v in verdicts] == ["fails"] * 3
+
+
 def test_figure_4_compares_each_rival_on_its_own_pixels(claims: ModuleType) -> None:
     near = [-3.6, -4.1, -3.2, -3.9]
     page = claims.figure4({1: {"half_moving": claims.judged([made_up(k, v) for k, v in enumerate(near)])}})
