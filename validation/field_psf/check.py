@@ -64,7 +64,7 @@ Case = tuple[str, float, float, float, FieldPsf]  # lens, f-number, side of a ce
 
 def measure() -> float:
     """Light misplaced over what is allowed, at the worst place."""
-    return max(_ratios(prototype()).values())
+    return max(_ratios(_camera()).values())
 
 
 def perturbed() -> float:
@@ -72,9 +72,15 @@ def perturbed() -> float:
     return max(_ratios(_with(coma_waves=1.2)).values())
 
 
+def _camera() -> CodedCamera:
+    """Return the prototype with its CCD in the paraxial image, which the oracle's defocus is counted from."""
+    camera = prototype()
+    return camera.model_copy(update={"relay": camera.relay.model_copy(update={"focus": "paraxial"})})
+
+
 def _with(defocus: float = 1.0, kind: type[Wavefront] = Wavefront, **factors: float) -> CodedCamera:
     """Camera whose wavefronts are another kind or have terms multiplied, and whose defocus is."""
-    camera = prototype()
+    camera = _camera()
     terms = {k: v * factors.get(k, 1.0) for k, v in camera.relay.wavefront.model_dump().items()}
     wrong = {"wavefront": kind(**terms)}
     relay = camera.relay.model_copy(update={**wrong, "defocus_m": (defocus - 1) * _DEFOCUS_M})
@@ -228,5 +234,5 @@ if __name__ == "__main__":
     if sys.argv[1:] == ["breaks"]:
         print_breaks()
     else:
-        for name, (share, allowed) in _shares(prototype()).items():
+        for name, (share, allowed) in _shares(_camera()).items():
             print(f"{name:44s}{share:8.4f} of {allowed:.3f}")
