@@ -131,6 +131,17 @@ def test_black_and_gain_are_found_anew_after_the_well_or_the_panel_changed(stage
     assert found.db["hdr_mosaic", "static"] > unknown.db["hdr_mosaic", "static"] + 3
 
 
+def test_a_new_bench_is_a_calibration_of_what_is_there_then(stage):
+    keys = SHIFT, "camera.relay.defocus_m"
+    drift = tuple(zip(keys, (0.4, 60e-6), strict=True))
+    benched = measured(stage, Point(drift, "compensated", ("bench",)))
+    assert benched.db == measured(stage, Point(drift, "known")).db
+    both = measured(stage, Point(drift, "compensated", ("focus", "bench")))
+    left = 60e-6 + both.values["relay.defocus_m"]
+    refocused = tuple(zip(keys, (0.4, left), strict=True))
+    assert both.db == measured(stage, Point(refocused, "known")).db
+
+
 def test_focus_is_found_again(stage):
     point = Point((("camera.relay.defocus_m", 60e-6),), "compensated", ("focus",))
     assert measured(stage, point).values["relay.defocus_m"] == pytest.approx(-60e-6, abs=25e-6)

@@ -280,7 +280,7 @@ def test_a_tolerance_put_back_in_costs_the_stated_loss(base, tmp_path):
     assert line[0] == "shift_x"
     assert line[4] == "CCD px"
     assert "shift_x" in lead(record)
-    assert "whole bench" in (tmp_path / "study.html").read_text()
+    assert "The bench is a new calibration" in (tmp_path / "study.html").read_text()
 
 
 def test_a_sheet_of_nothing_is_refused(base, tmp_path):

@@ -52,16 +52,17 @@ LOSS_DB = 1.0
 FRAMES = 1
 # The most that is measured of each preset.
 _SEEDS = Seeds(4, 4, LOSS_DB / 10)
-_STEP_SEEDS = Seeds(4, 4)
+_STEP_SEEDS = Seeds(8, 8)
 _BUDGET = {"demo": 8, "paper_prototype": 2}
 # What is done after a camera has drifted: what its calibration knows, and compensators.
 _REMEDIES: dict[str, tuple[Mode, tuple[str, ...], str]] = {
     "none": ("unknown", (), "nothing"),
     "quick": ("compensated", ("registration", "focus"), "registration by one frame pair, then focus"),
-    "bench": ("known", (), "a whole bench"),
+    "bench": ("compensated", ("bench",), "a whole bench"),
+    "all": ("compensated", ("registration", "focus", "bench"), "registration, focus, then a whole bench"),
 }
 # Cameras of each. Those of the prototype would take as long as all else together.
-_DONE = {"demo": {"none": 50, "quick": 50, "bench": 50}, "paper_prototype": {}}
+_DONE = {"demo": {"none": 50, "quick": 50, "bench": 50, "all": 50}, "paper_prototype": {}}
 _WORST = 5
 # A bench for each camera of the prototype would take too long.
 _KNOWN = {"demo": [], "paper_prototype": ["calibration=true"]}

@@ -236,7 +236,8 @@ def yield_(
         str, typer.Option(metavar="MODE", help="known, unknown or compensated: what a bench knows.")
     ] = "known",
     compensators: Annotated[
-        str, typer.Option(metavar="NAME,NAME", help="Of compensated: registration, focus, black_gain.")
+        str,
+        typer.Option(metavar="NAME,NAME", help="In this order: registration, focus, black_gain, bench."),
     ] = "registration",
     target: Annotated[
         str | None, typer.Option(metavar="DB", help="Score of a good camera [the unchanged one less --loss].")

@@ -1,15 +1,17 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
-"""What an operator can put right without a new bench: registration, focus, black level and gain.
+"""What an operator can put right: registration, focus, black level and gain, or all by a new bench.
 
 The drifted camera is measured by images of its own, with their noise, and changed as a hand would change it:
 a stage undoes the shift and the rotation, a focus ring the defocus. Black and gain are numbers of the
-calibration. What an operator cannot see stays as it is.
+calibration. What an operator cannot see stays as it is. A bench changes nothing and calibrates what is there.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -18,9 +20,11 @@ from numpy.random import Generator
 from optsim.calibration import Calibration
 from optsim.calibration.choice import CalibrationChoice
 from optsim.camera.camera import CodedCamera
+from optsim.core.config import build
 from optsim.core.errors import BenchError
 from optsim.core.quantities import Bytes, Doubles, ExposureCode, Floats, IrradianceVideo, Segment
-from optsim.experiment.calibrations import Calibrations
+from optsim.experiment.calibrations import Calibrations, calibrate_all
+from optsim.experiment.experiment import Experiment
 from optsim.optics.panel import settled_panel
 from optsim.optics.readings import mean_reading
 
@@ -43,18 +47,28 @@ Values = dict[str, float]
 
 
 def compensated(
-    camera: CodedCamera,
+    experiment: Experiment,
     now: CodedCamera,
     calibrations: Calibrations,
     compensators: tuple[str, ...],
     stream: Callable[[str], Generator],
 ) -> tuple[CodedCamera, Calibrations, Values]:
-    """Let an operator work on a camera that has drifted."""
+    """Let an operator work, in the order given, on the camera of an experiment, which has drifted."""
     values: Values = {}
     for name in compensators:
-        now, calibrations, found = COMPENSATORS[name](camera, now, calibrations, stream)
+        if name == BENCH:
+            undrifted = {"camera": now, "drift": {}, "drift_per_frame": {}}
+            calibrations = by_bench(experiment.model_copy(update=undrifted).model_dump_json())
+            continue
+        now, calibrations, found = _WORK[name](experiment.camera, now, calibrations, stream)
         values |= found
     return now, calibrations, values
+
+
+@lru_cache(maxsize=2)
+def by_bench(text: str) -> Calibrations:
+    """Calibrate the camera of an experiment, as JSON; the last two are kept, for a point's other seeds."""
+    return calibrate_all(build(Experiment, json.loads(text), where="point"))
 
 
 def _registered(
@@ -229,9 +243,11 @@ _Work = Callable[
     [CodedCamera, CodedCamera, Calibrations, Callable[[str], Generator]],
     tuple[CodedCamera, Calibrations, Values],
 ]
-COMPENSATORS: dict[str, _Work] = {
+_WORK: dict[str, _Work] = {
     "registration": _registered,
     "focus": _refocused,
     "black_gain": _new_black_and_gain,
 }
-"""What an operator can do, by name."""
+BENCH = "bench"
+COMPENSATORS = (*_WORK, BENCH)
+"""What an operator can do."""

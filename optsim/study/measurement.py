@@ -17,12 +17,11 @@ from optsim.core.config import build
 from optsim.core.errors import BenchError, ConfigError, GeometryError, StorageError
 from optsim.core.quantities import Floats
 from optsim.core.random_streams import stream
-from optsim.experiment.calibrations import Calibrations, calibrate_all
 from optsim.experiment.experiment import Experiment
 from optsim.experiment.loop import capture, decode, planned
 from optsim.metrics.records import REGIONS, Region
 from optsim.metrics.scoring import FrameTally, ScoreBoard
-from optsim.study.compensation import Values, compensated
+from optsim.study.compensation import Values, by_bench, compensated
 from optsim.study.point import Point, experiment_at, shares_truth
 from optsim.study.stage import Stage, make_stage
 
@@ -95,25 +94,26 @@ def _measure(stage: Stage, point: Point) -> PointScores:
     experiment = experiment_at(stage.base, point)
     modelled, _ = planned(experiment)
     work = {"points_measured": 1}
+    benches = by_bench.cache_info().misses
     if not shares_truth(point):
         # Another lens or scene puts other light on the panel: it has targets and a light level of its own.
         stage = _other_stage(experiment.model_dump_json(), stage.scored)
         work["truths"] = 1
         calibrations = stage.calibrations
     elif point.mode == "known" and point.changes:
-        before = _calibrated.cache_info().misses
-        calibrations = _calibrated(modelled.model_dump_json())
-        work["benches"] = _calibrated.cache_info().misses - before
+        calibrations = by_bench(modelled.model_dump_json())
     else:
         calibrations = stage.calibrations
     camera = modelled.at_work().with_nd(stage.light.nd_transmission)
     values: Values = {}
     if point.mode == "compensated":
-        as_calibrated = modelled.camera.with_nd(stage.light.nd_transmission)
+        lit = modelled.camera.with_nd(stage.light.nd_transmission)
+        as_calibrated = modelled.model_copy(update={"camera": lit})
         noise = partial(stream, stage.base.seed, "compensation")
         camera, calibrations, values = compensated(
             as_calibrated, camera, calibrations, point.compensators, noise
         )
+    work["benches"] = by_bench.cache_info().misses - benches
     seeded = modelled.model_copy(update={"seed": point.seed, "n_frames": stage.scored[-1] + 1})
     try:
         seeded.check_methods(calibrations)
@@ -146,12 +146,6 @@ def _measure(stage: Stage, point: Point) -> PointScores:
         "",
         work,
     )
-
-
-@lru_cache(maxsize=2)
-def _calibrated(text: str) -> Calibrations:
-    """Calibrate the camera of an experiment; the last two are kept, for the other seeds of a point."""
-    return calibrate_all(build(Experiment, json.loads(text), where="point"))
 
 
 @lru_cache(maxsize=1)

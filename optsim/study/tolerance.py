@@ -27,9 +27,6 @@ from optsim.study.tolerance_rows import allocate, limits_of, of_drawn, rss_db, s
 
 ALLOCATION = "allocation.csv"
 """Limits that together lose the loss, for a drawing: operand, min, max, unit."""
-WHOLE_BENCH = "whole bench"
-REMEDIES = (*COMPENSATORS, WHOLE_BENCH)
-"""What is tried against a drift."""
 _WORST = 5
 _ENDS = {-1: "down", 1: "up"}
 # Where the bench knows the change, a search goes as far as this, in a bad specimen's changes.
@@ -55,7 +52,7 @@ class TolerancePlan:
     interactions : bool
         Whether the worst five are measured in pairs.
     compensators : tuple of str
-        What is tried against each drift, out of :data:`REMEDIES`.
+        What is tried against each drift, out of :data:`optsim.study.compensation.COMPENSATORS`.
     frames, seeds
         As of a sweep.
     """
@@ -66,7 +63,7 @@ class TolerancePlan:
     known: bool = True
     draws: int = 8
     interactions: bool = True
-    compensators: tuple[str, ...] = REMEDIES
+    compensators: tuple[str, ...] = COMPENSATORS
     frames: int = 3
     seeds: Seeds = LIMITS
 
@@ -106,8 +103,8 @@ def tolerance(
     if not plan.names or not math.isfinite(plan.loss_db) or plan.loss_db <= 0:
         raise ConfigError(f"--loss: got {plan.loss_db:g} dB, expected more than 0")
     for name in plan.compensators:
-        if name not in REMEDIES:
-            raise unknown_name("compensator", name, REMEDIES)
+        if name not in COMPENSATORS:
+            raise unknown_name("compensator", name, COMPENSATORS)
     said = asdict(plan)
     common = plan.frames, plan.loss_db, list(plan.regions), asdict(plan.seeds)
     modes: tuple[Mode, ...] = ("unknown", "known") if plan.known else ("unknown",)
@@ -311,10 +308,7 @@ def _compensate(
         return []
     rows: list[dict[str, Any]] = []
     for compensator in compensators:
-        if compensator == WHOLE_BENCH:
-            point = point_at(stage, {name: change}, "known")
-        else:
-            point = point_at(stage, {name: change}, "compensated", (compensator,))
+        point = point_at(stage, {name: change}, "compensated", (compensator,))
         after = compare(stage, point, seeds, pick)
         add_work(work, after.work)
         left = after.change_db.get(worst[0])

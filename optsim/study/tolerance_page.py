@@ -14,7 +14,6 @@ from optsim.report.page import plots as side_by_side
 from optsim.study.folder import PAGE
 from optsim.study.parameters import ALL, Tolerated
 from optsim.study.search import COSTS
-from optsim.study.tolerance import WHOLE_BENCH
 from optsim.study.tolerance_rows import least_room
 from optsim.study.words import assumptions, level, shown, signed, work_done
 
@@ -110,7 +109,7 @@ def write_tolerance_page(folder: Path, record: dict[str, Any]) -> None:
                 "What an operator wins back",
                 [
                     "Change of the score that costs first, at the drift of the sheet, before and after each "
-                    f"compensator alone. The {WHOLE_BENCH} is a new calibration."
+                    "compensator alone. The bench is a new calibration."
                 ],
                 [table(*won_back(record["compensators"]), "Change of PU21-PSNR, dB")],
             )
