@@ -12,7 +12,7 @@ from PIL import Image
 from recorded import codes16, signal, slots, truth
 
 from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
-from optsim.core.files import read_exr, read_png16, write_exr
+from optsim.core.files import read_exr, read_png16, read_words, write_exr
 from optsim.experiment.measurement.files import MeasurementFiles, read_measurement
 from optsim.footage.clips import open_clips
 from optsim.footage.recording import FileStatement, open_recording
@@ -431,3 +431,78 @@ def test_luminance_of_other_primaries_is_not_bt709s(tmp_path: Path) -> None:
         truth(tmp_path / "a.exr", channel_weights="rec709").source.check_declared(
             open_recording(tmp_path / "a.exr").declared, "a.exr"
         )
+
+
+# --- raw counts ---------------------------------------------------------------------------------------------
+
+COUNTS = np.random.default_rng(3).integers(0, 4096, (8, 9)).astype(np.uint16)
+
+
+def dng(path: Path, kind: int = 34892, *, first: int = 1, packed: bool = False, extra: object = ()) -> Path:
+    """A DNG as converters write it: a thumbnail first, and the counts of 12 bits in a page below it."""
+    version = [(50706, "B", 4, (1, 4, 0, 0), True), *tag(274, first)]
+    with tifffile.TiffWriter(path) as writer:
+        small = np.zeros((2, 3, 3), np.uint8)
+        writer.write(small, photometric="rgb", subifds=1, subfiletype=1, metadata=None, extratags=version)
+        said = {"photometric": "minisblack", "subfiletype": 0, "metadata": None}
+        bits = {"bitspersample": 12} if packed else {}
+        writer.write(COUNTS, **said, **bits, extratags=[(50714, "H", 1, 64, True), *extra])
+    with tifffile.TiffFile(path) as opened:
+        at = opened.pages[0].pages[0].tags[262].valueoffset
+    # The library writes no LinearRaw of one sample.
+    content = bytearray(path.read_bytes())
+    content[at : at + 2] = kind.to_bytes(2, "little")
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_counts_of_twelve_bits_are_read_as_the_sensor_took_them(packed: bool, tmp_path: Path) -> None:
+    bits = {"bitspersample": 12} if packed else {}
+    grey = tif(tmp_path / "a.tif", COUNTS, photometric="minisblack", **bits)
+    assert np.array_equal(read_words(grey), COUNTS)
+    assert np.array_equal(first(grey), COUNTS)
+    raw = dng(tmp_path / "a.dng", packed=packed)
+    assert np.array_equal(read_words(raw), COUNTS)
+    np.savez(tmp_path / "code.npz", code=np.ones((2, *COUNTS.shape)))
+    files = MeasurementFiles(image=str(raw), code=str(tmp_path / "code.npz"))
+    assert np.array_equal(read_measurement(files).frames[0].dn, COUNTS)
+
+
+@pytest.mark.parametrize(
+    ("stated", "text"),
+    [
+        ({"kind": 32803}, "PhotometricInterpretation says CFA"),
+        ({"first": 6}, "Orientation"),
+        ({"extra": [(50712, "H", 2, (0, 9), True)]}, "LinearizationTable"),
+        ({"extra": [(50829, "I", 4, (0, 1, 8, 9), True)]}, "ActiveArea"),
+    ],
+)
+def test_a_dng_whose_numbers_are_no_counts_of_all_pixels_is_refused(
+    stated: dict[str, object], text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueCheckError, match=text):
+        read_words(dng(tmp_path / "a.dng", **stated))
+
+
+def test_raw_counts_are_no_footage(tmp_path: Path) -> None:
+    for k in range(36):
+        dng(tmp_path / f"{k:02d}.dng")
+    with pytest.raises(ConfigError, match=r"raw counts of DNG; cure: convert"):
+        open_clips([tmp_path])
+    (tmp_path / "code").mkdir()
+    np.savez(tmp_path / "code" / "code.npz", code=np.ones((2, *COUNTS.shape)))
+    files = {"image": str(tmp_path / "00.dng"), "code": str(tmp_path / "code" / "code.npz")}
+    with pytest.raises(ValueCheckError, match=r"truth: .*raw counts of DNG"):
+        read_measurement(MeasurementFiles(**files, truth=str(tmp_path / "00.dng")))
+
+
+def test_packed_bits_name_the_package_that_unpacks_them(tmp_path: Path, monkeypatch) -> None:
+    path = tif(tmp_path / "a.tif", COUNTS, photometric="minisblack", bitspersample=12)
+
+    def missing(*_: object, **__: object) -> None:
+        raise NotImplementedError("packints_decode of 12-bit integers requires the 'imagecodecs' package")
+
+    monkeypatch.setattr(tifffile.TiffPage, "asarray", missing)
+    with pytest.raises(StorageError, match=r"12 bits a sample.*pip install 'optsim\[raw\]'"):
+        read_words(path)

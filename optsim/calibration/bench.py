@@ -1,6 +1,6 @@
 """Bench: the raw images that a camera's calibration is made from, and the settings they were taken with.
 
-A folder of 16-bit greyscale PNG or TIFF files with a manifest, ``bench.json``, is the whole interface to a
+A folder of greyscale PNG, TIFF or DNG files with a manifest, ``bench.json``, is the whole interface to a
 laboratory, virtual or real. This module defines it. The manifest holds the fields of :class:`Bench`. A field
 of images lists their file names, relative to the folder. All images are of the whole CCD, not scaled, and
 stored as read: rows first, in DN.

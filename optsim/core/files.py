@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from optsim.core.errors import StorageError, ValueCheckError
 from optsim.core.foreign.exr import exr_header, only_part
 from optsim.core.foreign.png import png_head, png_pixels
-from optsim.core.foreign.tiff import grey_pixels
+from optsim.core.foreign.tiff import SUFFIXES, grey_pixels
 
 _HALF_MAX = 65504.0
 _BLOCK = 1 << 20  # bytes read at a time for a checksum
@@ -315,17 +315,13 @@ def write_tiff16(path: Path, image: NDArray[np.uint16]) -> None:
 
 
 def read_tiff16(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit greyscale TIFF of one page as (y, x) uint16."""
+    """Read a greyscale TIFF of one page, or a DNG, of 9 to 16 bits as (y, x) uint16."""
     pixels = grey_pixels(path)
     if pixels.dtype != np.uint16:
         raise ValueCheckError(f"{path}: got pixels of {pixels.dtype}, expected 16-bit greyscale (uint16)")
     return pixels.astype(np.uint16, copy=False)
 
 
-TIFF = (".tif", ".tiff")
-"""Suffixes of TIFF files."""
-
-
 def read_words(path: Path) -> NDArray[np.uint16]:
-    """Read a 16-bit greyscale PNG, or TIFF by its suffix: errors of :func:`read_png16`."""
-    return read_tiff16(path) if path.suffix.lower() in TIFF else read_png16(path)
+    """Read a 16-bit greyscale PNG, or TIFF or DNG by its suffix: errors of :func:`read_png16`."""
+    return read_tiff16(path) if path.suffix.lower() in SUFFIXES else read_png16(path)

@@ -17,7 +17,12 @@ _ARRAYS = (".npz", ".mat")
 
 
 def read_pictures(
-    path: Path, said: str, *, names: Sequence[str] = (), slots: bool = False, light: bool = False
+    path: Path,
+    said: str,
+    *,
+    names: Sequence[str] = (),
+    slots: bool = False,
+    curves: Sequence[str] | None = None,
 ) -> NDArray[Any]:
     """Read images in order of time.
 
@@ -31,8 +36,8 @@ def read_pictures(
         Names of the array in an npz or mat file; the first that exists is read.
     slots : bool
         The channels of an EXR are slots, in the order of the numbers in their names.
-    light : bool
-        The values are light, so a file with a stated curve other than linear is refused.
+    curves : sequence of str or None
+        Curves that a file may state of its values, any by default.
 
     Returns
     -------
@@ -51,7 +56,7 @@ def read_pictures(
     with naming({"source.footage.path": said, "source.footage.key": said, "source.footage.axes": said}):
         recording = open_recording(path)
         pictures = np.stack(list(recording.read(0)))
-    if light and recording.declared.curve not in (None, "linear"):
+    if curves is not None and recording.declared.curve not in (None, *curves):
         raise ValueCheckError(
             f"{said}: {path} says that its values follow the curve {recording.declared.curve}, expected "
             "linear ones; cure: convert it, or remove what it says"

@@ -13,11 +13,11 @@ from optsim.core.config import Part
 from optsim.core.errors import ConfigError, ValueCheckError
 from optsim.core.quantities import Doubles
 from optsim.core.units import REC709_Y
-from optsim.footage.recording import FileStatement
+from optsim.footage.recording import RAW_COUNTS, FileStatement
 from optsim.optics.srgb import srgb_to_linear
 
 # Curves that no linearisation here inverts.
-_OTHER_CURVES = ("PQ", "HLG", "log 100:1", "log 316:1")
+_OTHER_CURVES = ("PQ", "HLG", "log 100:1", "log 316:1", RAW_COUNTS)
 # Values below the black level are read noise around a dark signal: about half, never most of a frame.
 _BELOW_BLACK_SHARE = 0.6
 

@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""Pages of TIFF files (TIFF 6.0): a tag on the stored numbers is honoured or refused."""
+"""Pages of TIFF files (TIFF 6.0, DNG 1.7): a tag on the stored numbers is honoured or refused."""
 
 from __future__ import annotations
 
@@ -33,6 +33,10 @@ _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     8: lambda stored: np.rot90(stored),
 }
 _NOT_A_FRAME = 0b101  # NewSubfileType: a smaller version of another page, or its mask
+_LINEAR_RAW, _DNG_VERSION = 34892, 50706
+# Tags of DNG that make its stored numbers others than the sensor's counts.
+_NOT_COUNTS = {50712: "LinearizationTable", 50829: "ActiveArea", 51008: "OpcodeList1"}
+SUFFIXES = (".tif", ".tiff", ".dng")
 
 
 class _Refusal(logging.Handler):
@@ -62,13 +66,31 @@ def opened(path: Path) -> Generator[Any, None, None]:
         logger.removeHandler(handler)
 
 
+def frame_pages(where: str, tiff: Any) -> list[Any]:
+    """Return the pages that hold frames: all of a TIFF, the one of raw counts of a DNG."""
+    first = tiff.pages[0].aspage() if len(tiff.pages) else None
+    if first is None or _DNG_VERSION not in first.tags:
+        return list(tiff.pages)
+    if first.tags.valueof(274, 1) != 1:
+        raise _unlike(where, "Orientation", first.tags.valueof(274), "1: the sensor's own rows and columns")
+    raw = [page.aspage() for page in (first, *(first.pages or ()))]
+    raw = [page for page in raw if not page.subfiletype & _NOT_A_FRAME]
+    if len(raw) != 1:
+        raise ValueCheckError(f"{where}: got {len(raw)} pictures of full size, expected one of raw counts")
+    whole = [0, 0, *raw[0].shape[:2]]
+    for code, name in _NOT_COUNTS.items():
+        if code in raw[0].tags and (code != 50829 or [*raw[0].tags.valueof(code)] != whole):
+            raise _unlike(where, name, "that stored numbers differ from counts", "counts of all pixels")
+    return raw
+
+
 def page_pixels(where: str, page: Any, file_bytes: int) -> NDArray[Any]:
     """NDArray[Any] of a page in upright orientation, array (y, x, channel)."""
     tags, shape = page.tags, page.shape
     if page.subfiletype & _NOT_A_FRAME:
         raise _unlike(where, "NewSubfileType", page.subfiletype, "a frame, no smaller version or mask")
     photometric = int(tags.valueof(262, _MIN_IS_BLACK))
-    if photometric not in (_MIN_IS_WHITE, _MIN_IS_BLACK, _RGB):
+    if photometric not in (_MIN_IS_WHITE, _MIN_IS_BLACK, _RGB, _LINEAR_RAW):
         raise _unlike(where, "PhotometricInterpretation", page.photometric, "grey or RGB")
     formats = set(np.atleast_1d(tags.valueof(339, 1)).tolist())
     if len(formats) != 1 or not formats <= set(_FORMATS):
@@ -88,7 +110,15 @@ def page_pixels(where: str, page: Any, file_bytes: int) -> NDArray[Any]:
         raise ValueCheckError(f"{where}: a page has axes {page.axes}, expected YX, YXS or SYX")
     _check_segments(where, page, bits, file_bytes)
     # In one thread: log records of other threads could not be told apart.
-    pixels = page.asarray(maxworkers=1)
+    try:
+        pixels = page.asarray(maxworkers=1)
+    except (NotImplementedError, ValueError) as error:
+        if "imagecodecs" not in str(error):
+            raise
+        raise StorageError(
+            f"{where}: {bits} bits a sample, compression {page.compression.name}, need a package that is not "
+            "installed; fix: pip install 'optsim[raw]', or write it uncompressed in 16 bits"
+        ) from None
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
     if page.axes == "SYX":
         pixels = np.moveaxis(pixels.reshape(shape), 0, -1)
@@ -135,9 +165,10 @@ def _unlike(where: str, tag: str, got: object, expected: str) -> ValueCheckError
 def grey_pixels(path: Path) -> NDArray[Any]:
     """Read a file of one grey page: array (y, x) of the numbers as they are stored."""
     with opened(path) as tiff:
-        if len(tiff.pages) != 1:
-            raise ValueCheckError(f"{path}: got {len(tiff.pages)} pages, expected one")
-        pixels = page_pixels(str(path), tiff.pages[0].aspage(), path.stat().st_size)
+        pages = frame_pages(str(path), tiff)
+        if len(pages) != 1:
+            raise ValueCheckError(f"{path}: got {len(pages)} pages, expected one")
+        pixels = page_pixels(str(path), pages[0].aspage(), path.stat().st_size)
     if pixels.shape[2] != 1:
         raise ValueCheckError(f"{path}: got {pixels.shape[2]} channels, expected one: greyscale")
     return pixels[..., 0]

@@ -32,7 +32,7 @@ from optsim.experiment.measurement.coded import (
     truth_frames,
 )
 from optsim.footage.measured import read_pictures
-from optsim.footage.recording import IMAGES, array_names
+from optsim.footage.recording import IMAGES, RAW_COUNTS, array_names
 
 _Role = Literal["image", "code", "truth", "moving"]
 _NAMES: dict[_Role, tuple[str, ...]] = {
@@ -71,9 +71,9 @@ class MeasurementFiles(DecoderChoice):
     Parameters
     ----------
     image, code : str
-        Coded images, and their codes: an ``.npz`` or ``.mat`` file, or a folder, pattern or file of PNG, TIFF
-        or EXR images. A code has one image a slot, the same for all coded images. Or it has one EXR a coded
-        image, whose channels, in the order of their names, are its slots.
+        Coded images, and their codes: an ``.npz`` or ``.mat`` file, or a folder, pattern or file of PNG,
+        TIFF, DNG or EXR images. A code has one image a slot, the same for all coded images. Or it has one EXR
+        a coded image, whose channels, in the order of their names, are its slots.
     truth : str or None
         Light slot by slot, if known: in the code's format, with all slots of the first coded image, then all
         of the second.
@@ -245,5 +245,7 @@ def _on_a_camera(
 
 
 def _read(text: str, role: _Role) -> NDArray[Any]:
-    slots, light = role in ("code", "truth"), role in ("image", "truth")
-    return read_pictures(Path(text), role, names=_NAMES[role], slots=slots, light=light)
+    slots = role in ("code", "truth")
+    # An image is counts, whose black level the sensor states.
+    curves = {"image": ("linear", RAW_COUNTS), "truth": ("linear",)}.get(role)
+    return read_pictures(Path(text), role, names=_NAMES[role], slots=slots, curves=curves)

@@ -10,11 +10,12 @@ from itertools import pairwise
 from pathlib import Path
 
 from optsim.core.errors import ConfigError, OptsimError, StorageError
+from optsim.core.foreign.tiff import SUFFIXES as TIFF
 from optsim.footage.recording import arrays, images, tiff
 from optsim.footage.recording.arrays import ARRAYS
 from optsim.footage.recording.film import Recording, as_recording
 
-IMAGES = (".exr", ".png", ".tif", ".tiff")
+IMAGES = (".exr", ".png", *TIFF)
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm")
 
 
@@ -51,7 +52,7 @@ def open_recording(path: Path, *, key: str | None = None, axes: str | None = Non
         from optsim.footage.recording.video import video
 
         return video(files[0])
-    if len(files) == 1 and suffix in (".tif", ".tiff"):
+    if len(files) == 1 and suffix in TIFF:
         return tiff.tiff_stack(files[0])
     if suffix == ".exr":
         read, declared = partial(images.exr, key=key), images.exr_statement(files[0], key)

@@ -13,6 +13,8 @@ from optsim.core.errors import StorageError, ValueCheckError
 
 Pixels = NDArray[Any]
 _DTYPES = ("uint8", "uint16", "uint32", "uint64", "int16", "int32", "int64", "float16", "float32", "float64")
+RAW_COUNTS = "raw counts of DNG"
+"""The curve of a sensor's counts with its black level."""
 
 
 class FileStatement(NamedTuple):
@@ -21,7 +23,7 @@ class FileStatement(NamedTuple):
     Parameters
     ----------
     curve : str or None
-        "linear", "srgb", or the name of another curve from light to stored value.
+        "linear", "srgb", :data:`RAW_COUNTS`, or the name of another curve from light to stored value.
     primaries : str or None
         "BT.709", or the name or place of other primaries of R, G and B.
     """

@@ -1,5 +1,5 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-"""TIFF files page by page (TIFF 6.0): a tag on the stored numbers is honoured or refused."""
+"""TIFF files page by page (TIFF 6.0), and DNG: a tag on the stored numbers is honoured or refused."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from optsim.core.errors import StorageError
 from optsim.core.foreign.h273 import primaries_at
-from optsim.core.foreign.tiff import opened, page_pixels
-from optsim.footage.recording.film import FileStatement, Pixels, Recording, as_recording
+from optsim.core.foreign.tiff import frame_pages, opened, page_pixels
+from optsim.footage.recording.film import RAW_COUNTS, FileStatement, Pixels, Recording, as_recording
 
 
 def tiff(path: Path) -> Pixels:
@@ -26,6 +26,8 @@ def tiff(path: Path) -> Pixels:
 
 def tiff_stack(path: Path) -> Recording:
     """Open a TIFF file of one page a frame."""
+    if path.suffix.lower() == ".dng":
+        return as_recording((path,), 1, lambda _: iter([_raw(path)]), declared=FileStatement(RAW_COUNTS))
     with opened(path) as tiff:
         n_frames = len(tiff.pages)
         if n_frames == 0:
@@ -55,6 +57,13 @@ def tiff_stack(path: Path) -> Recording:
                 yield page_pixels(f"{path}, page {index}", page.aspage(), path.stat().st_size)
 
     return as_recording((path,), n_frames, pages, declared=declared)
+
+
+def _raw(path: Path) -> Pixels:
+    """Read the sensor's counts of a DNG, array (y, x, channel)."""
+    with opened(path) as tiff:
+        (page,) = frame_pages(str(path), tiff)
+        return page_pixels(str(path), page.aspage(), path.stat().st_size)
 
 
 def _statement(page: Any) -> FileStatement:
