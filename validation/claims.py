@@ -47,6 +47,8 @@ DRAWS = {
     "half_moving": _APART,
     "night_street": tuple((way, start) for way in ("main", "away") for start in (0, 1, 2)),
 }
+_FORMS = {"moving": "+.2f", "static": "+.2f", "all": "+.3f"}
+_VERDICTS = "holds", "undecided", "fails"
 Found = dict[int, dict[str, Any]]
 """Latency -> scene -> verdicts and draws."""
 
@@ -115,10 +117,26 @@ def excerpt(video: RadianceVideo, first_frame: int, n_slots: int, experiment: Ex
 
 
 def all_figures(found: Found) -> dict[str, Any]:
-    """Arrange all verdicts by latency and scene."""
-    return {
+    """Arrange all verdicts by latency and scene, with the sentences of the headline's latency."""
+    arranged = {
         f"latency_{latency}": {name: figures(each) for name, each in scenes.items()}
         for latency, scenes in found.items()
+    }
+    return arranged | {"sentences": sentences(arranged[f"latency_{next(iter(LATENCIES))}"])}
+
+
+def sentences(scenes: dict[str, Any]) -> dict[str, str]:
+    """Say of each region in which scenes its claim holds, is undecided and fails, with the advantages."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for name, regions in scenes.items():
+        for region, form in _FORMS.items():
+            for area, each in regions.get(region, {}).items():
+                place = f"`{name}`" if area == "room" else f"the window of `{name}`"
+                said = f"{place} ({each['advantage']:{form}})"
+                found.setdefault(region, {}).setdefault(each["verdict"], []).append(said)
+    return {
+        region: "; ".join(f"{verdict} in {', '.join(by[verdict])}" for verdict in _VERDICTS if verdict in by)
+        for region, by in found.items()
     }
 
 
