@@ -71,7 +71,7 @@ class CodedImageDecoder(PartialDecoder, ABC):
         """Prepare for a calibration; what it returns decodes one coded image at a time."""
 
     def quick(self) -> Self:
-        """Return a decoder of nearly the same errors in less time, for trials."""
+        """Return a faster decoder with nearly the same errors, for the turns of :class:`Joined`."""
         return self
 
     def partials(self, frames: Iterable[CodedFrame], calibration: Calibration) -> Iterator[Partial]:

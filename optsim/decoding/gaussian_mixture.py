@@ -21,7 +21,7 @@ from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDec
 from optsim.decoding.mixture.posterior import MeasuredMixture, measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
 from optsim.decoding.partial import Partial
-from optsim.decoding.patch_grid import overlap, patch_corners
+from optsim.decoding.patch_grid import cut_patches, overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.mixture import Mixture, load_mixture, shipped_mixture
 from optsim.priors.prior_file import fitted
@@ -103,7 +103,7 @@ class GaussianMixture(CodedImageDecoder):
         known = frame.code.moving & image.usable
         common = shared_weights(image.weights, known, corners, size, self.weight_tolerance)
         phase = common.phase
-        cut = (_patches(each, corners, size) for each in (image.signal, image.exposure, image.variance))
+        cut = (cut_patches(each, corners, size) for each in (image.signal, image.exposure, image.variance))
         signals, exposure, variance = cut
         # In the dark the mean may be negative: the positive mean removes that without a bias.
         scale = signals.sum(axis=1) / np.maximum(exposure.sum(axis=1), _NOTHING)
@@ -179,12 +179,6 @@ def _mean_everywhere(total: Floats, times: Floats) -> Floats:
         return total
     rows, cols = nearest(times > 0)
     return total[rows, cols]
-
-
-def _patches(image: Floats, corners: Ints, size: int) -> Floats:
-    """Cut patches of an image, (v, u), to rows of an array (p, pixel)."""
-    windows = np.lib.stride_tricks.sliding_window_view(image, (size, size))
-    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), size**2)
 
 
 def _paint(

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from optsim.core.quantities import Bools, Floats, Ints
+
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 
 def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
@@ -16,6 +21,12 @@ def patch_corners(mask: Bools, patch: int, stride: int) -> Ints:
     touched += sums[top, left] - sums[top + patch, left]
     rows, cols = np.nonzero(touched)
     return np.stack([v[rows], u[cols]], axis=1)
+
+
+def cut_patches(image: NDArray[_Kind], corners: Ints, patch: int) -> NDArray[_Kind]:
+    """Cut patches of an image, (v, u), to rows of an array (n, pixel)."""
+    windows = np.lib.stride_tricks.sliding_window_view(image, (patch, patch))
+    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), patch**2)
 
 
 def overlap(shape: tuple[int, ...], patch: int, stride: int, along: Floats | None = None) -> Floats:

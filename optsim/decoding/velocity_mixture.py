@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,7 +26,7 @@ from optsim.decoding.mixture.moving_textures import (
     posterior,
 )
 from optsim.decoding.partial import Partial
-from optsim.decoding.patch_grid import overlap, patch_corners
+from optsim.decoding.patch_grid import cut_patches, overlap, patch_corners
 from optsim.decoding.shared_weights import followed_tile, places, weights_at
 
 # Speeds, panel pixels a slot, and directions of each: about as dense as a window of 12 tells apart.
@@ -93,28 +93,32 @@ class VelocityMixture(CodedImageDecoder):
             means /= unit
             noise = (image.variance / np.square(exposure * unit)).astype(np.float32)
             # Wide gaps repeat their nearest sample.
-            windows = Windows(*(_cut(each, corners, size) for each in (means, noise, image.exposure > 0)))
-            like_tile = replace(windows, measured=_cut(follows, corners, size))
+            windows = Windows(
+                cut_patches(means, corners, size),
+                cut_patches(noise, corners, size),
+                cut_patches(image.exposure > 0, corners, size),
+            )
+            like_tile = replace(windows, measured=cut_patches(follows, corners, size))
             strange = (windows.measured & ~like_tile.measured).any(axis=1)
             enough = windows.measured.mean(axis=1) >= _LEAST_MEASURED
             alike = like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
             place = places(corners, tile.shape[:2])
 
             def shared(members: Ints) -> Posterior:
-                weights = _few(weights_at(tile, int(place[members[0]]), size))
+                weights = _sparse(weights_at(tile, int(place[members[0]]), size))
                 some = like_tile.some(members)
                 return posterior(weights, some, components, self.noise_gain, spread=self.uncertainty)
 
             def alone(m: int, moves: list[Component]) -> Posterior:
                 v, u = corners[m]
-                own = _few(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
+                own = _sparse(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
                 chosen = [(along_v, along_u, time) for time in TIMES_SLOTS for along_v, along_u, _ in moves]
                 some = windows.some(np.array([m]))
                 return posterior(own, some, chosen, self.noise_gain, spread=self.uncertainty)
 
             def moving(members: Ints) -> Posterior:
                 """Velocities by the pixels like the tile, then light by all pixels' own weights."""
-                weights = _few(weights_at(tile, int(place[members[0]]), size))
+                weights = _sparse(weights_at(tile, int(place[members[0]]), size))
                 shares = likelihoods(weights, like_tile.some(members), at_first, self.noise_gain)
                 found: list[Posterior] = []
                 for m, share in zip(members, shares.T, strict=True):
@@ -198,8 +202,8 @@ def _components(fastest: float) -> list[Component]:
     return [(*velocity, time) for time in TIMES_SLOTS for velocity in velocities]
 
 
-def _few(weights: Floats) -> Floats:
-    """Weights relative to their sum, the small ones gathered in a few slots: (p, slot)."""
+def _sparse(weights: Floats) -> Floats:
+    """Divide weights by their sum, with leaks and long exposures in fewer slots: (p, slot)."""
     # What never opens in the tile counts as not measured: any weights do.
     weights = np.where(weights.any(axis=1, keepdims=True), weights, np.float32(1))
     small = weights < _LEAK * weights.max(axis=1, keepdims=True)
@@ -218,18 +222,12 @@ def _few(weights: Floats) -> Floats:
     return found / np.maximum(found.sum(axis=1, keepdims=True), _TINY)
 
 
-def _cut(image: Floats | Bools, corners: Ints, size: int) -> Any:
-    """Cut windows of an image (v, u): (n, pixel)."""
-    windows = np.lib.stride_tricks.sliding_window_view(image, (size, size))
-    return windows[corners[:, 0], corners[:, 1]].reshape(len(corners), size**2)
-
-
 def _corners(moving: Bools, size: int, stride: int) -> Ints:
     """First rows and columns of the windows whose middle half, or at the edge any part, touches a mask."""
     corners = patch_corners(moving, size, stride)
     middle = np.zeros((size, size), bool)
     middle[size // 4 : size - size // 4, size // 4 : size - size // 4] = True
-    inside = _cut(moving, corners, size)[:, middle.ravel()].any(axis=1)
+    inside = cut_patches(moving, corners, size)[:, middle.ravel()].any(axis=1)
     at_edge = ((corners == 0) | (corners == np.array(moving.shape) - size)).any(axis=1)
     return corners[inside | at_edge]
 

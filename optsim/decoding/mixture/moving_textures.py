@@ -138,7 +138,10 @@ def likelihoods(weights: Floats, windows: Windows, components: list[Component], 
 
 
 def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> tuple[Floats, Floats, Ints]:
-    """Return samples minus their mean (n, p), 0 if missing; means (n,); log2 of noise over texture (n,)."""
+    """Subtract each window's mean, and find its noise.
+
+    Returns samples (n, p), 0 if missing; means (n,); log2 of noise variance over texture variance (n,).
+    """
     measured = windows.measured
     n = measured.sum(axis=1)
     mean = (windows.means * measured).sum(axis=1) / n
