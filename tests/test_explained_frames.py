@@ -189,6 +189,7 @@ name = "explained"
 n_frames = 4
 schemes = ["random", "hdr_mosaic", "normal"]
 half = true
+reconstruct = true
 [scenes]
 {scene} = ["3"]
 [cameras.main]
@@ -207,3 +208,6 @@ train = {{ share = 0.3 }}
         for frame in range(4):
             residual = residuals(sample, scheme, frame, lines()["explained"](sample, scheme, frame))
             assert np.sqrt(np.mean(residual**2)) < MOST, (scheme, frame)
+    # A reconstruction is radiance, as the target is.
+    ratio = sample["reconstructions/normal"] / sample["target"]
+    assert np.nanmedian(ratio) == pytest.approx(1, abs=0.1)

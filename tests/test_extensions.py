@@ -20,7 +20,10 @@ from optsim.core.errors import ConfigError
 from optsim.decoding import Interpolation
 from optsim.experiment.experiment import load_experiment
 from optsim.metrics import SAMPLE_METRICS
+from optsim.scene import Scene, load_scene
+from optsim.scene.movers import Card
 
+FLAG = {"center_m": (0.0, 1.0, 1.0), "size_m": (0.4, 0.3), "velocity_m_s": (0.5, 0.0, 0.0)}
 FOREIGN = Path(__file__).parent / "support" / "foreign_package"
 
 
@@ -60,7 +63,12 @@ def offering(place: Path, group: str, target: str, text: str = "") -> None:
 @pytest.mark.usefixtures("foreign")
 @pytest.mark.parametrize(
     ("what", "name"),
-    [("decoders", "sketch_flat"), ("metrics", "mean-error[white]"), ("parts", "sketch_dusty")],
+    [
+        ("decoders", "sketch_flat"),
+        ("metrics", "mean-error[white]"),
+        ("parts", "sketch_dusty"),
+        ("objects", "sketch_flag"),
+    ],
 )
 def test_they_are_listed_beside_ours(cli, what, name):  # noqa: F811
     code, out, _ = cli("list", what)
@@ -71,11 +79,12 @@ def test_they_are_listed_beside_ours(cli, what, name):  # noqa: F811
 
 @pytest.mark.usefixtures("foreign")
 def test_they_keep_our_contracts():
-    from optsim_sketch import DustyRelay, Flat, MeanError
+    from optsim_sketch import DustyRelay, Flag, Flat, MeanError
 
     testing.check_decoder(Flat())
     testing.check_metric(MeanError())
     testing.check_part(DustyRelay(**demo().relay.model_dump()), "relay")
+    testing.check_object(Flag(material="grey", **FLAG))
 
 
 @pytest.mark.parametrize("metric", SAMPLE_METRICS, ids=lambda m: m.kind)
@@ -128,6 +137,20 @@ def test_a_foreign_relay_takes_light_away():
     )
     rows = [{row.stage: row.value for row in each.ledger(1.0)} for each in (clean, dusty)]
     assert rows[1]["relay stop"] == pytest.approx(0.75 * rows[0]["relay stop"])
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_foreign_mover_moves_in_a_scene():
+    table = load_scene("flying_solids").model_dump()
+    flag = {"kind": "sketch_flag", "material": "grey", **FLAG}
+    table |= {"materials": {**table["materials"], "grey": {"kind": "diffuse", "reflectance": 0.5}}}
+    scene = Scene.model_validate({**table, "movers": {"flag": flag}})
+    assert scene.model_dump()["movers"]["flag"]["sinks_m_s"] == 0.2
+    before, after = (scene.singles()["flag"].vertices(time_s) for time_s in (0.0, 1.0))
+    still = Card(material="grey", **FLAG)
+    np.testing.assert_allclose(after - before, still.vertices(1.0) - still.vertices(0.0) - (0, 0, 0.2))
+    with pytest.raises(ConfigError, match="sinks_m: unknown key"):
+        Scene.model_validate({**table, "movers": {"flag": {**flag, "sinks_m": 1}}})
 
 
 @pytest.mark.usefixtures("foreign")

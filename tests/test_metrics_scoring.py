@@ -216,6 +216,18 @@ def test_pooled_scores_equal_a_batch_computation() -> None:
                 assert record.value == pytest.approx(metric.finish(total, n), rel=1e-12)
 
 
+def test_a_score_has_the_interval_of_its_frames_by_student() -> None:
+    """By scipy, from the scores of the frames one by one, about the pooled score."""
+    b = board()
+    merging = {(r.metric, r.region): r for r in b.records(tallies(b, 7)) if r.phase == "merging"}
+    alone = [{(r.metric, r.region): r for r in b.records([b.tally("m", *frame(i))])} for i in (2, 3, 4)]
+    for key, pooled in merging.items():
+        values = [each[key].value for each in alone]
+        half = stats.t.ppf(0.975, 2) * stats.sem(values)
+        assert (pooled.low, pooled.high) == pytest.approx((pooled.value - half, pooled.value + half))
+        assert (alone[0][key].low, alone[0][key].high) == (None, None)
+
+
 def test_the_order_of_frames_changes_nothing_at_all() -> None:
     b = board()
     forward = tallies(b, 8)

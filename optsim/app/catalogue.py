@@ -1,11 +1,12 @@
-"""What is shipped, one line each: scenes, presets, schemes, decoders, metrics, effects."""
+"""What is shipped, one line each: scenes, presets, schemes, decoders, metrics, effects, parts, objects."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import get_args
 
 from optsim.core.config import Part, read_toml
-from optsim.core.extensions import DECODERS, PARTS, SCHEMES, kind_of, offered
+from optsim.core.extensions import DECODERS, OBJECTS, PARTS, SCHEMES, kind_of, offered
 
 
 def catalogue(what: str) -> list[tuple[str, str]]:
@@ -30,6 +31,11 @@ def catalogue(what: str) -> list[tuple[str, str]]:
         from optsim import coding
 
         return _lines((*coding.ALL, *offered(SCHEMES).values()))
+    if what == "objects":
+        from optsim.scene.scene import Mover, StillObject
+
+        own = (each for union in (StillObject, Mover) for each in get_args(get_args(union)[0]))
+        return _lines((*own, *offered(OBJECTS).values()))
     if what == "parts":
         from optsim.camera import parts
 

@@ -318,7 +318,7 @@ app.command("yield")(yield_)
 app.command("benchmark")(benchmark)
 app.command("validate")(validate)
 _LEAST_COLUMNS = 40
-LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects", "parts")
+LISTS = ("scenes", "presets", "schemes", "decoders", "metrics", "effects", "parts", "objects")
 
 
 @app.command("list")

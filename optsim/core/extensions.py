@@ -1,13 +1,14 @@
 """Classes that other installed packages offer under entry points, beside those of this package.
 
-The groups are ``optsim.decoders``, ``optsim.schemes``, ``optsim.metrics`` and ``optsim.parts``. The name of
-an entry point is the class's ``kind``. Nothing is loaded before a kind is asked for that isn't ours.
+The groups are ``optsim.decoders``, ``optsim.schemes``, ``optsim.metrics``, ``optsim.parts`` and
+``optsim.objects``. The name of an entry point is the class's ``kind``. Nothing is loaded before a kind is
+asked for that isn't ours.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -19,7 +20,8 @@ from optsim.core.config import Part, build
 from optsim.core.errors import ConfigError
 from optsim.core.files import content_hash
 
-DECODERS, SCHEMES, METRICS, PARTS = (f"optsim.{name}" for name in ("decoders", "schemes", "metrics", "parts"))
+_NAMES = "decoders", "schemes", "metrics", "parts", "objects"
+GROUPS = DECODERS, SCHEMES, METRICS, PARTS, OBJECTS = tuple(f"optsim.{name}" for name in _NAMES)
 AS_IT_IS: Any = SerializeAsAny()  # pyright: ignore[reportCallIssue, reportUnknownVariableType]
 """Lets a field write a subclass with all its keys."""
 _T = TypeVar("_T", bound=Part)
@@ -75,11 +77,11 @@ def or_offered(group: str, base: type[Part]) -> WrapValidator:
     return WrapValidator(check)
 
 
-def extension_versions() -> dict[str, str]:
-    """Version of each package that offers a class, and a hash of the class's file."""
+def extension_versions(groups: Sequence[str] = GROUPS) -> dict[str, str]:
+    """Version of each package that offers a class of some groups, and a hash of the class's file."""
     return {
         f"{group}: {kind}": f"{_version(each)}, {_hash(each)}"
-        for group in (DECODERS, SCHEMES, METRICS, PARTS)
+        for group in groups
         for kind, each in offered(group).items()
     }
 

@@ -30,6 +30,7 @@ import numpy as np
 from optsim.core.cache import Cache, hash_of
 from optsim.core.code_hash import hash_files
 from optsim.core.errors import ConfigError
+from optsim.core.extensions import OBJECTS, extension_versions
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats, RadianceVideo, Segment, Timing, View
 from optsim.render import moving
@@ -82,7 +83,8 @@ def render_truth(
     report = activate(backend)
     # The truth does not depend on the samples a panel pixel.
     look = {**asdict(view), "samples_per_pitch": None, "slot_s": timing.slot_s}
-    identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), hash_files(_CODE))
+    code = hash_files(_CODE), extension_versions([OBJECTS])
+    identity = hash_of(scene.model_dump(mode="json"), look, report.variant, versions(), *code)
     if azimuth_rad is not None:
         identity = hash_of(identity, "twice the analysed component", azimuth_rad)
     plan = RenderPlan(

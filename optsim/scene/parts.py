@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.core.config import Part
+from optsim.core.extensions import AS_IT_IS, OBJECTS, or_offered
 from optsim.scene import geometry
 from optsim.scene.fields import Positive, Vector
 from optsim.scene.geometry import Mesh
@@ -170,5 +171,8 @@ class Plant(Part):
 
 
 StillObject = Annotated[
-    Quad | Box | Wall | Rod | Globe | Plant | Solid | MeshObject, Field(discriminator="kind")
+    Quad | Box | Wall | Rod | Globe | Plant | Solid | MeshObject,
+    Field(discriminator="kind"),
+    or_offered(OBJECTS, Part),
+    AS_IT_IS,
 ]

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from optsim.core.config import Part, Table, build, read_toml
 from optsim.core.errors import ConfigError, unknown_name
+from optsim.core.extensions import AS_IT_IS, OBJECTS, or_offered
 from optsim.scene.bands import MONO_NM, Bands, colour_by_band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
@@ -43,6 +44,8 @@ Mover = Annotated[
     | VertexSequence
     | AnimatedModel,
     Field(discriminator="kind"),
+    or_offered(OBJECTS, Part),
+    AS_IT_IS,
 ]
 
 # Movers of the renderer: each has ``material``, ``rest()`` and ``vertices(time_s)``.

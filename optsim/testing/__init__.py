@@ -1,4 +1,4 @@
-"""Contracts of decoders, schemes, metrics and parts of another package: call these in its own tests.
+"""Contracts of decoders, schemes, metrics, parts and objects of another package, for its own tests.
 
 Each function raises ``AssertionError`` with the rule that was broken.
 """
@@ -23,7 +23,7 @@ from optsim.metrics import FrameMetric, Metric
 _ROWS, _COLS, _FRAMES = 24, 32, 3
 _WHITE_CD_M2 = 500.0
 
-__all__ = ["check_decoder", "check_metric", "check_part", "check_scheme"]
+__all__ = ["check_decoder", "check_metric", "check_object", "check_part", "check_scheme"]
 
 
 def check_decoder(decoder: Any) -> None:
@@ -145,6 +145,35 @@ def check_part(part: Part, place: str) -> None:
     light, rng = _light(made), np.random.default_rng(0)
     bright, dark = (made.expose(light, 0, _code(made, level), None, rng)[0].dn.mean() for level in (255, 0))
     _hold(bright > dark, "an open panel brings more light than a dark one")
+
+
+def check_object(thing: Any) -> None:
+    """Hold an object or mover of a scene to its contract: a mesh of finite points, the same each time.
+
+    Parameters
+    ----------
+    thing : Part
+        An object with ``material`` and ``mesh()``, or a mover with ``material``, ``rest()`` and
+        ``vertices(time_s)``. Vertices keep their number and order at all times.
+
+    Raises
+    ------
+    AssertionError
+        With the rule that it breaks.
+    """
+    _hold(isinstance(thing.material, str), "a thing names its material")
+    moves = hasattr(thing, "vertices")
+    mesh = thing.rest() if moves else thing.mesh()
+    corners, faces = mesh.vertices_m, mesh.faces
+    _hold(corners.shape[1:] == (3,) and np.isfinite(corners).all(), "vertices are (n, 3), m, finite")
+    _hold(faces.shape[1:] == (3,), "faces are (m, 3)")
+    _hold(faces.min() >= 0 and faces.max() < len(corners), "faces are made of vertices")
+    for time_s in (0.0, 0.01, 1.7) if moves else ():
+        there, again = thing.vertices(time_s), thing.vertices(time_s)
+        _hold(there.shape == corners.shape and np.isfinite(there).all(), "vertices keep their number")
+        _hold(np.array_equal(there, again), "vertices are a function of the time alone")
+    _hold(not moves or np.allclose(thing.vertices(0.0), corners), "a mover rests where it is at time 0")
+    _hold(type(thing)(**thing.model_dump()) == thing, "a thing is itself again from its table")
 
 
 def _hold(condition: object, rule: str) -> None:

@@ -1,4 +1,4 @@
-"""A decoder, a metric and a part of a package outside optsim."""
+"""A decoder, a metric, a part and a mover of a package outside optsim."""
 
 from collections.abc import Iterable, Iterator
 from typing import ClassVar, Literal
@@ -10,6 +10,7 @@ from optsim.decoding import PartialDecoder
 from optsim.decoding.coded_images import coded_images
 from optsim.decoding.partial import Partial
 from optsim.metrics import Metric
+from optsim.scene.movers import Card
 
 
 class Flat(PartialDecoder):
@@ -57,3 +58,14 @@ class DustyRelay(Relay):
     def accepted_share(self, panel_f_number: float) -> float:
         """Less the dust."""
         return (1 - self.dust_share) * super().accepted_share(panel_f_number)
+
+
+class Flag(Card):
+    """A card that sinks."""
+
+    kind: Literal["sketch_flag"] = "sketch_flag"
+    sinks_m_s: float = 0.2
+
+    def vertices(self, time_s: float) -> np.ndarray:
+        """Positions (n, 3), m."""
+        return super().vertices(time_s) - np.array([0, 0, self.sinks_m_s * time_s])
