@@ -40,6 +40,8 @@ ALL: dict[str, str] = {
     "render.night_street": "render",
     "render.chart": "render",
     "render.mesh_scene": "render",
+    "render.own_world": "render",
+    "render.own_world_walking": "render",
     "render.colour": "colour",
     "study.sweep_9": "study",
     "study.yield_200": "study",

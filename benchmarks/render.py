@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.mesh_scene import make_mesh_scene
+from benchmarks.own_world import make_own_world
 from optsim.core.cache import Cache, hash_of
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Bools, Doubles, Timing, View
@@ -93,6 +94,8 @@ def measure(name: str, progress: Progress = silent) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         if name == "render.mesh_scene":
             return _measure(name, make_mesh_scene(Path(folder)), progress)
+        if name.startswith("render.own_world"):
+            return _measure(name, make_own_world(Path(folder), walking=name.endswith("walking")), progress)
         return _measure(name, load_scene(name.removeprefix("render.")), progress)
 
 

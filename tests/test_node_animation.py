@@ -2,11 +2,13 @@
 
 import base64
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from benchmarks.own_world import make_own_world
 from optsim.core.errors import ConfigError, OptsimError
 from optsim.scene import load_scene
 from optsim.scene.models import read_model
@@ -149,6 +151,38 @@ def test_a_mover_plays_it_in_the_scenes_frame(tmp_path, keys, time, place):
     # y is up in the file, z in the scene.
     np.testing.assert_allclose(mover.vertices(time), np.stack([x, -z, y], axis=1), atol=1e-6)
     np.testing.assert_array_equal(mover.rest().vertices_m, mover.vertices(0.0))
+
+
+def test_what_an_animation_leaves_alone_stands_still(tmp_path):
+    """Each tenth of 100 parts turns about its own axis; those of one material are one mover."""
+    scene = make_own_world(tmp_path)
+    movers = {name: mover for name, mover in scene.singles().items() if name.startswith("engine")}
+    turning = sorted(item.part for mover in movers.values() for item in mover.items)
+    assert len(turning) == 10
+    assert len(movers) == len({mover.material for mover in movers.values()}) == 6
+    still = [item.part for name, item in scene.objects.items() if name.startswith("engine")]
+    assert sorted([*turning, *still]) == list(range(100))
+    assert {owner for part, owner in scene.owners.items() if "/engine" in part} == {"mover/engine"}
+    for mover in movers.values():
+        rests = [item.mesh().vertices_m for item in mover.items]
+        np.testing.assert_allclose(mover.rest().vertices_m, np.concatenate(rests), atol=1e-6)
+        for first, last in pairwise(np.cumsum([0, *map(len, rests)])):
+            before, after = (mover.vertices(time)[first:last] for time in (0.0, 0.25))
+            assert np.abs(before - after).max() > 0.01
+            np.testing.assert_allclose(before.mean(axis=0), after.mean(axis=0), atol=1e-6)
+
+
+def test_a_part_that_is_played_away_from_its_rest_is_a_mover(tmp_path):
+    """Its keyframes are all alike, but not where the file puts it."""
+    model = read_model(gltf(tmp_path / "arm.gltf", [(1, "translation", "LINEAR", [[2, 0, 0]] * 3)]))
+    assert model.moving_parts() == {0}
+    model = read_model(gltf(tmp_path / "arm.gltf", [(0, "translation", "LINEAR", [[0, 0, 5]] * 3)]))
+    assert model.moving_parts() == set()
+    flat = [[0, 0, 0], [0, 0, 5], [0, 0, 0]] * 3
+    bent = [[0, 0, 0], [0, 0, 5], [0, 0, 1], *flat[3:]]
+    for values, moving in ((flat, set()), (bent, {0})):
+        channel = (0, "translation", "CUBICSPLINE", values)
+        assert read_model(gltf(tmp_path / "arm.gltf", [channel])).moving_parts() == moving
 
 
 @pytest.mark.parametrize(

@@ -58,4 +58,4 @@ def _turn(item: Any) -> Vector:
 
 def _whole(item: Any) -> Any:
     """Return the first object that a mover carries, or the part itself."""
-    return item.items[0] if hasattr(item, "items") else getattr(item, "item", item)
+    return item.items[0] if hasattr(item, "items") else item

@@ -15,7 +15,7 @@ from optsim.core.errors import ConfigError
 from optsim.core.foreign import reading
 from optsim.core.quantities import Doubles
 from optsim.scene.fields import Positive, Vector
-from optsim.scene.geometry import Mesh
+from optsim.scene.geometry import Mesh, merge
 from optsim.scene.models import FORMATS, Model, read_model
 from optsim.scene.solids import rotated
 
@@ -81,12 +81,12 @@ class MeshObject(Part):
 
 
 class AnimatedModel(Part):
-    """Part of a model that its file's own animation moves; scenes write it as a mover of kind ``mesh``.
+    """Parts of a model that its file's own animation moves; scenes write them as a mover of kind ``mesh``.
 
     Parameters
     ----------
-    item : MeshObject
-        The part, at rest.
+    items : tuple of MeshObject
+        The parts, at rest; all of one file and material.
     speed : float
         Times as fast as the file says.
     repeat : bool
@@ -94,27 +94,29 @@ class AnimatedModel(Part):
     """
 
     kind: Literal["animated"] = "animated"
-    item: MeshObject
+    items: tuple[MeshObject, ...]
     speed: Positive = 1.0
     repeat: bool = True
 
     @property
     def material(self) -> str:
-        """Material of the part."""
-        return self.item.material
+        """Material of the parts."""
+        return self.items[0].material
 
     def rest(self) -> Mesh:
         """Mesh at time 0."""
-        mesh = self.item.mesh()
+        mesh = merge([item.mesh() for item in self.items])
         return replace(mesh, vertices_m=self.vertices(0.0))
 
     def vertices(self, time_s: float) -> Doubles:
         """Positions (n, 3), m."""
-        model = read_model(Path(self.item.file))
+        model = read_model(Path(self.items[0].file))
         place = time_s * self.speed
         if self.repeat and model.animation is not None:
             place %= max(model.animation.duration_s, 1e-9)
-        return _in_scene(self.item, model, model.vertices(self.item.part, place))
+        return np.concatenate(
+            [_in_scene(item, model, model.vertices(item.part, place)) for item in self.items]
+        )
 
 
 class VertexSequence(Part):

@@ -38,6 +38,7 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
     categories = _categories({"object": objects, "mover": movers}, where)
     owners: dict[str, str] = {}
     parts: dict[str, list[str]] = {}
+    resting: dict[str, Table] = {}
     for name, mover in list(movers.items()):
         if _kind(mover) == "vertices":
             movers[name] = {**mover, **_hashed(folder, f"{where}: movers.{name}", mover)}
@@ -45,9 +46,11 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
             own = {key: value for key, value in mover.items() if key in MeshObject.model_fields}
             if mover.get("animation") is not None:
                 del movers[name]
-                made = _animated(own, mover, name, folder, where, materials, _distance(table))
+                made, still = _animated(own, mover, name, folder, where, materials, _distance(table))
                 owners |= {f"mover/{key}": f"mover/{name}" for key in made}
+                owners |= {f"object/{key}": f"mover/{name}" for key in still}
                 movers |= made
+                resting |= still
                 continue
             # A model that moves otherwise is an object on keyframes.
             objects[name] = own
@@ -64,6 +67,7 @@ def with_models(table: Table, folder: Path, where: str) -> Table:
             parts[name] = [*shown]
             owners |= {f"object/{key}": f"object/{name}" for key in shown}
             objects |= shown
+    objects |= resting
     for name, material in list(materials.items()):
         if isinstance(material, Mapping) and "sha256" not in material:
             stated = cast("Table", material)
@@ -110,8 +114,8 @@ def _pictures(material: Table, folder: Path, where: str) -> Table:
 
 def _animated(
     own: Table, mover: Table, name: str, folder: Path, where: str, materials: Table, distance_m: float
-) -> Table:
-    """Movers that a model with an animation becomes; its materials are added."""
+) -> tuple[dict[str, Table], dict[str, Table]]:
+    """Movers, one a material, and still objects that an animated model becomes; its materials are added."""
     place = f"{where}: movers.{name}"
     if mover["animation"] != "play":
         raise ConfigError(
@@ -133,15 +137,25 @@ def _animated(
             f"{place}.animation: {own['file']} moves morph targets, which are not read; cure: export the "
             "vertices and take a mover of kind vertices"
         )
-    if not read_model(file).moves():
+    moved = read_model(file).moving_parts()
+    if not moved:
         raise ConfigError(
             f'{place}.animation: got "play", but the nodes of {own["file"]} rest; cure: leave it out, or '
             "export the vertices and take a mover of kind vertices"
         )
     further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
-    return {
-        key: {"kind": "animated", "item": {**part, "kind": "mesh"}, **further} for key, part in parts.items()
-    }
+    movers, still = dict[str, Table](), dict[str, Table]()
+    first: dict[str, str] = {}
+    for key, part in parts.items():
+        item = {**part, "kind": "mesh"}
+        if part["part"] not in moved:
+            still[f"{key}-still"] = item
+            continue
+        mover = movers.setdefault(
+            first.setdefault(part["material"], key), {"kind": "animated", "items": [], **further}
+        )
+        mover["items"].append(item)
+    return movers, still
 
 
 def _expanded(

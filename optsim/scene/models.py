@@ -42,16 +42,10 @@ class Model:
         matrix = _matrices(self.animation, time_s)[node]
         return points @ matrix[:3, :3].T + matrix[:3, 3]
 
-    def moves(self) -> bool:
-        """Whether the animation moves any part."""
-        if self.animation is None:
-            return False
-        times = np.linspace(0, self.animation.duration_s, 9)
-        return any(
-            (self.vertices(part, time) != self.vertices(part, 0.0)).any()
-            for part in range(len(self.parts))
-            for time in times
-        )
+    def moving_parts(self) -> set[int]:
+        """Parts that the animation moves, or puts elsewhere than at rest."""
+        moving = set[int]() if self.animation is None else self.animation.moving()
+        return {part for part, (node, _) in enumerate(self.played) if node in moving}
 
 
 @functools.lru_cache(maxsize=16)

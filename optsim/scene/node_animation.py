@@ -16,6 +16,8 @@ from optsim.core.quantities import Doubles
 from optsim.scene.gltf import Gltf
 
 _PATHS = ("translation", "rotation", "scale")
+# Matrices as near as this, of their largest entry, are the same.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,11 @@ class Channel:
     times_s: Doubles
     values: Doubles  # (k, 3 or 4); of cubic splines (k, 3, 3 or 4): in-tangent, value, out-tangent
     interpolation: Literal["LINEAR", "STEP", "CUBICSPLINE"]
+
+    def varies(self) -> bool:
+        """Whether it has another value at any time."""
+        still = self.values[:1] * ([[0], [1], [0]] if self.interpolation == "CUBICSPLINE" else 1)
+        return bool((self.values != still).any())
 
     def at(self, time_s: float) -> Doubles:
         """Value at a time; before the first and after the last keyframe that of the nearest."""
@@ -68,6 +75,21 @@ class NodeTree:
     def duration_s(self) -> float:
         """Time of the last keyframe, s."""
         return max(float(channel.times_s[-1]) for channel in self.channels)
+
+    def moving(self) -> set[int]:
+        """Visible nodes that the animation moves, or puts elsewhere than the file does at rest."""
+        first, rest = self.matrices(0.0), self.matrices()
+        varying = {channel.node for channel in self.channels if channel.varies()}
+        found: set[int] = set()
+        waiting = [(root, False) for root in self.roots if root in rest]
+        while waiting:
+            node, above = waiting.pop()
+            moves = above or node in varying
+            apart = np.abs(first[node] - rest[node]).max()
+            if moves or apart > _SAME * np.abs(rest[node]).max():
+                found.add(node)
+            waiting += [(child, moves) for child in self.nodes[node].get("children", []) if child in rest]
+        return found
 
     def matrices(self, time_s: float | None = None) -> dict[int, Doubles]:
         """Matrix of each visible node in the file's frame at a time, or at rest; (4, 4)."""
