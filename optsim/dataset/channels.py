@@ -24,7 +24,7 @@ CONVENTIONS = {
     "flow": "place of the surface point at times_s[2] (forward) or times_s[0] (backward) minus its place "
     "now; also given where it is hidden then",
     "occluded": "1 where the surface point is not seen at that instant: hidden, or outside of the picture",
-    "moving": "1 where the object is a mover, even if it rests",
+    "moving": "1 where a mover moves the part, even if it rests then",
     "camera": "frame as OpenCV's: x right, y down, z forward; intrinsics_px takes it to (column, row), after "
     "x/z and y/z were multiplied by 1 + radial_k1 ((x/z)^2 + (y/z)^2)",
     "camera_to_world": "camera frame -> world, m, at each of times_s",

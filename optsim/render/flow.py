@@ -7,8 +7,9 @@ always agrees with poses. A ray tests whether the point is visible then.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -106,13 +107,16 @@ class PassRenderer:
         )
 
     def _object_poses(self, moments: tuple[_Moment, ...]) -> dict[str, ObjectPose]:
-        """Poses of all movers by name; of one that isn't rigid as a whole also those of its parts."""
+        """Poses of all movers by name; of one that isn't rigid as a whole also those of its moving parts."""
 
-        def pose(parts: Iterable[str]) -> ObjectPose:
+        def pose(parts: Mapping[str, Any]) -> ObjectPose:
             names = [part.removeprefix("mover/") for part in parts]
-            rest = np.concatenate([self._movers[name].vertices(0.0) for name in names])
+            still = [part.mesh().vertices_m for part in parts.values() if hasattr(part, "mesh")]
+            moving = [name for name in names if name in self._movers]
+            rest = np.concatenate([*still, *(self._movers[name].vertices(0.0) for name in moving)])
             return _object_pose(
-                rest, [np.concatenate([moment.vertices_m[name] for name in names]) for moment in moments]
+                rest,
+                [np.concatenate([*still, *(moment.vertices_m[n] for n in moving)]) for moment in moments],
             )
 
         found: dict[str, ObjectPose] = {}
@@ -120,7 +124,9 @@ class PassRenderer:
             if name.startswith("mover/"):
                 found[name] = pose(body.parts)
                 if found[name].matrices is None and len(body.parts) > 1:
-                    found |= {part: pose([part]) for part in body.parts}
+                    found |= {
+                        key: pose({key: part}) for key, part in body.parts.items() if key.startswith("mover/")
+                    }
         return found
 
     def _moment(self, time_s: float) -> _Moment:

@@ -86,7 +86,7 @@ class AnimatedModel(Part):
     Parameters
     ----------
     items : tuple of MeshObject
-        The parts, at rest; all of one file and material.
+        The parts, at rest: of one file and material, and moved as one.
     speed : float
         Times as fast as the file says.
     repeat : bool

@@ -115,7 +115,7 @@ def _pictures(material: Table, folder: Path, where: str) -> Table:
 def _animated(
     own: Table, mover: Table, name: str, folder: Path, where: str, materials: Table, distance_m: float
 ) -> tuple[dict[str, Table], dict[str, Table]]:
-    """Movers, one a material, and still objects that an animated model becomes; its materials are added."""
+    """Movers and still objects that an animated model becomes; its materials are added."""
     place = f"{where}: movers.{name}"
     if mover["animation"] != "play":
         raise ConfigError(
@@ -145,16 +145,15 @@ def _animated(
         )
     further = {each: mover[each] for each in ("speed", "repeat") if each in mover}
     movers, still = dict[str, Table](), dict[str, Table]()
-    first: dict[str, str] = {}
+    first: dict[tuple[str, int], str] = {}
     for key, part in parts.items():
         item = {**part, "kind": "mesh"}
         if part["part"] not in moved:
             still[f"{key}-still"] = item
             continue
-        mover = movers.setdefault(
-            first.setdefault(part["material"], key), {"kind": "animated", "items": [], **further}
-        )
-        mover["items"].append(item)
+        # Parts that move as one and look alike are one mover.
+        name = first.setdefault((part["material"], moved[part["part"]]), key)
+        movers.setdefault(name, {"kind": "animated", "items": [], **further})["items"].append(item)
     return movers, still
 
 

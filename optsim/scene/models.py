@@ -42,10 +42,10 @@ class Model:
         matrix = _matrices(self.animation, time_s)[node]
         return points @ matrix[:3, :3].T + matrix[:3, 3]
 
-    def moving_parts(self) -> set[int]:
-        """Parts that the animation moves, or puts elsewhere than at rest."""
-        moving = set[int]() if self.animation is None else self.animation.moving()
-        return {part for part, (node, _) in enumerate(self.played) if node in moving}
+    def moving_parts(self) -> dict[int, int]:
+        """Parts that the animation moves, or puts elsewhere than at rest; those of one number move as one."""
+        moving = dict[int, int]() if self.animation is None else self.animation.moving()
+        return {part: moving[node] for part, (node, _) in enumerate(self.played) if node in moving}
 
 
 @functools.lru_cache(maxsize=16)

@@ -76,19 +76,21 @@ class NodeTree:
         """Time of the last keyframe, s."""
         return max(float(channel.times_s[-1]) for channel in self.channels)
 
-    def moving(self) -> set[int]:
-        """Visible nodes that the animation moves, or puts elsewhere than the file does at rest."""
+    def moving(self) -> dict[int, int]:
+        """Visible nodes that the animation moves, or puts elsewhere than at rest, and what moves each.
+
+        That is the nearest node, itself or above, whose keyframes differ: nodes that share it move as one.
+        """
         first, rest = self.matrices(0.0), self.matrices()
         varying = {channel.node for channel in self.channels if channel.varies()}
-        found: set[int] = set()
-        waiting = [(root, False) for root in self.roots if root in rest]
+        found: dict[int, int] = {}
+        waiting: list[tuple[int, int | None]] = [(root, None) for root in self.roots if root in rest]
         while waiting:
             node, above = waiting.pop()
-            moves = above or node in varying
-            apart = np.abs(first[node] - rest[node]).max()
-            if moves or apart > _SAME * np.abs(rest[node]).max():
-                found.add(node)
-            waiting += [(child, moves) for child in self.nodes[node].get("children", []) if child in rest]
+            by = node if node in varying else above
+            if by is not None or np.abs(first[node] - rest[node]).max() > _SAME * np.abs(rest[node]).max():
+                found[node] = node if by is None else by
+            waiting += [(child, by) for child in self.nodes[node].get("children", []) if child in rest]
         return found
 
     def matrices(self, time_s: float | None = None) -> dict[int, Doubles]:

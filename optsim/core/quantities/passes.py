@@ -114,7 +114,7 @@ class Passes:
     parts : ndarray of shape (y, x), uint32
         Part of the object: one of its materials, or a node of a model; 0 for nothing.
     moving : ndarray of shape (y, x), bool
-        The object is one of the scene's movers, even if it rests at this instant.
+        A mover of the scene moves the part, even if it rests at this instant.
     flow_forward_px, flow_backward_px : ndarray of shape (y, x, 2), float32
         Flow to t+ and to t-, (row, column) in fine samples.
     occluded_forward, occluded_backward : ndarray of shape (y, x), bool
