@@ -109,6 +109,15 @@ def test_rows_that_turn_late_are_found() -> None:
     assert np.mean(found) == pytest.approx(true.tau_on_s, rel=0.01)
 
 
+@pytest.mark.parametrize("serial_number", [9, 10])
+def test_a_panel_with_jitter_is_calibrated(serial_number: int) -> None:
+    """Of 20 specimens the times scattered by 70 us; the bound is four of these."""
+    late = with_effects(small(serial_number=serial_number), {"sync": "pessimistic"})
+    found = calibrate_from(measure_bench(late, np.random.default_rng(1))).response
+    assert found.tau_off_s == pytest.approx(late.modulator.tau_off_s, abs=280e-6)
+    assert found.delay_s == pytest.approx(0.5e-3, abs=280e-6)
+
+
 def test_flashes_that_do_not_show_every_field_are_refused(bench: Bench) -> None:
     with pytest.raises(BenchError, match="bench fields"):
         calibrate_from(replace(bench, fields=bench.fields[:7]))

@@ -114,6 +114,16 @@ def test_motion_beyond_the_noise_of_the_truth_is_found(keys: int) -> None:
     assert oracle_moving(light[36:], light[:36], 0.0, (half[36:], half[:36])).mean() > 0.99
 
 
+def test_motion_beside_noise_is_found_where_there_is_none() -> None:
+    """The running sum of a box filter ends below 0 there."""
+    light, half = np.ones((2, 72, 40, 90), np.float32)
+    half[:] = np.random.default_rng(0).normal(0, 1, half.shape) * np.where(np.arange(90) < 20, 1e3, 1e-6)
+    light[36:, :, 50:] += np.float32(0.5)
+    found = oracle_moving(light[36:], light[:36], 0.0, (half[36:], half[:36]))
+    assert found[:, 50:].all()
+    assert not found[:, 30:50].any()
+
+
 def test_a_truth_without_noise_is_judged_as_footage_is() -> None:
     frame, none = still(), np.zeros((SLOTS, ROWS, COLS), np.float32)
     frame[2, 3, 4] += 0.0215

@@ -26,7 +26,7 @@ from numpy.random import PCG64, Generator, SeedSequence
 from optsim.core.files import write_text
 from optsim.core.threads import usable_cores
 from optsim.decoding import frame_merge
-from optsim.experiment import loop
+from optsim.experiment import calibrations, loop
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.scoring import score
 from optsim.experiment.truth import render_truth
@@ -74,8 +74,8 @@ def _never(calibration: Any, *_: Any) -> Any:
 # Approximation -> what takes it away, or puts a finer one in its place.
 VARIANTS: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "as it is": nullcontext,
-    "rim_model=mixed": nullcontext,
-    "rim_model=fine": nullcontext,
+    "fringe_model=mixed": nullcontext,
+    "fringe_model=fine": nullcontext,
     "no joint merge": partial(mock.patch.object, frame_merge, "_unsettled", _never),
     "no hidden light": partial(mock.patch.object, frame_merge, "_GLARE_ROUNDS", 0),
 }
@@ -105,7 +105,9 @@ def _measured(scene: str, seed: int, variant: str) -> dict[str, Any]:
 def _measure(experiment: Experiment, variant: str) -> dict[str, Any]:
     radiance = render_truth(experiment)
     # Another camera is calibrated by its own bench.
-    fresh = mock.patch.object(loop, "bench_calibration", lambda c, s, side, bench: _calibrated(bench, side))
+    fresh = mock.patch.object(
+        calibrations, "bench_calibration", lambda camera, seed, side, bench: _calibrated(bench, side)
+    )
     with mock.patch.object(loop, "stream", _stream), fresh, VARIANTS[variant]():
         # A first frame loads the compiled loops, whose time is no approximation's.
         loop.run(experiment.model_copy(update={"n_frames": 1}), radiance)

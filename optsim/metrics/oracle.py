@@ -95,7 +95,8 @@ def oracle_moving(
     # Another pixel's noise selects the slots; one half has twice the variance of the mean.
     by_chance = _change(half, np.roll(first, _APART_PX, axis=1))
     mean = cast("Callable[..., Floats]", ndimage.uniform_filter)
-    noise = np.sqrt(2 * mean(by_chance**2, _POOLED_PX))
+    # Its running sum may end below 0.
+    noise = np.sqrt(2 * mean(by_chance**2, _POOLED_PX).clip(0))
     return change > np.maximum(threshold, _TRUTH_SIGMAS * noise)
 
 
