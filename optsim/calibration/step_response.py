@@ -41,7 +41,7 @@ _INSTANTLY_S = 1e-12
 _MODEL_SLOTS = 1e-4
 _DRIVE_STEP = 1e-4
 # Of full light: a flash that is farther off the fit is another one than the bench says. Jitter of 0.12 ms rms
-# moves one by up to 0.2; neighbours that are exchanged are off by 0.33 or more.
+# moves one by up to 0.2; of five exchanged pairs of neighbours on an edge, four are off by 0.33 or more.
 _MOST_OFF = 0.3
 
 
