@@ -18,10 +18,10 @@ from optsim.metrics.records import PairRecord, Verdict
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.fixture(scope="module")
-def claims() -> ModuleType:
+def loaded(name: str) -> ModuleType:
+    """A program of ``validation/``, as a module."""
     place = ROOT / "validation"
-    spec = importlib.util.spec_from_file_location("validation_claims", place / "claims.py")
+    spec = importlib.util.spec_from_file_location(f"validation_{name}", place / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -29,6 +29,11 @@ def claims() -> ModuleType:
         patch.setattr(sys, "path", [str(place), *sys.path])
         spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def claims() -> ModuleType:
+    return loaded("claims")
 
 
 def test_draws_of_one_motion_begin_a_coded_frame_apart(claims: ModuleType) -> None:
@@ -139,3 +144,12 @@ def test_stored_verdicts_follow_from_their_intervals() -> None:
                 assert f"**{said['said']}** | {said['measured']} |" in page
                 found += 1
     assert found > 20
+
+
+def test_variants_of_fidelity_are_of_the_code_as_it_is() -> None:
+    """Each names a key, or what it replaces; both may be renamed."""
+    fidelity = loaded("fidelity")
+    for variant in fidelity.VARIANTS:
+        load_experiment("demo", fidelity.keys_of(variant))
+        with fidelity.changed(variant):
+            pass

@@ -11,8 +11,9 @@ from __future__ import annotations
 import platform
 import time
 import zlib
+from collections import abc
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 from kept import kept
 from numpy.random import PCG64, Generator, SeedSequence
 
+from optsim.calibration import Bench, Calibration, calibrate_from
 from optsim.core.files import write_text
 from optsim.core.threads import usable_cores
 from optsim.decoding import frame_merge
@@ -90,12 +92,12 @@ def main() -> None:
     print(f"table: {OUT}")
 
 
-def _keys(variant: str) -> list[str]:
+def keys_of(variant: str) -> list[str]:
     return [f"camera.modulator.{variant}"] if "=" in variant else []
 
 
 def _measured(scene: str, seed: int, variant: str) -> dict[str, Any]:
-    experiment = load_experiment("demo", [*SMALL, f"scene.name={scene}", f"seed={seed}", *_keys(variant)])
+    experiment = load_experiment("demo", [*SMALL, f"scene.name={scene}", f"seed={seed}", *keys_of(variant)])
     place = KEPT / f"{scene}, {seed}, {variant}.json"
     found = kept(place, experiment, partial(_measure, experiment, variant))
     print(f"{scene}, seed {seed}, {variant}: {found['seconds']:.0f} s", flush=True)
@@ -104,11 +106,7 @@ def _measured(scene: str, seed: int, variant: str) -> dict[str, Any]:
 
 def _measure(experiment: Experiment, variant: str) -> dict[str, Any]:
     radiance = render_truth(experiment)
-    # Another camera is calibrated by its own bench.
-    fresh = mock.patch.object(
-        calibrations, "bench_calibration", lambda camera, seed, side, bench: _calibrated(bench, side)
-    )
-    with mock.patch.object(loop, "stream", _stream), fresh, VARIANTS[variant]():
+    with changed(variant):
         # A first frame loads the compiled loops, whose time is no approximation's.
         loop.run(experiment.model_copy(update={"n_frames": 1}), radiance)
         start = time.process_time()
@@ -123,9 +121,17 @@ def _measure(experiment: Experiment, variant: str) -> dict[str, Any]:
     return {"cells": cells, "seconds": seconds}
 
 
-def _calibrated(bench: Callable[[], Any], reading_px: int) -> Any:
-    from optsim.calibration import calibrate_from
+@contextmanager
+def changed(variant: str) -> abc.Generator[None, None, None]:
+    """Run the code in a variant, with the same noise; each camera is calibrated by its own bench."""
+    with ExitStack() as stack:
+        stack.enter_context(mock.patch.object(loop, "stream", _stream))
+        stack.enter_context(mock.patch.object(calibrations, "bench_calibration", _calibrated))
+        stack.enter_context(VARIANTS[variant]())
+        yield
 
+
+def _calibrated(_camera: object, _seed: int, reading_px: int, bench: Callable[[], Bench]) -> Calibration:
     return calibrate_from(bench(), reading_px)
 
 
