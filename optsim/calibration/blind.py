@@ -138,13 +138,15 @@ def registered_blind(frames: Sequence[CodedFrame], calibration: Calibration) -> 
         return Blind(why="neighbours have the same exposures, and nothing tells where they are")
     outcome = Blind(before=_mean(start), after=_mean(start))
     lattice = np.arange(-_REACH, _REACH + _STEP / 2, _STEP) * calibration.ratio
-    trials = [Registration(float(y), float(x)) for y in lattice for x in lattice]
+    trials: list[Registration] = [Registration(float(y), float(x)) for y in lattice for x in lattice]
     few = slice(1, 2 * _FEW_FRAMES, 2)
     coarse = [_agreement(frames[few], samples[few], calibration, at).residual for at in trials]
-    best = trials[int(np.argmin(coarse))]
-    apart_px = [math.hypot(at.shift_y_px - best.shift_y_px, at.shift_x_px - best.shift_x_px) for at in trials]
-    elsewhere = [k for k, apart in enumerate(apart_px) if apart > _ELSEWHERE * calibration.ratio]
-    rival = trials[min(elsewhere, key=lambda k: coarse[k])]
+    # The code repeats, so a shift that takes a dark side of the CCD for the panel may score best.
+    order = [trials[int(k)] for k in np.argsort(coarse)]
+    lit = (at for at in order if not _dark_side(frames[few], calibration, at))
+    best = next(lit, order[0])
+    far_px = _ELSEWHERE * calibration.ratio
+    rival = next((at for at in lit if _apart_px(at, best) > far_px), None)
     for n_free in (2, 3):
         best = _refined(lambda at: searched(at).residual, best, n_free, calibration)
         old, new = held_out(outcome.registration), held_out(best)
@@ -158,7 +160,6 @@ def registered_blind(frames: Sequence[CodedFrame], calibration: Calibration) -> 
         disagree = "" if outcome.before < _MOST_LEFT else ", and they disagree: not found"
         return replace(outcome, why=f"no movement explains the held-out frames better than none{disagree}")
     reach_px = (_REACH + _STEP) * calibration.ratio
-    rival = _refined(lambda at: searched(at).residual, rival, 2, calibration)
     why = ""
     if outcome.after > _MOST_LEFT:
         why = f"not found: moved back, the held-out frames still disagree by {outcome.after:.2f}"
@@ -166,12 +167,18 @@ def registered_blind(frames: Sequence[CodedFrame], calibration: Calibration) -> 
         why = f"not found: the best shift is beyond the {reach_px:g} CCD pixels that were searched"
     elif _dark_side(frames, calibration, found):
         why = "not found: moved back, a side of the panel is dark: the code repeats, and it lies farther away"
-    elif _fallen_sigmas(held_out(rival), held_out(found)) < _MORE_SIGMAS:
-        why = (
-            f"not found: a shift by {rival.shift_y_px:+.1f} rows and {rival.shift_x_px:+.1f} columns of the "
-            f"CCD explains the frames as well as {found.shift_y_px:+.1f} and {found.shift_x_px:+.1f}"
-        )
+    elif rival is not None:
+        rival = _refined(lambda at: searched(at).residual, rival, 2, calibration)
+        if _fallen_sigmas(held_out(rival), held_out(found)) < _MORE_SIGMAS:
+            why = (
+                f"not found: a shift by {rival.shift_y_px:+.1f} rows and {rival.shift_x_px:+.1f} columns of "
+                f"the CCD explains the frames as well as {found.shift_y_px:+.1f} and {found.shift_x_px:+.1f}"
+            )
     return replace(outcome, registration=NOT_MOVED, after=outcome.before, why=why) if why else outcome
+
+
+def _apart_px(one: Registration, other: Registration) -> float:
+    return math.hypot(one.shift_y_px - other.shift_y_px, one.shift_x_px - other.shift_x_px)
 
 
 def _dark_side(frames: Sequence[CodedFrame], calibration: Calibration, at: Registration) -> bool:
