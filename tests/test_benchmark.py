@@ -43,7 +43,7 @@ def test_a_family_is_all_its_records(monkeypatch):
     )
     benchmark.measure_all(["render", "omp.k2000"])
     scenes = "window_room half_moving moving_camera wheel glossy_floor flicker_lamp night_street chart"
-    names = [*scenes.split(), "mesh_scene", "colour"]
+    names = [*scenes.split(), "mesh_scene", "own_world", "own_world_walking", "colour"]
     assert asked == [*(f"render.{name}" for name in names), "omp.k2000"]
     with pytest.raises(ConfigError, match="render"):
         benchmark.measure_all(["rendr"])
