@@ -56,11 +56,7 @@ def compensated(
     """Let an operator work, in the order given, on the camera of an experiment, which has drifted."""
     values: Values = {}
     for name in compensators:
-        if name == BENCH:
-            undrifted = {"camera": now, "drift": {}, "drift_per_frame": {}}
-            calibrations = by_bench(experiment.model_copy(update=undrifted).model_dump_json())
-            continue
-        now, calibrations, found = _WORK[name](experiment.camera, now, calibrations, stream)
+        now, calibrations, found = COMPENSATORS[name](experiment, now, calibrations, stream)
         values |= found
     return now, calibrations, values
 
@@ -72,9 +68,10 @@ def by_bench(text: str) -> Calibrations:
 
 
 def _registered(
-    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
+    experiment: Experiment, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Undo the shift and the rotation between two frames of the same dots."""
+    camera = experiment.camera
     levels, light = _dots(camera), _light(calibrations)
     before = _photograph(camera, levels, light, 1, stream("dots before"))
     after = _photograph(now, levels, light, 1, stream("dots after"))
@@ -188,12 +185,12 @@ def _centroids(picture: Doubles | Floats, y: Doubles, x: Doubles, half: int) -> 
 
 
 def _refocused(
-    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
+    experiment: Experiment, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Turn the focus until dots are sharpest."""
     from scipy.optimize import fminbound
 
-    levels, light = _dots(camera), _light(calibrations)
+    levels, light = _dots(experiment.camera), _light(calibrations)
 
     def at(turned_m: float) -> CodedCamera:
         relay = now.relay.model_copy(update={"defocus_m": now.relay.defocus_m + turned_m})
@@ -212,9 +209,10 @@ def _refocused(
 
 
 def _new_black_and_gain(
-    camera: CodedCamera, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
+    experiment: Experiment, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
 ) -> tuple[CodedCamera, Calibrations, Values]:
     """Take dark frames and flats anew; the pixel map stays."""
+    camera = experiment.camera
     white, light = np.full((camera.panel_rows, camera.panel_cols), 255, np.uint8), _light(calibrations)
     pairs = [
         [_photograph(of, white, each, _FLAT_FRAMES, stream(f"{word} {each > 0}")) for each in (0.0, light)]
@@ -239,15 +237,23 @@ def _new_black_and_gain(
     return now, changed, values
 
 
+def _benched(
+    experiment: Experiment, now: CodedCamera, calibrations: Calibrations, stream: Callable[[str], Generator]
+) -> tuple[CodedCamera, Calibrations, Values]:
+    """Take a whole bench of what is there; its noise is that of the first one."""
+    del calibrations, stream
+    undrifted: dict[str, object] = {"camera": now, "drift": {}, "drift_per_frame": {}}
+    return now, by_bench(experiment.model_copy(update=undrifted).model_dump_json()), {}
+
+
 _Work = Callable[
-    [CodedCamera, CodedCamera, Calibrations, Callable[[str], Generator]],
+    [Experiment, CodedCamera, Calibrations, Callable[[str], Generator]],
     tuple[CodedCamera, Calibrations, Values],
 ]
-_WORK: dict[str, _Work] = {
+COMPENSATORS: dict[str, _Work] = {
     "registration": _registered,
     "focus": _refocused,
     "black_gain": _new_black_and_gain,
+    "bench": _benched,
 }
-BENCH = "bench"
-COMPENSATORS = (*_WORK, BENCH)
-"""What an operator can do."""
+"""What an operator can do, by name."""

@@ -63,7 +63,7 @@ class TolerancePlan:
     known: bool = True
     draws: int = 8
     interactions: bool = True
-    compensators: tuple[str, ...] = COMPENSATORS
+    compensators: tuple[str, ...] = tuple(COMPENSATORS)
     frames: int = 3
     seeds: Seeds = LIMITS
 
