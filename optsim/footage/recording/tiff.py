@@ -12,7 +12,7 @@ import numpy as np
 
 from optsim.core.errors import StorageError
 from optsim.core.foreign.h273 import primaries_at
-from optsim.core.foreign.tiff import frame_pages, opened, page_pixels
+from optsim.core.foreign.tiff import grey_pixels, opened, page_pixels
 from optsim.footage.recording.film import RAW_COUNTS, FileStatement, Pixels, Recording, as_recording
 
 
@@ -27,7 +27,8 @@ def tiff(path: Path) -> Pixels:
 def tiff_stack(path: Path) -> Recording:
     """Open a TIFF file of one page a frame."""
     if path.suffix.lower() == ".dng":
-        return as_recording((path,), 1, lambda _: iter([_raw(path)]), declared=FileStatement(RAW_COUNTS))
+        counts = FileStatement(RAW_COUNTS)
+        return as_recording((path,), 1, lambda _: iter([grey_pixels(path)[..., None]]), declared=counts)
     with opened(path) as tiff:
         n_frames = len(tiff.pages)
         if n_frames == 0:
@@ -57,13 +58,6 @@ def tiff_stack(path: Path) -> Recording:
                 yield page_pixels(f"{path}, page {index}", page.aspage(), path.stat().st_size)
 
     return as_recording((path,), n_frames, pages, declared=declared)
-
-
-def _raw(path: Path) -> Pixels:
-    """Read the sensor's counts of a DNG, array (y, x, channel)."""
-    with opened(path) as tiff:
-        (page,) = frame_pages(str(path), tiff)
-        return page_pixels(str(path), page.aspage(), path.stat().st_size)
 
 
 def _statement(page: Any) -> FileStatement:
