@@ -38,10 +38,11 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Make links to what lies beside ``docs/`` fit the manual, in which all of it is in one folder."""
+    """Make links to and from what lies beside ``docs/`` fit the manual, in which all of it is in one folder."""
     depth = page.file.src_uri.count("/")
     outside = re.compile(r"\]\(" + r"\.\./" * (depth + 1) + r"(reports|scenes|CHANGELOG)")
-    return outside.sub(lambda found: "](" + "../" * depth + found[1], markdown)
+    within = outside.sub(lambda found: "](" + "../" * depth + found[1], markdown)
+    return re.sub(r"\]\(((?:\.\./)+)docs/", r"](\1", within)
 
 
 def commands() -> str:
