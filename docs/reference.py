@@ -38,7 +38,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Make links to and from what lies beside ``docs/`` fit the manual, in which all of it is in one folder."""
+    """Make links to and from what lies beside ``docs/`` fit the manual, one folder that holds all."""
     depth = page.file.src_uri.count("/")
     outside = re.compile(r"\]\(" + r"\.\./" * (depth + 1) + r"(reports|scenes|CHANGELOG)")
     within = outside.sub(lambda found: "](" + "../" * depth + found[1], markdown)

@@ -29,6 +29,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", *sorted(p.relative_to(ROOT).as_posix() for p in (ROOT / "docs").rglob("*.md")))
 # Reads a run's files, and is run on some by tests/test_run_calibrations.py.
 OF_A_RUN = "docs/how-to/calibration.md"
+# Takes a frame, and is run on one by tests/test_linear_operator.py.
+OF_A_FRAME = "docs/how-to/decoder.md"
 # Reads a data set, and is run on one by tests/test_dataset.py.
 OF_A_DATASET = "docs/how-to/datasets.md"
 COARSE = [
@@ -165,7 +167,8 @@ def test_python_of_extensions_runs_and_its_offers_are_those_of_the_package() -> 
 
 def test_all_python_is_run_by_a_test() -> None:
     pages = [page for page, code in blocks("python") if "render_truth" not in code]
-    assert set(pages) == {"docs/how-to/measurement.md", "docs/how-to/extend.md", OF_A_RUN, OF_A_DATASET}
+    told = {"docs/how-to/measurement.md", "docs/how-to/extend.md"}
+    assert set(pages) == told | {OF_A_RUN, OF_A_FRAME, OF_A_DATASET}
 
 
 def test_the_scene_loads_with_its_variations(folder: Path) -> None:

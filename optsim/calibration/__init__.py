@@ -5,6 +5,7 @@ from optsim.calibration.calibration import Calibration, Observation
 from optsim.calibration.estimate import calibrate_from
 from optsim.calibration.glare import Glare
 from optsim.calibration.grey_curve import read_grey_curve
+from optsim.calibration.linear_operator import linear_operator
 from optsim.calibration.stored import read_calibration, write_calibration
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Patches",
     "Step",
     "calibrate_from",
+    "linear_operator",
     "read_calibration",
     "read_grey_curve",
     "write_calibration",

@@ -241,6 +241,26 @@ class Calibration:
         """
         return self.mix_near(light) + self.mix_far(light)
 
+    def mix_adjoint(self, signal: Floats) -> Floats:
+        """Transpose of :meth:`mix`: array (v, u), float32."""
+        rows, cols = self.shape
+        reach = self.reach
+        near = signal if self._glareless else self.direct_share * signal
+        padded = np.zeros((rows + 2 * reach, cols + 2 * reach), np.float32)
+        for i, j in np.ndindex(self._planes.shape[:2]):
+            padded[i : i + rows, j : j + cols] += self._planes[i, j] * near
+        if reach:
+            # Beyond its edge the panel continues with its last pixels.
+            for edges in (padded, padded.T):
+                edges[reach] += edges[:reach].sum(axis=0)
+                edges[-reach - 1] += edges[-reach:].sum(axis=0)
+        light = padded[reach : reach + rows, reach : reach + cols]
+        if self._glareless:
+            return light
+        # Glare is symmetric in the unit of the CCD.
+        stray = self.glare.light(signal / self.responsivity_dn, self.reach)
+        return (light + stray * self.responsivity_dn).astype(np.float32)
+
     def mix_near(self, light: Floats) -> Floats:
         """Compute the part of :meth:`mix` from the crosstalk kernel."""
         near = self.spread(light[None])[0]
