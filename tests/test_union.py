@@ -78,7 +78,6 @@ def test_what_no_longer_changes_is_merged():
     coded = frames[-1].code.moving
     assert coded.sum() > 100
     assert joined.moving.sum() < 0.2 * paper.moving.sum()
-    assert not (joined.moving & ~coded).any()
 
     def error(found):
         return np.sqrt(np.square(found.irradiance_w_m2 - lights[-1])[:, coded].mean())
@@ -103,6 +102,25 @@ def test_what_changes_is_a_video():
     # The bar's rims change less than noise does, and are merged.
     assert error(joined) < 1.15 * error(paper)
     assert error(joined) < 0.8 * error(still)
+
+
+def test_what_the_late_mask_misses_is_a_video_too():
+    """The bar has left the mask, which is three frames old: the mosaic's own samples make a video of it."""
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(6)
+    frames = film(calibration, MotionAdaptive(dilation_px=0), lights, np.random.default_rng(1), latency=3)
+    *_, still = HdrMerge().decode(frames, calibration)
+    *_, joined = Union().decode(frames, calibration)
+    *_, paper = Union(video="coded").decode(frames, calibration)
+    missed = (np.ptp(lights[-1], axis=0) > 0.05) & ~frames[-1].code.moving
+    assert missed.sum() > 30
+
+    def error(found):
+        return np.sqrt(np.square(found.irradiance_w_m2 - lights[-1])[:, missed].mean())
+
+    assert joined.moving[missed].mean() > 0.8
+    assert error(joined) < 0.8 * error(still)
+    assert error(joined) < 0.8 * error(paper)
 
 
 def test_a_random_code_of_a_still_wall_is_merged():

@@ -33,14 +33,14 @@ _SMOOTH_PX = 3
 
 
 class Union(Part):
-    """Join two partial reconstructions: the video where its code was chosen and the light changed.
+    """Join two partial reconstructions: the video where the light changed, the merge elsewhere.
 
     The code's mask is dilated and as old as the frames behind it. At decoding, the frame's own sample is
-    known. Where it agrees with those before, the merge of all has less error than the video, so equation (1)
-    is not followed. Undetected motion is likely near detected motion, so the video's share falls with the
-    distance from the nearest change. Equation (1) cuts hard along the mask. Patches reach past it, so there
-    the video fades out with the number of patches over a pixel. ``moving`` marks where the video has its full
-    share: within the code's mask, near a change.
+    known, so equation (1) is not followed. Where the sample agrees with those before, the merge of all has
+    less error than the video. Where it doesn't, one frame is left to merge. There a video from any code has
+    less error: the four exposures of a mosaic differ in time too. Undetected motion is likely near detected
+    motion, so the video's share falls with the distance from the nearest change. Where the video ends, it
+    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share.
 
     Standard deviations are blended like the light, as if both made the same error: an upper bound.
     Where the video's decoder states no uncertainty, pixels with any video have 0, which means unknown.
@@ -51,7 +51,8 @@ class Union(Part):
         The decoders of static and of moving pixels.
     video : {"changed", "coded"}
         Where the video is used: near a change, or wherever its code was chosen, as in equation
-        (1). A merge of one frame, or the paper's own, detects no change; then both are the same.
+        (1). A merge of one frame, the first frame and the paper's own merge detect no change. Then both are
+        the same.
     fade_px : float
         Distance from a change over which the video's share falls to 1/e, panel pixels. The share of least
         error falls so in 2 on ``window_room``, in 6 on ``half_moving``; 4 lies between (no source).
@@ -78,10 +79,11 @@ class Union(Part):
 
         def changing() -> Iterator[CodedFrame]:
             for frame, still in zip(first, self.static.partials(second, calibration), strict=True):
-                changed = still.moving if self.video == "changed" else np.ones_like(still.moving)
-                near = _nearness(changed, self.fade_px)
+                near, moving = np.ones(still.moving.shape, np.float32), frame.code.moving
+                if self.video == "changed" and not still.moving.all():
+                    near = _nearness(still.moving, self.fade_px)
+                    moving = near >= _LEAST_SHARE
                 merged.append((still, near))
-                moving = frame.code.moving & (near >= _LEAST_SHARE)
                 yield replace(frame, code=replace(frame.code, moving=moving))
 
         for video in self.moving.partials(changing(), calibration):
