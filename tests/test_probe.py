@@ -9,9 +9,17 @@ from optsim.camera.effect_sizes import effect_sizes
 from optsim.camera.effects import ALL, changed, switched, with_effects
 from optsim.camera.hardware import demo, prototype
 from optsim.camera.probe import PLAIN, Illumination, Probe, compared_with, make_probe, shrunk
-from optsim.camera.probe.made_code import made_code
+from optsim.camera.probe.made_code import levels_of, made_code
 from optsim.camera.probe.made_scene import made_scene
-from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomBinary, RandomExposure
+from optsim.coding import ALL as KINDS
+from optsim.coding import (
+    ClosedLoopDensity,
+    HdrMosaic,
+    MotionAdaptive,
+    NormalPhotography,
+    RandomBinary,
+    RandomExposure,
+)
 from optsim.core.errors import ConfigError
 from optsim.experiment.experiment import load_experiment
 from optsim.optics.relay import RelayOperator
@@ -78,6 +86,16 @@ def test_a_probe_shows_the_codes_of_the_schemes():
     (block,) = probe.radiance.load(0).blocks
     assert block.col < 60 < block.col + block.excess.shape[2]
     np.testing.assert_array_equal(codes["adaptive"][..., :5], codes["mosaic"][..., :5])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_scheme_gives_a_probe_examples_of_its_codes(kind):
+    camera = shrunk(demo())
+    levels = levels_of(kind(), camera)
+    assert levels.shape == (36, camera.panel_rows, camera.panel_cols)
+    assert levels.any(axis=0).all()
+    lengths = set(np.count_nonzero(levels, axis=0).ravel())
+    assert kind is not ClosedLoopDensity or lengths == {1, 3, 11, 36}
 
 
 def test_before_a_lamp_of_a_few_pixels_a_code_has_its_longest_exposure():

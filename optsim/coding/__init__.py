@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from optsim.coding.closed_loop_density import ClosedLoopDensity
 from optsim.coding.motion_adaptive import MotionAdaptive
 from optsim.coding.periodic import PeriodicScheme
 from optsim.coding.static_schemes import (
@@ -21,13 +22,17 @@ from optsim.coding.static_schemes import (
 from optsim.core.config import Part
 from optsim.core.extensions import AS_IT_IS, SCHEMES, or_offered
 
-ALL = (*STATIC_SCHEMES, MotionAdaptive)
+ALL = (*STATIC_SCHEMES, ClosedLoopDensity, MotionAdaptive)
 Scheme = Annotated[
-    AnyStaticScheme | MotionAdaptive, Field(discriminator="kind"), or_offered(SCHEMES, Part), AS_IT_IS
+    AnyStaticScheme | ClosedLoopDensity | MotionAdaptive,
+    Field(discriminator="kind"),
+    or_offered(SCHEMES, Part),
+    AS_IT_IS,
 ]
 
 __all__ = [
     "ALL",
+    "ClosedLoopDensity",
     "CodedRollingShutter",
     "FlutterShutter",
     "HdrMosaic",

@@ -75,8 +75,9 @@ def bump(slots: int, first: int, length: int) -> Bytes:
 
 
 def bumps(slots: int, firsts: Ints, lengths: Ints) -> Bytes:
-    """Levels of pixels with one :func:`bump` each: array of shape (pixel, slot)."""
-    return np.stack([bump(slots, int(a), int(n)) for a, n in zip(firsts, lengths, strict=True)])
+    """Levels of pixels with one :func:`bump` each: array of shape (pixel, slot), or (v, u, slot)."""
+    slot = np.arange(slots)
+    return ((slot >= firsts[..., None]) & (slot < (firsts + lengths)[..., None])) * np.uint8(OPEN)
 
 
 def even_starts(n: int, length: int, coded_slots: int) -> Ints:
