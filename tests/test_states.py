@@ -12,7 +12,7 @@ from test_scoring import COLS, ROWS, flat, small
 from optsim.calibration import demixed
 from optsim.calibration.demixed import SaturationPrior, next_demixed_frame
 from optsim.camera.true_calibration import true_calibration
-from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, motion_adaptive
+from optsim.coding import MotionAdaptive, NormalPhotography, RandomExposure, change_test
 from optsim.core.quantities import ExposureCode, PanelState
 from optsim.decoding import HdrMerge, SparseCoding, Union
 from optsim.decoding.partial import Partial
@@ -42,7 +42,7 @@ def test_the_panel_of_a_frame_is_what_the_frame_before_left(
         return next_demixed_frame(*given)
 
     monkeypatch.setattr(
-        motion_adaptive if isinstance(taker, MotionAdaptive) else demixed, "next_demixed_frame", spy
+        change_test if isinstance(taker, MotionAdaptive) else demixed, "next_demixed_frame", spy
     )
     if isinstance(taker, MotionAdaptive):
         state = taker.init(calibration, np.random.default_rng(0))
@@ -81,7 +81,7 @@ def test_a_label_stays_where_nothing_can_be_compared_and_goes_where_it_can() -> 
     assert code.moving[8:16, 8:16].all()
     assert not code.moving[:6].any()
     # The last real sample is kept, and no bound taken for one.
-    np.testing.assert_allclose(seen.seen.irradiance, 0.1, rtol=0.25)
+    np.testing.assert_allclose(seen.changes.seen.irradiance, 0.1, rtol=0.25)
     frames = film(calibration, scheme, [scene(0.1, p) for p in (0.1, 0.5, 0.5)], np.random.default_rng(1))
     code, _ = scheme.next(3, frames, state)
     assert not code.moving.any(), "it moved once, and stopped"

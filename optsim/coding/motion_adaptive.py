@@ -10,22 +10,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optsim.calibration.calibration import Calibration
-from optsim.calibration.demixed import (
-    Crosstalk,
-    DemixedFrame,
-    SaturationPrior,
-    check_crosstalk,
-    demixed_interval,
-    next_demixed_frame,
-)
+from optsim.calibration.demixed import Crosstalk
+from optsim.coding.change_test import Changes
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.periodic import PeriodicCode
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.static_schemes import StaticScheme
 from optsim.core.config import Part
-from optsim.core.quantities import Bools, CodedFrame, ExposureCode, PanelState
-from optsim.optics.motion import changed
+from optsim.core.quantities import Bools, CodedFrame, ExposureCode
 from optsim.optics.neighbourhoods import dilated, remove_specks
 
 
@@ -35,33 +28,15 @@ class AdaptiveState:
 
     Parameters
     ----------
-    calibration : Calibration
-        The camera as measured on the bench.
     static, moving : PeriodicCode
         The two codes it chooses from.
-    panel : PanelState or None
-        The panel after the last frame that arrived; None before there is one.
-    n_seen : int
-        Frames that have arrived.
-    last : DemixedFrame or None
-        The last frame that arrived.
-    seen : SaturationPrior
-        Saturation prior of each pixel, from its last frames.
-    label : ndarray of shape (v, u), bool
-        Pixels that changed between the last two frames, before clean-up.
-    label_before : ndarray of shape (v, u), bool
-        The same before the last frame arrived.
+    changes : Changes
+        What the frames that have arrived tell of motion.
     """
 
-    calibration: Calibration
     static: PeriodicCode
     moving: PeriodicCode
-    panel: PanelState | None
-    n_seen: int
-    last: DemixedFrame | None
-    seen: SaturationPrior
-    label: Bools
-    label_before: Bools
+    changes: Changes
 
 
 class MotionAdaptive(Part):
@@ -135,59 +110,27 @@ class MotionAdaptive(Part):
         ConfigError
             When crosstalk is to be undone and cannot be.
         """
-        check_crosstalk(calibration, self.crosstalk)
-        return AdaptiveState(
-            calibration,
-            self.static.init(calibration, rng),
-            self.moving.init(calibration, rng),
-            None,
-            n_seen=0,
-            last=None,
-            seen=SaturationPrior.unknown(calibration.shape),
-            label=np.zeros(calibration.shape, np.bool_),
-            label_before=np.zeros(calibration.shape, np.bool_),
-        )
+        changes = Changes.of(calibration, self.crosstalk)
+        return AdaptiveState(self.static.init(calibration, rng), self.moving.init(calibration, rng), changes)
 
     def next(
         self, index: int, arrived: Sequence[CodedFrame], state: AdaptiveState
     ) -> tuple[ExposureCode, AdaptiveState]:
         """Code of frame ``index`` from all frames that have arrived."""
-        for frame in arrived[state.n_seen :]:
-            state = self._learn(frame, state)
-        if state.n_seen < 2:
-            decoded = np.full(state.label.shape, self.first_frames == "moving")
+        changes = state.changes
+        for frame in arrived[changes.n_seen :]:
+            changes = changes.after(frame, self.threshold_sigma, self.least_change, self.release_sigma)
+        if changes.n_seen < 2:
+            decoded = np.full(changes.label.shape, self.first_frames == "moving")
         else:
-            decoded = self._cleaned(state.label)
+            decoded = self._cleaned(changes.label)
             if self.growth == "displacement":
                 # The newest frame that arrived is n_seen - 1: the mask is this many frames old.
-                decoded = swept_ahead(decoded, self._cleaned(state.label_before), index - (state.n_seen - 1))
+                before = self._cleaned(changes.label_before)
+                decoded = swept_ahead(decoded, before, index - (changes.n_seen - 1))
         shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
         levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
-        return ExposureCode(levels, decoded), state
+        return ExposureCode(levels, decoded), replace(state, changes=changes)
 
     def _cleaned(self, label: Bools) -> Bools:
         return dilated(remove_specks(label, self.speck_px), self.dilation_px)
-
-    def _learn(self, frame: CodedFrame, state: AdaptiveState) -> AdaptiveState:
-        # Saturated pixels keep their earlier irradiance: right if nothing moves, which is what the test
-        # assumes.
-        demixed, panel, seen = next_demixed_frame(
-            state.calibration, frame, state.panel, state.seen, self.crosstalk
-        )
-        label = state.label
-        if state.last is not None:
-            before, now = (demixed_interval(state.calibration, s) for s in (state.last, demixed))
-            moved, undecided = changed(before, now, self.threshold_sigma, least_change=self.least_change)
-            if self.release_sigma is not None:
-                lower = changed(before, now, self.release_sigma, least_change=self.least_change)[0]
-                moved |= label & lower
-            label = np.where(undecided, label, moved)
-        return replace(
-            state,
-            panel=panel,
-            n_seen=state.n_seen + 1,
-            last=demixed,
-            seen=seen,
-            label=label,
-            label_before=state.label,
-        )
