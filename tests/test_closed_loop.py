@@ -5,8 +5,8 @@ import pytest
 from ideal_camera import BLACK_DN, SLOTS, film, ideal_calibration, still_light
 from pydantic import ValidationError
 
-from optsim.coding import ClosedLoopDensity
-from optsim.decoding import HdrMerge
+from optsim.coding import ClosedLoopDensity, ClosedLoopRate, RandomExposure
+from optsim.decoding import HdrMerge, Union
 
 ROWS, COLS = 12, 16
 # A reading of 60 % of the well, W m^-2 slots: 270 DN each, saturation at 15 000 DN.
@@ -92,3 +92,86 @@ def test_a_bright_window_is_measured_that_an_open_shutter_would_clip():
 def test_a_target_outside_the_well_is_refused(share):
     with pytest.raises(ValidationError, match="target_share"):
         ClosedLoopDensity(target_share=share)
+
+
+def test_still_pixels_open_as_by_density_at_scattered_times():
+    image = np.geomspace(0.3, 100, ROWS * COLS).reshape(ROWS, COLS)
+    calibration, lights = ideal_calibration(ROWS, COLS), [still_light(image)] * 6
+    *_, density = film(calibration, ClosedLoopDensity(), lights, None)
+    *_, last = film(calibration, ClosedLoopRate(), lights, None)
+    (lengths,) = opened([last])
+    np.testing.assert_array_equal(lengths, opened([density])[0])
+    assert not last.code.moving.any()
+    starts = (last.code.levels == 255).argmax(axis=0)
+    assert (starts <= SLOTS - lengths).all()
+    short = starts[lengths == 1]
+    assert np.ptp(short) > 20
+    assert len(np.unique(short)) > 15
+
+
+def walk(step, n=6, brightest=0.6):
+    """A textured box that jumps ``step`` pixels to the right in each frame, before a dim wall."""
+    rng = np.random.default_rng(3)
+    box = rng.uniform(0.15, brightest, (10, 12)).astype(np.float32)
+    frames = []
+    for index in range(n):
+        image = np.full((32, 96), 0.05, np.float32)
+        image[12:22, 10 + step * index :][:, :12] = box
+        frames.append(still_light(image))
+    return frames
+
+
+# 36 slots a frame: n slots fit where n * step / 36 is at most half a pixel.
+@pytest.mark.parametrize(("step", "length"), [(1, 12), (2, 6), (3, 6), (5, 3), (7, 3)])
+@pytest.mark.parametrize("latency", [1, 3])
+def test_a_moving_region_opens_for_half_a_pixel_of_its_motion(step, length, latency):
+    calibration, n = ideal_calibration(32, 96), 6 + latency
+    frames = film(calibration, ClosedLoopRate(), walk(step, n), np.random.default_rng(1), latency)
+    code, (lengths,) = frames[-1].code, opened(frames[-1:])
+    first = 10 + step * (n - 1 - latency)
+    assert code.moving[12:22, first : first + 12].mean() > 0.9, "where it was in the newest frame"
+    rows, cols = (np.flatnonzero(each) for each in (code.moving.any(axis=1), code.moving.any(axis=0)))
+    around = np.s_[rows[0] - 8 : rows[-1] + 9, max(cols[0] - 8, 0) : cols[-1] + 9]
+    assert (lengths[around] == length).all(), "patches that touch the region have its code alone"
+    assert (lengths < SLOTS).sum() == lengths[around].size
+
+
+def test_the_shortest_bumps_are_those_of_random_exposure():
+    calibration = ideal_calibration(32, 96)
+    frames = film(calibration, ClosedLoopRate(), walk(5), np.random.default_rng(1))
+    random, _ = RandomExposure().next(0, [], RandomExposure().init(calibration, np.random.default_rng(5)))
+    short = opened(frames[-1:])[0] == 3
+    assert short.sum() > 500
+    np.testing.assert_array_equal(frames[-1].code.levels[:, short], random.levels[:, short])
+
+
+def test_bright_pixels_of_a_mover_open_as_their_brightness_asks():
+    calibration, lights = ideal_calibration(32, 96), walk(1, brightest=20.0)
+    frames = film(calibration, ClosedLoopRate(), lights, None)
+    (lengths,) = opened(frames[-1:])
+    by_light = np.clip(np.rint(TARGET / lights[-2][0]), 1, SLOTS)
+    there = frames[-1].code.moving
+    bright = there & (by_light < 12)
+    assert bright.sum() > 80
+    # Saturated pixels fall by quarters, so they may be a slot or two from the target yet.
+    assert np.abs(lengths - np.minimum(by_light, 12))[there].max() <= 8
+    assert (lengths[bright] == by_light[bright]).mean() > 0.6
+    assert lengths[there].max() == 12
+
+
+def test_a_mover_is_decoded_sharper_than_an_open_shutter_blurs_it():
+    light = np.full((7 * SLOTS, 32, 80), 0.1, np.float32)
+    for slot, image in enumerate(light):
+        image[10:22] += np.clip(1 - np.abs(np.arange(80) - 16 - 0.15 * slot) / 3, 0, 1).astype(np.float32)
+    lights = list(light.reshape(7, SLOTS, 32, 80))
+    calibration = ideal_calibration(32, 80)
+    frames = film(calibration, ClosedLoopRate(), lights, np.random.default_rng(1))
+    found = list(Union().decode(frames, calibration))[-1]
+    blur = np.square(lights[-1].mean(axis=0) - lights[-1])
+    assert np.square(found.irradiance_w_m2 - lights[-1]).mean() < 0.5 * blur.mean()
+
+
+@pytest.mark.parametrize("lengths", [(), (0, 3), (3, 3), (6, 3)])
+def test_lengths_that_do_not_ascend_are_refused(lengths):
+    with pytest.raises(ValidationError, match="ascending numbers of open slots"):
+        ClosedLoopRate(bump_slots=lengths)

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from optsim.coding.closed_loop_density import ClosedLoopDensity
+from optsim.coding.closed_loop_rate import ClosedLoopRate
 from optsim.coding.motion_adaptive import MotionAdaptive
 from optsim.coding.periodic import PeriodicScheme
 from optsim.coding.static_schemes import (
@@ -22,9 +23,9 @@ from optsim.coding.static_schemes import (
 from optsim.core.config import Part
 from optsim.core.extensions import AS_IT_IS, SCHEMES, or_offered
 
-ALL = (*STATIC_SCHEMES, ClosedLoopDensity, MotionAdaptive)
+ALL = (*STATIC_SCHEMES, ClosedLoopDensity, ClosedLoopRate, MotionAdaptive)
 Scheme = Annotated[
-    AnyStaticScheme | ClosedLoopDensity | MotionAdaptive,
+    AnyStaticScheme | ClosedLoopDensity | ClosedLoopRate | MotionAdaptive,
     Field(discriminator="kind"),
     or_offered(SCHEMES, Part),
     AS_IT_IS,
@@ -33,6 +34,7 @@ Scheme = Annotated[
 __all__ = [
     "ALL",
     "ClosedLoopDensity",
+    "ClosedLoopRate",
     "CodedRollingShutter",
     "FlutterShutter",
     "HdrMosaic",
