@@ -22,6 +22,7 @@ from optsim.coding import (
     ShutterGrid,
 )
 from optsim.coding.flutter_shutter import flutter_code
+from optsim.coding.shutter_grid import firing_order
 from optsim.coding.static_schemes import STATIC_SCHEMES, AnyStaticScheme
 from optsim.core.errors import ConfigError
 from optsim.experiment.experiment import load_experiment
@@ -245,11 +246,36 @@ def test_pixels_of_a_grid_open_one_after_the_other(coded_slots, grid_px):
     assert grid.shape == (SLOTS, grid_px, grid_px)
     assert (runs(grid) == 1).all()
     assert (grid.sum(axis=0) == -(-coded_slots // grid_px**2)).all()
-    assert (np.diff(grid.argmax(axis=0).ravel()) > 0).all(), "row by row"
+    starts = grid.argmax(axis=0).ravel()
+    np.testing.assert_array_equal(starts.argsort(), firing_order(grid_px).argsort())
     at_once = grid.sum(axis=(1, 2))
     assert (at_once[:coded_slots] >= 1).all()
     assert not at_once[coded_slots:].any()
     assert at_once.max() == 1 if coded_slots % grid_px**2 == 0 else at_once.max() == 2
+
+
+@pytest.mark.parametrize("side", [2, 4, 8, 16])
+def test_grids_cover_the_frame_evenly_at_every_resolution(side):
+    """Every 2^k x 2^k square, wherever it lies, has one pixel in each 4^k-th part of the frame."""
+    turn = firing_order(side).reshape(side, side)
+    for k in range(int(np.log2(side)) + 1):
+        part = turn * 4**k // side**2
+        for v, u in np.ndindex(side, side):
+            square = np.roll(part, (-v, -u), axis=(0, 1))[: 2**k, : 2**k]
+            np.testing.assert_array_equal(np.sort(square, axis=None), np.arange(4**k))
+        # Pixels of one part lie on a lattice: the image that it takes is 2^k times as coarse.
+        v, u = np.nonzero(part == 0)
+        assert not (v % 2**k).any()
+        assert not (u % 2**k).any()
+
+
+@pytest.mark.parametrize("side", [2, 3, 5, 6, 7])
+def test_successive_pixels_of_any_grid_lie_apart(side):
+    v, u = np.divmod(firing_order(side).argsort(), side)
+    assert len({*zip(v, u, strict=True)}) == side**2
+    apart = np.maximum(*(np.abs(np.diff(each)) for each in (v, u)))
+    assert apart.mean() >= side / 3
+    assert apart[0] >= side // 2
 
 
 def test_adaptive_scheme_finds_what_moves_and_codes_a_patch_further():
