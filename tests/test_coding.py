@@ -158,9 +158,26 @@ def test_random_lengths_are_single_bumps_of_all_lengths_anywhere(coded_slots):
         chi2 = ((starts - expected) ** 2 / expected).sum()
         # 5 standard deviations of chi squared with about 30 degrees: one false alarm in 10 000 each.
         assert abs(chi2 - (n_starts - 1)) < 5 * np.sqrt(2 * n_starts)
-    assert RandomLengths().tiles(SLOTS, SLOTS, np.random.default_rng(0)).astype(bool).sum() == pytest.approx(
-        4 * 64, abs=4
-    ), "a mean of four slots, as the four to one of Portz et al."
+    assert opened(RandomLengths()).sum() == pytest.approx(4 * 64, abs=4), (
+        "a mean of four slots, as the four to one of Portz et al."
+    )
+
+
+@pytest.mark.parametrize("coded_slots", [SLOTS, 28])
+def test_exposures_of_random_length_run_on_over_frames(coded_slots):
+    """Each begins where the one before ended; one that would not fit begins the frame again."""
+    calibration = ideal_calibration(8, 8, coded_slots=coded_slots)
+    scheme = RandomLengths()
+    state = scheme.init(calibration, np.random.default_rng(0))
+    is_open = np.stack([scheme.next(f, [], state)[0].levels == 255 for f in range(coded_slots)])
+    lengths, starts = is_open.sum(axis=1), is_open.argmax(axis=1)
+    assert (lengths == lengths[0]).all()
+    assert all((runs(frame) == 1).all() for frame in is_open)
+    ends = (starts + lengths)[:-1]
+    fits = ends + lengths[1:] <= coded_slots
+    np.testing.assert_array_equal(starts[1:][fits], ends[fits])
+    assert (starts[1:][~fits] < lengths[1:][~fits]).all()
+    assert is_open[:, :coded_slots].any(axis=0).all(), "every pixel sees every slot in time"
 
 
 @pytest.mark.parametrize(("share", "coded_slots"), [(0.5, SLOTS), (0.5, 28), (0.1, SLOTS)])

@@ -1,4 +1,4 @@
-"""Random lengths (Portz et al.): one exposure a pixel, of random length and at a random time."""
+"""Random lengths (Portz et al.): one exposure a pixel and frame, of its own length, that moves on."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from optsim.core.quantities import Bytes
 
 
 class RandomLengths(PeriodicScheme):
-    """A single bump a pixel; lengths evenly spread over a tile at random places, starts at random.
+    """A pixel's exposures have one length and follow each other, one a frame; offsets start at random.
 
     After Portz, Zhang and Jiang, "Random coded sampling for high-speed HDR video", ICCP 2013. Their sensor
-    reads each pixel at its own times: one exposure follows the other and no light is lost. A CCD behind a
-    panel is read once a frame, so here a pixel has one exposure a frame and then waits.
+    reads each pixel at its own times: one exposure follows the other, and no light is lost. Adapted: a CCD
+    behind a panel is read once a frame. The exposures of a frame would add up to an open shutter, so one of
+    them passes. In the next frame it begins at the slot where this one ended, and so around the coded slots.
+    Lengths are evenly spread over a tile at random places.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ class RandomLengths(PeriodicScheme):
         return self
 
     def tiles(self, slots: int, coded_slots: int, rng: np.random.Generator) -> Bytes:
-        """One frame of a square tile.
+        """As many frames of a square tile as slots: the shortest exposures then have been everywhere.
 
         Raises
         ------
@@ -53,4 +55,7 @@ class RandomLengths(PeriodicScheme):
         check_fits("longest_slots", self.longest_slots, coded_slots)
         lengths = np.linspace(self.shortest_slots, self.longest_slots + 1, self.tile_px**2, endpoint=False)
         lengths = rng.permutation(lengths.astype(int))
-        return square(bumps(slots, rng.integers(0, coded_slots - lengths + 1), lengths))
+        places = coded_slots - lengths + 1
+        starts = rng.integers(0, places)
+        frames = [square(bumps(slots, (starts + n * lengths) % places, lengths)) for n in range(coded_slots)]
+        return np.concatenate(frames)
