@@ -273,3 +273,8 @@ def test_links_out_of_the_manual_stay_in_it(reference: Any) -> None:
         text, page=SimpleNamespace(file=SimpleNamespace(src_uri="how-to/scene.md"))
     )
     assert told == "[a](../reports/measured.md#x) [b](../physics.md) [c](../scenes/wheel/README.md)"
+    back = reference.on_page_markdown(
+        "[a](../docs/how-to/studies.md#x) [b](claims.md)",
+        page=SimpleNamespace(file=SimpleNamespace(src_uri="reports/prototype.md")),
+    )
+    assert back == "[a](../how-to/studies.md#x) [b](claims.md)"
