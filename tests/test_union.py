@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from ideal_camera import crossing, film, ideal_calibration, still_light
 
-from optsim.coding import MotionAdaptive, RandomExposure
+from optsim.coding import HdrMosaic, MotionAdaptive, RandomExposure
 from optsim.decoding import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
 from optsim.decoding.union import _nearness
 
@@ -121,6 +121,22 @@ def test_what_the_late_mask_misses_is_a_video_too():
     assert joined.moving[missed].mean() > 0.8
     assert error(joined) < 0.8 * error(still)
     assert error(joined) < 0.8 * error(paper)
+
+
+def test_a_mosaic_is_merged_beside_what_saturates():
+    """A lamp beside the bar's path leaves the mosaic too few exposures for a video."""
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    lights = crossing(6)
+    for light in lights:
+        light[:, 20:24, 16:24] = 8
+    frames = film(calibration, HdrMosaic(), lights, np.random.default_rng(1))
+    *_, still = HdrMerge().partials(frames, calibration)
+    *_, joined = Union().decode(frames, calibration)
+    lamp = np.zeros((ROWS, COLS), np.bool_)
+    lamp[20:24, 16:24] = True
+    assert _nearness(still.moving, 4.0)[lamp].max() > 0.3
+    merged = np.broadcast_to(still.irradiance_w_m2, joined.irradiance_w_m2.shape)
+    np.testing.assert_array_equal(joined.irradiance_w_m2[:, lamp], merged[:, lamp])
 
 
 def test_a_random_code_of_a_still_wall_is_merged():

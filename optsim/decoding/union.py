@@ -20,6 +20,7 @@ from optsim.decoding.coded_images import box_mean
 from optsim.decoding.joined import Joined
 from optsim.decoding.partial import Partial, PartialDecoder
 from optsim.decoding.partial_decoders import AnyPartialDecoder, HdrMerge, SparseCoding
+from optsim.optics.neighbourhoods import dilated
 
 _Moving = Annotated[
     AnyPartialDecoder | Joined,
@@ -30,6 +31,8 @@ _Moving = Annotated[
 # Least share of the image for which a video is decoded.
 _LEAST_SHARE = 0.05
 _SMOOTH_PX = 3
+# Reach of a saturated sample in a video: half the side of the shipped priors' patches, panel pixels.
+_AROUND = 4
 
 
 class Union(Part):
@@ -38,7 +41,8 @@ class Union(Part):
     The code's mask is dilated and as old as the frames behind it. At decoding, the frame's own sample is
     known, so equation (1) is not followed. Where the sample agrees with those before, the merge of all has
     less error than the video. Where it doesn't, one frame is left to merge. There a video from any code has
-    less error: the four exposures of a mosaic differ in time too. Undetected motion is likely near detected
+    less error: the four exposures of a mosaic differ in time too. Near saturated samples it has not, since
+    few exposures are left, so there the code must be the video's. Undetected motion is likely near detected
     motion, so the video's share falls with the distance from the nearest change. Where the video ends, it
     fades out with the number of patches over a pixel. ``moving`` marks where it has its full share.
 
@@ -79,12 +83,12 @@ class Union(Part):
 
         def changing() -> Iterator[CodedFrame]:
             for frame, still in zip(first, self.static.partials(second, calibration), strict=True):
-                near, moving = np.ones(still.moving.shape, np.float32), frame.code.moving
+                near, where = np.ones(still.moving.shape, np.float32), frame.code.moving
                 if self.video == "changed" and not still.moving.all():
-                    near = _nearness(still.moving, self.fade_px)
-                    moving = near >= _LEAST_SHARE
+                    where = where | ~dilated(calibration.observe(frame).saturated, _AROUND)
+                    near = where * _nearness(still.moving, self.fade_px)
                 merged.append((still, near))
-                yield replace(frame, code=replace(frame.code, moving=moving))
+                yield replace(frame, code=replace(frame.code, moving=where & (near >= _LEAST_SHARE)))
 
         for video in self.moving.partials(changing(), calibration):
             still, near = merged.popleft()
