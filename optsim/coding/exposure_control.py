@@ -30,7 +30,7 @@ def controlled_slots(calibration: Calibration, frame: CodedFrame, target_share: 
         Target above black, relative to saturation.
     """
     seen = calibration.observe(frame)
-    taken = np.count_nonzero(frame.code.levels, axis=0)
+    taken: Ints = np.count_nonzero(frame.code.levels, axis=0)
     target = target_share * (calibration.saturation_dn - calibration.black_dn) / calibration.responsivity_dn
     wanted = taken * target / np.maximum(seen.signal, np.finfo(np.float32).tiny)
     wanted = np.where(seen.saturated, taken / _FALL, wanted)
