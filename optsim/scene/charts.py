@@ -14,6 +14,7 @@ from optsim.core.quantities import Doubles
 
 PAPER = 0.9
 """Reflectance of the targets' white."""
+# ISO 12233:2014, annex E: 144 there, 36 for pictures of a few hundred pixels.
 STAR_CYCLES = 36
 """Cycles round the Siemens star."""
 STAR_RADIUS = 0.47
@@ -22,6 +23,8 @@ EDGE_RAD = float(np.deg2rad(5.0))
 """Angle of the slanted edges to the vertical and to the horizontal."""
 WEDGE_STEPS = 11
 """Steps of the wedge, each half as bright as the one before."""
+# The ColorChecker's neutral row: McCamy, Marcus, Davidson, "A color-rendition chart", J. Appl. Photogr. Eng.
+# 2 (1976) 95, nominal densities as stated by its maker.
 GREY_DENSITIES = (0.05, 0.23, 0.44, 0.70, 1.05, 1.50)
 """Densities of the grey steps."""
 
@@ -38,71 +41,47 @@ def _inside(distance_texels: Doubles) -> Doubles:
 
 
 def siemens_star() -> Doubles:
-    """Sinusoidal Siemens star: reflectance = mean + amplitude cos(36 angle) within a disc on grey.
-
-    At a radius r (pixels of the picture) the local frequency is 36 / (2 pi r) cycles per pixel. The
-    modulation before the camera is 0.8 (0.9 to 0.1). The centre is flat grey where a cycle is shorter than 8
-    texels.
-
-    Source: the sine-based Siemens star of ISO 12233:2014 (annex E; there 144 cycles, here 36, as for pictures
-    of a few hundred pixels).
-    """
+    """Sinusoidal Siemens star of modulation 0.8: 36 / (2 pi r) cycles per pixel at a radius of r pixels."""
     n = 1024
     x, y = _grid(n, n)
     radius, angle = np.hypot(x - 0.5, y - 0.5), np.arctan2(y - 0.5, x - 0.5)
+    # Flat grey in the centre, where a cycle is shorter than 8 texels, and outside the disc.
     within = _inside((STAR_RADIUS - radius) * n) * _inside((radius - 8 * STAR_CYCLES / (2 * np.pi * n)) * n)
     return 0.5 + 0.4 * np.cos(STAR_CYCLES * angle) * within
 
 
 def slanted_edge() -> Doubles:
-    """Dark square (0.15) on light (0.6), turned by 5 degrees: two near-vertical, two near-horizontal edges.
-
-    Source: slanted-edge method of ISO 12233:2014 (annex D): an edge at 5 degrees of contrast 4 : 1, low
-    enough that nothing clips. Side of the square: 0.6 of the texture.
-    """
+    """Dark square (0.15) on light (0.6), turned by 5 degrees: near-vertical and near-horizontal edges."""
     n = 512
     x, y = _grid(n, n)
     across = (x - 0.5) * np.cos(EDGE_RAD) + (y - 0.5) * np.sin(EDGE_RAD)
     up = (y - 0.5) * np.cos(EDGE_RAD) - (x - 0.5) * np.sin(EDGE_RAD)
     share = _inside((0.3 - np.abs(across)) * n) * _inside((0.3 - np.abs(up)) * n)
+    # ISO 12233:2014 (annex D): contrast 4 : 1, low enough that nothing clips.
     return 0.6 + (0.15 - 0.6) * share
 
 
 def step_wedge() -> Doubles:
-    """Eleven upright fields from left to right, reflectance 0.9 / 2^k: densities 0.046 + 0.301 k, 1024 : 1.
-
-    The step of 0.301 in density (one photographic stop) is that of coarse transmission step tablets. As
-    reflectances the last ones (down to 0.00088) are darker than any paint. So one evenly lit plane gives the
-    whole range.
-    """
+    """Eleven upright fields, left to right: reflectance 0.9 / 2^k, densities 0.046 + 0.301 k, 1024 : 1."""
+    # Coarse transmission tablets step by 0.301, a stop. The last fields (0.00088) are darker than paint.
     x, _ = _grid(64, 64 * WEDGE_STEPS)
     return PAPER / 2.0 ** np.floor(x * WEDGE_STEPS)
 
 
 def grey_steps() -> Doubles:
-    """Six grey fields from left to right, of densities 0.05, 0.23, 0.44, 0.70, 1.05 and 1.50.
-
-    Source: nominal densities of the neutral row of the ColorChecker (McCamy, Marcus, Davidson, "A
-    color-rendition chart", J. Appl. Photogr. Eng. 2 (1976) 95, as stated by its maker).
-    """
+    """Six grey fields from left to right, of the densities :data:`GREY_DENSITIES`."""
     x, _ = _grid(64, 64 * len(GREY_DENSITIES))
     return 10.0 ** -np.asarray(GREY_DENSITIES)[np.floor(x * len(GREY_DENSITIES)).astype(int)]
 
 
 def bars() -> Doubles:
-    """One period of upright square-wave bars: the left half dark (0.09), the right half light (0.9).
-
-    Modulation 0.82 (10 : 1); ``tile_m`` of the material sets the period. Own definition.
-    """
+    """One period (the material's ``tile_m``) of upright bars: left half dark (0.09), right light (0.9)."""
     x, _ = _grid(16, 128)
     return np.where(x < 0.5, PAPER / 10, PAPER)
 
 
 def fiducial() -> Doubles:
-    """Make a mark with a known centre: a quartered disc (bow tie), dark 0.05 on 0.9.
-
-    The centre is a saddle point, to be located to a small part of a pixel. Own definition.
-    """
+    """Quartered disc (bow tie), dark 0.05 on 0.9: its centre, a saddle point, is located to sub-pixels."""
     n = 256
     x, y = _grid(n, n)
     disc = _inside((0.45 - np.hypot(x - 0.5, y - 0.5)) * n)

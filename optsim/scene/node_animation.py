@@ -77,16 +77,14 @@ class NodeTree:
         return max(float(channel.times_s[-1]) for channel in self.channels)
 
     def moving(self) -> dict[int, int]:
-        """Visible nodes that the animation moves, or puts elsewhere than at rest, and what moves each.
-
-        That is the nearest node, itself or above, whose keyframes differ: nodes that share it move as one.
-        """
+        """Visible nodes that the animation moves, or puts elsewhere than at rest, and what moves each."""
         first, rest = self.matrices(0.0), self.matrices()
         varying = {channel.node for channel in self.channels if channel.varies()}
         found: dict[int, int] = {}
         waiting: list[tuple[int, int | None]] = [(root, None) for root in self.roots if root in rest]
         while waiting:
             node, above = waiting.pop()
+            # The nearest node, itself or above, whose keyframes differ: nodes that share it move as one.
             by = node if node in varying else above
             if by is not None or np.abs(first[node] - rest[node]).max() > _SAME * np.abs(rest[node]).max():
                 found[node] = node if by is None else by

@@ -107,10 +107,8 @@ def _quiet(_message: str) -> None:
 
 
 def _damping(restitution: float) -> float:
-    """Damping ratio of a spring that pushes only and returns this share of the speed.
-
-    T. Schwager and T. Poeschel, Granular Matter 9, 465 (2007), eq. 22 and 23 in one.
-    """
+    """Damping ratio of a spring that pushes only and returns this share of the speed."""
+    # T. Schwager and T. Poeschel, Granular Matter 9, 465 (2007), eq. 22 and 23 in one.
     ratio = np.linspace(0.0005, 20, 20_000)
     share = np.exp(-2 * ratio * np.abs(np.arccos(ratio + 0j)) / np.sqrt(np.abs(1 - ratio**2)))
     return float(np.interp(-restitution, -share, ratio))

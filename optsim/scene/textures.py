@@ -153,11 +153,8 @@ def _wardrobe() -> Doubles:
 
 
 def _street() -> Doubles:
-    """Draw an outside view: sky with clouds over two rows of facades, trees and a road; relative radiance.
-
-    The relative scale is that of a sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07, foliage
-    0.03 (no source; sensible defaults).
-    """
+    """Draw an outside view: sky with clouds over two rows of facades, trees and a road; relative radiance."""
+    # A sunny day: cloud and sky 1, sunlit stucco 0.4, shaded stone 0.07, foliage 0.03 (no source).
     from scipy.ndimage import zoom
 
     n = 480

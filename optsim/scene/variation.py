@@ -28,20 +28,10 @@ ASPECTS = {
 
 @dataclass(frozen=True)
 class Range:
-    """Allowed values of a key.
+    """Values that a key may take: an interval, or choices."""
 
-    Parameters
-    ----------
-    key : str
-        Dotted key in ``scene.toml``; a number steps into a list.
-    low, high : float or int
-        Ends of an interval; whole ones draw whole numbers, both ends included.
-    choices : tuple
-        Values instead of an interval.
-    """
-
-    key: str
-    low: float = 0.0
+    key: str  # Dotted key in scene.toml; a number steps into a list.
+    low: float = 0.0  # Whole ends draw whole numbers, both ends included.
     high: float = 0.0
     choices: tuple[Any, ...] = ()
 
