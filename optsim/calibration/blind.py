@@ -57,19 +57,11 @@ _FEWEST_FRAMES = 4
 
 @dataclass(frozen=True)
 class Registration:
-    """How far the panel's image has moved on the CCD since the calibration.
+    """Rigid displacement of the panel's image on the CCD since the calibration."""
 
-    Parameters
-    ----------
-    shift_y_px, shift_x_px : float
-        Shift of its middle, CCD pixels.
-    rotation_rad : float
-        Rotation about the CCD's middle, from x towards y.
-    """
-
-    shift_y_px: float = 0.0
+    shift_y_px: float = 0.0  # Of its middle, CCD pixels.
     shift_x_px: float = 0.0
-    rotation_rad: float = 0.0
+    rotation_rad: float = 0.0  # About the CCD's middle, from x towards y.
 
     def now(self, y: Doubles, x: Doubles, ccd_shape: tuple[int, int]) -> tuple[Doubles, Doubles]:
         """Where the light of CCD pixels is now; pixel centres are whole numbers."""

@@ -262,10 +262,9 @@ def attribution_variance(
 ) -> Floats:
     """Variance of a demixed signal because the origin of crosstalk is ambiguous.
 
-    The kernel is measured on flats. On a flat, light from the neighbour and own light passed by the
-    neighbour's code give the same signal. The second comes from fringing fields, and from blur across an edge
-    within a pixel. Any mixture of the two is equally likely (a sensible default; no source). So the standard
-    deviation is their difference over the square root of three, around the choice of :meth:`Calibration.mix`.
+    On flats, which the kernel is measured on, light from the neighbour gives the same signal as own light
+    passed by the neighbour's code (fringing fields; blur across an edge within a pixel). Any mixture of both
+    is equally likely around the choice of :meth:`Calibration.mix` (a sensible default; no source).
     """
     own = calibration.own_share
     theirs, opened = calibration.spread(np.stack([irradiance * exposure, exposure]))
@@ -275,14 +274,13 @@ def attribution_variance(
     if variance is not None:
         noise = calibration.spread_variance(exposure**2 * variance) + opened**2 * variance
         squared = np.maximum(squared - 4 * noise / own**2, 0)
+    # Variance of a uniform distribution whose half width is the difference.
     return (squared / 3).astype(np.float32)
 
 
 def demixed_variance(calibration: Calibration, variance: Floats) -> Floats:
-    """Noise variance after crosstalk was undone: own noise plus, to first order, the neighbours'.
-
-    Higher orders are 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
-    """
+    """Noise variance after crosstalk was undone: own noise plus, to first order, the neighbours'."""
+    # Higher orders are 7 to 12 % of it where a pixel keeps 0.6 of its light, 16 to 30 % at a half.
     centre = _own_share(calibration)
     around = calibration.spread_variance(variance)
     return ((variance + around / centre**2) / centre**2).astype(np.float32)

@@ -36,22 +36,15 @@ _DARKER = 0.8
 
 @dataclass(frozen=True)
 class GlareFit:
-    """Glare with the standard errors of its veil and ghost.
-
-    They are by noise, by what the patterns disagree, and of a ghost too weak to count by what it might be.
-    """
+    """Glare with the standard errors of its veil and ghost, by noise and by the scatter over the patterns."""
 
     glare: Glare
     veil_error: float
-    ghost_error: float
+    ghost_error: float  # Of a ghost too weak to count: what it might be.
 
 
 def measured_glare(bench: Bench, reader: PixelReader, flat: Shading) -> GlareFit:
-    """Estimate glare from the light of a bright patch in dark places; none without images.
-
-    The light there beyond the panel's leak is :meth:`Glare.light` of the pattern. It is linear in all shares,
-    and none is negative. Least squares weighted by the noise gives the shares.
-    """
+    """Estimate glare by non-negative least squares from the light of a bright patch in dark places."""
     patterns = bench.glare
     if not patterns:
         return GlareFit(NO_GLARE, 0.0, 0.0)
@@ -60,6 +53,7 @@ def measured_glare(bench: Bench, reader: PixelReader, flat: Shading) -> GlareFit
     lights, places, excess, sigma = _dark_places(bench, reader, flat)
     shape = (flat.valid.shape[0], flat.valid.shape[1])
 
+    # Light beyond the panel's leak is Glare.light of the pattern: linear in all shares.
     def term(arriving: Callable[[Doubles], Doubles]) -> Doubles:
         """Light at the places, in standard deviations of its noise."""
         images = [arriving(light)[far] for light, far in zip(lights, places, strict=True)]
@@ -126,10 +120,7 @@ def _share_errors(terms: Doubles, shares: Doubles, seen: Doubles, counts: Sequen
 def _dark_places(
     bench: Bench, reader: PixelReader, flat: Shading
 ) -> tuple[list[Doubles], list[Bools], Doubles, Doubles]:
-    """For each pattern: its light, the places beyond its kernel, the light there, and its standard error.
-
-    The panel's leak is subtracted everywhere: all light is the excess over the panel all off.
-    """
+    """Return each pattern's light, the places beyond its kernel, and the light there with standard error."""
     from scipy.ndimage import binary_dilation
 
     kernel = np.ones((2 * REACH + 1, 2 * REACH + 1))
@@ -157,6 +148,7 @@ def _dark_places(
                 f"{bench.where('off')}: got {leak / max(dark, 1e-30):.2g} times the light of the dark rest "
                 f"of {where}, expected no more; cure: exchange the file, or correct irradiance_w_m2"
             )
+        # All light is the excess over the panel all off.
         lights.append(np.where(lit, flat.responsivity_dn - flat.off_dn, 0))
         places.append(far)
         excess.append((rate - flat.off_dn)[far])

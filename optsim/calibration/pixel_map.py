@@ -36,33 +36,16 @@ _STILL_PX, _ANCHOR_PX, _MOST_APART_PX = 0.02, 0.1, 0.5
 
 @dataclass(frozen=True, eq=False)
 class PixelMap:
-    """Smooth map from panel to CCD, both in pixels with centres at +0.5.
+    """Smooth map from panel to CCD, both in pixels with centres at +0.5."""
 
-    Parameters
-    ----------
-    coefficients : ndarray of shape (10, 2), float64
-        Polynomial in the panel coordinates scaled to -1..1, for (y, x).
-    panel_shape : tuple of int
-        Panel pixels (v, u).
-    residual_px : float
-        Rms distance between the map and the dots, corrected for the degrees of freedom, panel pixels.
-    ccd_per_panel_px : float
-        Mean scale.
-    covariance : ndarray of shape (10, 10), float64
-        Of the coefficients along one axis, CCD pixels squared, by the scatter of the dots.
-    dots_px : ndarray of shape (n, 2), float64
-        Panel coordinates of the dots that the map is fitted to.
-    off_ccd_px : ndarray of shape (n, 2), float64
-        Where they were seen minus where the map has them, (y, x), CCD pixels.
-    """
-
-    coefficients: Doubles
-    panel_shape: tuple[int, int]
-    residual_px: float
+    coefficients: Doubles  # (10, 2): polynomial for (y, x) in the panel coordinates scaled to -1..1.
+    panel_shape: tuple[int, int]  # Panel pixels (v, u).
+    residual_px: float  # Rms distance from the dots by the degrees of freedom, panel pixels.
     ccd_per_panel_px: float
+    # (10, 10), of the coefficients along one axis, CCD pixels squared, by the scatter of the dots.
     covariance: Doubles
-    dots_px: Doubles
-    off_ccd_px: Doubles
+    dots_px: Doubles  # (n, 2), panel coordinates of the dots that the map is fitted to.
+    off_ccd_px: Doubles  # (n, 2), seen minus mapped place of each dot, (y, x), CCD pixels.
 
     def on_ccd(self, panel: Doubles) -> Doubles:
         """CCD coordinates (y, x) of panel points (v, u): arrays of shape (n, 2), float64."""
@@ -107,13 +90,11 @@ class PixelMap:
         return centre[:, 0].reshape(self.panel_shape), centre[:, 1].reshape(self.panel_shape)
 
     def offsets_px(self, row: Ints, col: Ints) -> Doubles:
-        """Centre of each CCD pixel of the map minus that of its panel pixel, along v and u: array (v, u, 2).
-
-        In panel pixels, by the inverse of the map's local slope: right for mirrored and rotated cameras too.
-        """
+        """Centre of each mapped CCD pixel minus that of its panel pixel, panel pixels: array (v, u, 2)."""
         centres = self._centres()
         apart = np.stack([row.ravel() + 0.5, col.ravel() + 0.5], axis=1) - self.on_ccd(centres)
         slopes = [self.on_ccd(centres + step) - self.on_ccd(centres - step) for step in np.eye(2) / 2]
+        # By the inverse of the local slope: right for mirrored and rotated cameras too.
         offsets = np.linalg.solve(np.stack(slopes, axis=-1), apart[..., None])
         return offsets.reshape(*self.panel_shape, 2).astype(np.float64)
 
@@ -262,11 +243,7 @@ def _dots(
 
 
 def _centroids(picture: Floats, centres: Doubles, radius: int) -> tuple[Doubles, Doubles]:
-    """Centre of light and light in square windows about CCD points; NaN where a window leaves the CCD.
-
-    The window moves to the brightest pixel's neighbourhood over three rounds. The border's median is
-    subtracted as background.
-    """
+    """Centre of light and light in square windows about CCD points; NaN where a window leaves the CCD."""
     span = np.arange(-radius, radius + 1)
     result = centres.astype(np.float64)
     light = np.zeros(len(centres))
@@ -277,6 +254,7 @@ def _centroids(picture: Floats, centres: Doubles, radius: int) -> tuple[Doubles,
         inside &= (corner < np.array(picture.shape) - radius).all(axis=1)
         rows, cols = (corner[inside, axis, None] + span for axis in (0, 1))
         windows = picture[rows[:, :, None], cols[:, None, :]].astype(np.float64)
+        # The border's median is the background.
         edge = np.concatenate([windows[:, 0], windows[:, -1], windows[:, :, 0], windows[:, :, -1]], axis=1)
         windows -= np.median(edge, axis=1)[:, None, None]
         light = np.where(inside, 0.0, np.nan)

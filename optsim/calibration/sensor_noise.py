@@ -110,10 +110,7 @@ def _relative_error(frames: Words) -> float:
 def saturation_threshold(
     clipped: Words, black_dn: Floats, inside: Bools, noise: SensorNoise, where: str = "bench saturated"
 ) -> Floats:
-    """Raw DN from which a pixel is saturated: its mean clip level minus four standard deviations.
-
-    A thousandth of it is subtracted too, for smear.
-    """
+    """Raw DN from which a pixel is saturated: mean clip level minus four sigma, and 0.1 % for smear."""
     mean = clipped.mean(axis=0, dtype=np.float64)
     variance = temporal_variance(clipped[:, inside])
     signal = float((mean - black_dn)[inside].mean())

@@ -32,34 +32,16 @@ _EXPONENTS = (0.02, 50.0)
 
 @dataclass(frozen=True, eq=False)
 class PixelReader:
-    """Reads light rates at the CCD pixels of the pixel map, or in readout windows around them.
+    """Reads light rates at the CCD pixels of the pixel map, or in readout windows around them."""
 
-    Parameters
-    ----------
-    row, col : ndarray of shape (v, u), int64
-        CCD pixels of the pixel map.
-    black_dn : ndarray of shape (v, u), float32
-        Black level of the readout window.
-    black_variance : float
-        Variance of this black level, DN^2.
-    saturation_dn : ndarray of shape (v, u), float32
-        Raw DN from which a CCD pixel of the window is saturated.
-    coded_slots : int
-        Slots with the shutter open.
-    noise : SensorNoise
-        Gain and read noise of the readout window.
-    side : int
-        Side of the readout window, CCD pixels, odd.
-    """
-
-    row: Ints
+    row: Ints  # (v, u), CCD pixels of the pixel map, like ``col``.
     col: Ints
-    black_dn: Floats
-    black_variance: float
-    saturation_dn: Floats
-    coded_slots: int
-    noise: SensorNoise
-    side: int = 1
+    black_dn: Floats  # (v, u), of the readout window.
+    black_variance: float  # Of this black level, DN^2.
+    saturation_dn: Floats  # (v, u), raw DN from which a CCD pixel of the window is saturated.
+    coded_slots: int  # Slots with the shutter open.
+    noise: SensorNoise  # Of the readout window.
+    side: int = 1  # Of the readout window, CCD pixels, odd.
 
     def rate(self, shots: Sequence[Flat | Patches]) -> tuple[Doubles, Doubles]:
         """DN per (W m^-2 slot) over all frames of some shots, and its variance: two arrays (v, u)."""
@@ -81,33 +63,15 @@ class PixelReader:
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Responsivity and leak of the panel pixels.
+    """Responsivity and leak of the panel pixels, arrays (v, u)."""
 
-    Parameters
-    ----------
-    responsivity_dn : ndarray of shape (v, u), float64
-        DN per (W m^-2 slot), all on.
-    off_dn : ndarray of shape (v, u), float64
-        The same, all off.
-    valid : ndarray of shape (v, u), bool
-        Neither dead nor stuck.
-    gain_uncertainty : float
-        Relative standard error of a pixel's responsivity, rms.
-    leak, leak_uncertainty : float
-        Off over on, and its relative uncertainty. The uncertainty includes the spread over the field, since
-        the leak is a single number.
-    leak_error : float
-        Standard error of the leak itself, the mean over the field: by noise, and by what flats in different
-        light disagree.
-    """
-
-    responsivity_dn: Doubles
-    off_dn: Doubles
-    valid: Bools
-    gain_uncertainty: float
-    leak: float
-    leak_uncertainty: float
-    leak_error: float
+    responsivity_dn: Doubles  # DN per (W m^-2 slot), all on.
+    off_dn: Doubles  # The same, all off.
+    valid: Bools  # Neither dead nor stuck.
+    gain_uncertainty: float  # Relative standard error of a pixel's responsivity, rms.
+    leak: float  # Off over on.
+    leak_uncertainty: float  # Relative, with the spread over the field: the leak is a single number.
+    leak_error: float  # Standard error of the field's mean leak, by noise and by the scatter over flats.
 
 
 def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
@@ -165,15 +129,12 @@ def shading(bench: Bench, reader: PixelReader, inside: Bools) -> Shading:
 def drive_exponent(
     bench: Bench, reader: PixelReader, flat: Shading, response: PanelResponse
 ) -> tuple[float, float] | None:
-    """Exponent of retardance against level, from flats at levels between 0 and 255; None without any.
-
-    Flats are means over slots whose fields may be driven differently: a held level follows them with the
-    response's lag. Also returned is its standard error, by noise and by what the levels disagree.
-    """
+    """Exponent of retardance against level, with standard error, from flats at grey levels; None without."""
     from scipy.optimize import root_scalar
 
     held = np.full(4 * len(response.field_drive), 255, np.uint8)
 
+    # Flats are means over slots whose fields may be driven differently: the panel's lag follows them.
     def opened(exponent: float, level: int) -> float:
         guess = response.model_copy(update={"drive_exponent": exponent, "leak": 0.0})
         levels = np.stack([np.full(len(held), level, np.uint8), held], axis=1)[:, None, :]

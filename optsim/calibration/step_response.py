@@ -47,21 +47,12 @@ _MOST_OFF = 0.3
 
 @dataclass(frozen=True)
 class StepFit:
-    """The panel's response by its flashes.
+    """The panel's response by its flashes."""
 
-    Parameters
-    ----------
-    response : PanelResponse
-        With the estimated delays and time constants.
-    errors_s : dict
-        Standard errors of ``tau_on_s``, ``tau_off_s``, ``delay_s`` and ``scan_s``, by the fit's own scatter.
-    misfit : float
-        Root mean square of its deviations over their noise: 1 for a panel that follows the model.
-    """
-
-    response: PanelResponse
+    response: PanelResponse  # With the estimated delays and time constants.
+    # Standard errors of tau_on_s, tau_off_s, delay_s and scan_s, by the fit's own scatter.
     errors_s: dict[str, float]
-    misfit: float
+    misfit: float  # Rms deviation over its noise: 1 for a panel that follows the model.
 
 
 def step_weights(
@@ -98,8 +89,7 @@ def response_times(
 ) -> StepFit:
     """Fit time constants and row delays to the signals of bands of rows, by least squares.
 
-    The flash's energy is free in each band, so its light need not be uniform nor cover all bands. If it
-    lights a quarter of the rows or less, all rows count as written at once.
+    The flash's energy is free in each band, so its light need not be uniform nor cover all bands.
     """
     from scipy.optimize import least_squares
 
@@ -169,10 +159,7 @@ def response_times(
 def field_drive(
     fields: tuple[Step, ...], reader: PixelReader, valid: Bools, slot_s: float, response: PanelResponse
 ) -> tuple[PanelResponse, Doubles | None]:
-    """Relative retardance of successive slots, from flashes as long as a slot with the panel held.
-
-    Also returned is the covariance of these, by noise; None without flashes.
-    """
+    """Relative retardance of successive slots, with covariance, from slot-long flashes on a held panel."""
     if not fields:
         return response, None
     from scipy.optimize import least_squares
