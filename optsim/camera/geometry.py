@@ -16,46 +16,24 @@ LINK_BYTES_S = 350e6
 
 @dataclass(frozen=True)
 class GeometryReport:
-    """Position of the panel's image on the CCD; lengths in CCD pixels unless named otherwise.
+    """Position of the panel's image on the CCD; lengths in CCD pixels unless named otherwise."""
 
-    Parameters
-    ----------
-    panel_rows, panel_cols : int
-        Panel pixels used.
-    modulator_rows, modulator_cols : int
-        Panel pixels of the whole panel.
-    ccd_rows, ccd_cols : int
-        CCD pixels read out.
-    ratio : float
-        CCD pixels per panel pixel.
-    footprint_rows_px, footprint_cols_px : float
-        Extent of the panel's image, rotation, keystone and distortion included.
-    margin_rows_px, margin_cols_px : float
-        Margin of the CCD on the narrower side; negative where the image falls off.
-    moire_period_px : float or None
-        Panel pixels after which the offset between panel and CCD pixel centres repeats; None for an integer
-        ratio.
-    largest_panel_rows, largest_panel_cols : int
-        Most panel pixels that fit at this ratio if aligned and undistorted.
-    relay_accepts : float
-        Share of the light cone from the panel that passes the relay's stop.
-    """
-
-    panel_rows: int
+    panel_rows: int  # Panel pixels used.
     panel_cols: int
-    modulator_rows: int
+    modulator_rows: int  # Panel pixels of the whole panel.
     modulator_cols: int
-    ccd_rows: int
+    ccd_rows: int  # CCD pixels read out.
     ccd_cols: int
-    ratio: float
-    footprint_rows_px: float
+    ratio: float  # CCD pixels per panel pixel.
+    footprint_rows_px: float  # Extent of the panel's image, with rotation, keystone and distortion.
     footprint_cols_px: float
-    margin_rows_px: float
+    margin_rows_px: float  # On the narrower side; negative where the image falls off.
     margin_cols_px: float
+    # Panel pixels after which the offset between pixel centres repeats; None for an integer ratio.
     moire_period_px: float | None
-    largest_panel_rows: int
+    largest_panel_rows: int  # Panel pixels that fit at this ratio if aligned and undistorted.
     largest_panel_cols: int
-    relay_accepts: float
+    relay_accepts: float  # Share of the light cone from the panel that passes the relay's stop.
 
     @property
     def fits(self) -> bool:
@@ -120,32 +98,16 @@ def geometry_report(
 
 @dataclass(frozen=True)
 class LatencyReport:
-    """Smallest possible latency of the loop: code f may use frames up to f - ``frames``.
+    """Smallest possible latency of the loop: code f may use frames up to f - ``frames``."""
 
-    Parameters
-    ----------
-    frames : int
-        Coded frames.
-    readout_s, transfer_s, computation_s, display_s : float
-        Times from the end of an exposure to the panel's next pattern.
-    slack_s : float
-        Time between the end of the exposure and the end of the period.
-    period_s : float
-        Period of coded frames.
-    keeps_up : bool
-        Whether a frame is read before the next exposure ends: readout is no longer than a period.
-    sources : str
-        Sources of the times.
-    """
-
-    frames: int
-    readout_s: float
+    frames: int  # Coded frames.
+    readout_s: float  # From the end of an exposure to the panel's next pattern, four steps.
     transfer_s: float
     computation_s: float
     display_s: float
-    slack_s: float
-    period_s: float
-    keeps_up: bool
+    slack_s: float  # From the end of the exposure to the end of the period.
+    period_s: float  # Of coded frames.
+    keeps_up: bool  # Whether a frame is read before the next exposure ends: readout within a period.
     sources: str = (
         "readout: published table for this camera model; transfer: unsourced, 350 MB/s; "
         "computation: unsourced assumption; display: one 60 Hz DVI frame"

@@ -58,15 +58,7 @@ LEAST_PANEL_PX = 24
 
 @dataclass(frozen=True)
 class Frames:
-    """How many images the laboratory takes.
-
-    Parameters
-    ----------
-    darks, flats, off, greys, saturated, patches, glare : int
-        Frames of each setting; ``patches`` are the anchors and dots.
-    delays : sequence of int
-        Delays of the flash, from half a slot before the step to two slots after, in flash lengths.
-    """
+    """How many images of each setting the laboratory takes; ``patches`` are the anchors and dots."""
 
     darks: int
     flats: int
@@ -75,6 +67,7 @@ class Frames:
     saturated: int
     patches: int
     glare: int
+    # Of the flash, in flash lengths, from half a slot before the step to two slots after.
     delays: Sequence[int]
 
 
@@ -245,10 +238,8 @@ class _Laboratory:
         return camera.form_image(sphere)
 
     def step(self, before: int, after: int, delay: int) -> Step:
-        """LED flash, ``delay`` flash lengths after the panel changes from one held level to another.
-
-        The shutter is open for four slots around the flash; the panel changes at the start of the second.
-        """
+        """LED flash, ``delay`` flash lengths after the panel changes from one held level to another."""
+        # The shutter is open for four slots around the flash; the panel changes at the start of the second.
         slot, instant = divmod(_FLASHES_PER_SLOT + delay, _FLASHES_PER_SLOT)
         pulse = np.zeros(_FLASHES_PER_SLOT, np.float32)
         pulse[instant] = self.irradiance(_FLASH_SHARE, 1 / _FLASHES_PER_SLOT)

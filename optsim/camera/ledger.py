@@ -13,22 +13,10 @@ from optsim.optics.radiometry import photons_per_joule
 
 @dataclass(frozen=True)
 class LedgerRow:
-    """One stage.
-
-    Parameters
-    ----------
-    stage : str
-        Stage that the light has passed, or the quantity counted.
-    factor : float or None
-        Value over that of the row above, if they share a unit.
-    value : float
-        Remaining light, or the quantity counted.
-    unit : str
-        Unit of the value.
-    """
+    """Light that is left after a stage, or a quantity counted there."""
 
     stage: str
-    factor: float | None
+    factor: float | None  # Over the value of the row above, if they share a unit.
     value: float
     unit: str
 

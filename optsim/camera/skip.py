@@ -59,22 +59,14 @@ class Given:
 
 @dataclass(frozen=True)
 class Skip:
-    """One row of the skip table.
-
-    Parameters
-    ----------
-    name, what, saves : str
-        Name, the effect left out, and the measured saving.
-    bound : callable
-        Error bound without it in units of a frame's noise: 0 if exact, infinite if it must be modelled.
-    full : Changes or None
-        Changes of the camera that model it in full; None where the renderer decides by the same rule.
-    """
+    """One row of the skip table: an effect left out, its error bound and the measured saving."""
 
     name: str
     what: str
     saves: str
+    # In units of a frame's noise: 0 if exact, infinite if it must be modelled.
     bound: Callable[[Given], float]
+    # Changes of the camera that model it in full; None where the renderer decides by the same rule.
     full: Changes | None = None
 
 
@@ -144,23 +136,13 @@ ALL: tuple[Skip, ...] = (
 
 @dataclass(frozen=True)
 class Choice:
-    """Decision for a row.
-
-    Parameters
-    ----------
-    skip, what, saves : str
-        As in the row.
-    skipped : bool
-        Whether it is left out.
-    bound : float
-        Error in units of a frame's noise; 0 where it is modelled.
-    """
+    """Decision for a row of the skip table."""
 
     skip: str
     what: str
     saves: str
-    skipped: bool
-    bound: float
+    skipped: bool  # Whether it is left out.
+    bound: float  # Error in units of a frame's noise; 0 where it is modelled.
 
 
 @dataclass(frozen=True)
@@ -211,10 +193,8 @@ def leave_out(given: Given, tolerance: float) -> Skipping:
 
 
 def _finest(camera: CodedCamera) -> CodedCamera:
-    """Set the finest numerics: coarser ones save no time.
-
-    PSF windows are limited to twice the length of the panel: no light is collected beyond.
-    """
+    """Set the finest numerics: coarser ones save no time."""
+    # PSF windows end at twice the length of the panel: no light is collected beyond.
     length = 2 * max(camera.view.rows, camera.view.cols)
     changes: dict[str, dict[str, float]] = {"objective": {}, "relay": {}}
     for part, fields in changes.items():

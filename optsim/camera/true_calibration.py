@@ -68,10 +68,8 @@ def true_calibration(camera: CodedCamera, reading_px: int = 1, *, alone: bool = 
 def _of_others(
     camera: CodedCamera, operator: RelayOperator, flat: Doubles, square: tuple[Ints, Ints, int], on_ccd: Bools
 ) -> tuple[Floats, Glare]:
-    """Compute the crosstalk kernels and the glare.
-
-    ``flat`` is the CCD's image of even light, ``square`` the pixel map and the side of the readout window.
-    """
+    """Compute crosstalk kernels and glare, by the CCD's image of even light (``flat``)."""
+    # The pixel map, and the side of the readout window.
     row, col, side = square
     rows, cols = camera.panel_rows, camera.panel_cols
     reach = min(REACH, (min(rows, cols) - 1) // 2)
@@ -175,11 +173,9 @@ def _from_electrons(
 
 
 def _below_clip_e(noise_e: float, smeared: bool) -> float:
-    """Distance of the saturation threshold from the clip: four sigma, so one full well in 30 000 is missed.
-
-    Smear of s electrons lifts a full well by s and adds their shot noise. The threshold is the lowest
-    s - 4 sqrt(noise_e^2 + s): at s = 4 - noise_e^2 if that is above 0, else without smear.
-    """
+    """Distance of the saturation threshold from the clip: four sigma, so 1 full well in 30 000 is missed."""
+    # Smear of s electrons lifts a full well by s and adds their shot noise. The threshold is the lowest
+    # s - 4 sqrt(noise_e^2 + s): at s = 4 - noise_e^2 if that is above 0, else without smear.
     return 4 + noise_e**2 if smeared and noise_e < 2 else 4 * noise_e
 
 

@@ -28,37 +28,17 @@ _REACH, _GHOST_SIGMAS = 30, 3
 
 @dataclass(frozen=True, eq=False)
 class TrueOperator:
-    """Readings of a camera by the light on its panel, without noise and saturation.
+    """Readings of a camera by the light on its panel, without noise and saturation."""
 
-    Parameters
-    ----------
-    row, col : ndarray of shape (v, u), int64
-        CCD pixel at the centre of each panel pixel.
-    black_dn : ndarray of shape (v, u), float32
-        Reading in the dark: black level, dark current, fixed pattern.
-    gain_dn : ndarray of shape (v, u), float32
-        DN of even irradiance of 1 W m^-2 in one slot, panel fully on.
-    core : ndarray of shape (v, u, k, k), float32
-        Shares of the fine samples around the middle one of each panel pixel.
-    tails : ndarray of shape (n, n), float32
-        Shares of the panel pixels around the reading's own, beyond the core.
-    mirrored : ndarray of shape (m, m), float32
-        Shares of the panel pixels around the opposite one: the ghost.
-    veil : float
-        Share of the light that is spread evenly over the CCD.
-    bend, full_dn : float
-        A signal s above black is read as s (1 - bend (s / full_dn)^5).
-    """
-
-    row: Ints
+    row: Ints  # (v, u), CCD pixel at the centre of each panel pixel, like ``col``.
     col: Ints
-    black_dn: Floats
-    gain_dn: Floats
-    core: Floats
-    tails: Floats
-    mirrored: Floats
-    veil: float
-    bend: float
+    black_dn: Floats  # (v, u), dark reading: black level, dark current, fixed pattern.
+    gain_dn: Floats  # (v, u), DN of even irradiance of 1 W m^-2 in one slot, panel fully on.
+    core: Floats  # (v, u, k, k), shares of the fine samples around the middle one of each panel pixel.
+    tails: Floats  # (n, n), shares of the panel pixels around the reading's own, beyond the core.
+    mirrored: Floats  # (m, m), shares of the panel pixels around the opposite one: the ghost.
+    veil: float  # Share of the light that is spread evenly over the CCD.
+    bend: float  # A signal s above black is read as s (1 - bend (s / full_dn)^5).
     full_dn: float
 
 

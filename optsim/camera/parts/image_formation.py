@@ -127,29 +127,15 @@ def form_image(
 
 @dataclass(frozen=True, eq=False)
 class _Blurs:
-    """A PSF prepared for a field, rotated by half a turn.
+    """A PSF prepared for a field, rotated by half a turn: image points collect with weights of sum one."""
 
-    Radiance is constant along a ray, so a point of the image collects with weights that sum to one.
+    # Radiance is constant along a ray.
 
-    Parameters
-    ----------
-    core : FieldPsf
-        PSF core, applied to moving light in each instant.
-    tails : tuple of Ring
-        PSF tails, applied to the straight line in time.
-    reach : int
-        Half width of the whole PSF.
-    common : Blur
-        Part that is the same everywhere, on the field and a margin of ``reach``.
-    varying : FieldBlur or None
-        The part that varies, on the field.
-    """
-
-    core: FieldPsf
-    tails: tuple[Ring, ...]
-    reach: int
-    common: Blur
-    varying: FieldBlur | None
+    core: FieldPsf  # Applied to moving light in each instant.
+    tails: tuple[Ring, ...]  # Applied to the straight line in time.
+    reach: int  # Half width of the whole PSF.
+    common: Blur  # The same everywhere, on the field and a margin of ``reach``.
+    varying: FieldBlur | None  # The part that varies, on the field.
 
     def collected(self, image: Floats) -> Doubles:
         """Image of a picture that continues beyond the panel's edge."""

@@ -226,16 +226,14 @@ class Relay(LensGroup):
 def _least_spill_m(
     lens: LensGroup, f_number: float, cell_m: float, sides: tuple[int, int], pitch: int
 ) -> float:
-    """Defocus at which a panel pixel spills least light onto others, by its mean PSF over the field.
-
-    CCD pixels as large as a fine cell lie anywhere on the panel's image.
-    """
+    """Defocus at which a panel pixel spills least light onto others, by its mean PSF over the field."""
     # A wave at the pupil's rim.
     wave_m = 8 * f_number**2 * MONO_WAVELENGTH_M
 
     def spill(waves: float) -> float:
         kernel = lens.psf(f_number, cell_m, sides, waves * wave_m).kernel
         apart = np.abs(np.arange(len(kernel)) - len(kernel) // 2)
+        # CCD pixels as large as a fine cell lie anywhere on the panel's image.
         inside = np.clip((pitch / 2 + 1 - apart) / 2, 0, 1)
         return 1 - float(inside @ kernel @ inside)
 

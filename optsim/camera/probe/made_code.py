@@ -25,11 +25,7 @@ _FEW_PX = 8
 
 
 def made_code(scheme: Scheme, camera: CodedCamera, radiance: RadianceVideo, lamp_px: float) -> ExposureCode:
-    """Code of a scheme's first frame; before a light of few pixels one of its exposures.
-
-    It is the longest exposure, which occurs in some frame of a sequence, if the light really covers few
-    pixels (``lamp_px``). Otherwise it is the exposure nearest to the mean.
-    """
+    """Code of a scheme's first frame; before a light of few pixels (``lamp_px``) one of its exposures."""
     levels = levels_of(scheme, camera)
     bright = radiance.load(0).start > radiance.white_w_m2_sr
     cells = camera.panel_rows, SAMPLES_PER_PITCH, camera.panel_cols, SAMPLES_PER_PITCH
@@ -37,6 +33,7 @@ def made_code(scheme: Scheme, camera: CodedCamera, radiance: RadianceVideo, lamp
     if lit.sum() < _FEW_PX:
         pixels = levels.reshape(len(levels), -1)
         opened = pixels.sum(axis=0, dtype=np.int64)
+        # Some frame of a sequence has the longest; for many pixels the mean is typical.
         wanted = opened.max() if lamp_px < _FEW_PX else opened.mean()
         levels[:, lit] = pixels[:, [np.abs(opened - wanted).argmin()]]
     return ExposureCode(levels, np.ones(lit.shape, np.bool_))

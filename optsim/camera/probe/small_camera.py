@@ -92,9 +92,9 @@ def _lamp_px(camera: CodedCamera, light: Illumination) -> float:
 def _as_much(camera: CodedCamera, small: CodedCamera, light: Illumination) -> Illumination:
     """Light whose bright source affects a small camera's frame as the given one affects the camera's.
 
-    A lamp keeps its share of the picture. Effects along its edge are then as large, or larger. A lamp of
-    fewer than :data:`_POINT` samples is a point to the lens. In a picture with sides k times shorter it would
-    have k^2 times less light, and effects around it would be k times too small, rms.
+    A lamp keeps its share of the picture, so effects along its edge are as large or larger. A lamp of fewer
+    than :data:`_POINT` samples is a point to the lens: in a picture with sides k times shorter it would have
+    k^2 times less light, and effects around it would be k times too small, rms.
     """
     if light.bright is None:
         return light
@@ -121,10 +121,8 @@ def share_beyond_window(camera: CodedCamera, part: str, half: int) -> float:
 
 
 def _as_far(camera: CodedCamera, small: CodedCamera) -> Changes:
-    """Shift, rotation and scales that displace a small camera's pixels as far as the camera's.
-
-    The displacement stays within the margin: beyond it a pixel would get unrelated light.
-    """
+    """Shift, rotation and scales that displace a small camera's pixels as far as the camera's."""
+    # Within the margin: beyond it a pixel would get unrelated light.
     relay, (times, most) = camera.relay, _scale(camera, small)
     shifts = {name: _within(getattr(relay, name), MARGIN_PX) for name in _SHIFTS}
     scales = {name: _within(getattr(relay, name) * times, most) for name in _SCALES}
