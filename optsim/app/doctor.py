@@ -24,19 +24,7 @@ _WANTED_FREE_GB = 3.0
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at.
-
-    Parameters
-    ----------
-    what : str
-        Its name.
-    ok : bool
-        Whether it is as it should be.
-    found : str
-        What was found.
-    cure : str
-        What to do if it is not; empty where nothing needs doing.
-    """
+    """One thing looked at, whether it is as it should be, and the cure if it is not."""
 
     what: str
     ok: bool

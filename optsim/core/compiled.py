@@ -46,16 +46,7 @@ with suppress(ConfigError):
 
 
 class Compiled(Generic[P, R]):
-    """A function in the subset of Python that numba compiles; compiled loops may call it, too.
-
-    Parameters
-    ----------
-    function : callable
-        Function to compile.
-    options : mapping
-        Options of ``numba.njit`` beyond those of all loops, ``nogil`` and ``cache``. All loops also use
-        numpy's error model: otherwise a division might raise, and the loop would not be vectorised.
-    """
+    """A function in the subset of Python that numba compiles; compiled loops may call it, too."""
 
     def __init__(self, function: Callable[P, R], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
@@ -77,6 +68,7 @@ class Compiled(Generic[P, R]):
                 if Compiled not in typeof_impl.registry:
                     typeof_impl.register(Compiled, _numba_type)
                 if self._dispatcher is None:
+                    # With Python's error model a division might raise, and its loop is not vectorised.
                     jit = numba.njit(nogil=True, cache=True, error_model="numpy", **self._options)
                     self._dispatcher = jit(self._function)
         return self._dispatcher

@@ -47,13 +47,10 @@ def problems(part: type[BaseModel], table: Mapping[str, object], error: Validati
 
 
 class _Place(NamedTuple):
-    """Place of a problem: its key, the parts it may belong to, and the field they declare.
+    """Place of a problem: its key, the parts it may belong to, and the field they declare."""
 
-    The path is the key without list indices; the key has names instead of indices where items have names.
-    """
-
-    key: str
-    path: str
+    key: str  # With names instead of indices where items have names.
+    path: str  # Without list indices.
     steps: tuple[int | str, ...]
     owners: list[type[BaseModel]]
     field: FieldInfo | None

@@ -28,10 +28,7 @@ def named_groups(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def bright_during(scene: Scene, start_s: float, stop_s: float) -> Scene | None:
-    """Scene whose lamps have constant power, their mean over an interval; None if all are dark then.
-
-    It has one band, like every rendered scene.
-    """
+    """Scene of one band whose lamps have their mean power over an interval; None if all are dark then."""
     lamps = {
         name: lamp.model_copy(update={"radiance_w_m2_sr": mono(lamp.radiance_w_m2_sr) * gain})
         if (gain := lamp.gain(start_s, stop_s)) > 0
@@ -79,10 +76,7 @@ class SlotLight:
         ]
 
     def of(self, slot: int) -> dict[str, Doubles]:
-        """Mean radiance over a slot from each group: (y, x), W m^-2 sr^-1, float64.
-
-        All groups use the same random numbers.
-        """
+        """Mean radiance over a slot from each group: (y, x), W m^-2 sr^-1, float64."""
         from optsim.render.full import slot_image
         from optsim.render.plan import seed_of
 
@@ -93,6 +87,7 @@ class SlotLight:
             found[name] = np.zeros(plan.shape)
             for i, gain in enumerate(self.gains(name, slot)):
                 if gain > 0:
+                    # All groups use the same random numbers.
                     seeds = (seed_of(plan.settings.seed, "slot light", slot, i),)
                     start_s = plan.time_s(slot + i / n)
                     light = slot_image(stage, start_s, slot_s / n, samples, poses, seeds)

@@ -221,15 +221,7 @@ class DatasetSpec(Part):
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """One sequence: a scene in a variation and a camera.
-
-    Parameters
-    ----------
-    split : str
-        ``train``, ``val`` or ``test``.
-    scene, variation, camera : str
-        Their names in the spec.
-    """
+    """One sequence: a scene in a variation and a camera, by their names in the spec."""
 
     split: Split
     scene: str
