@@ -31,21 +31,11 @@ _MEMORY = np.float32(0.8)
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Sample statistics: sums over each tile's pixels, passed from one pose to the next.
+    """Sample statistics: sums over each tile's pixels, (ty, tx), passed from one pose to the next."""
 
-    Parameters
-    ----------
-    variance : ndarray of shape (ty, tx), float32
-        Sum of estimates of the variance of one sample, (W m^-2 sr^-1)^2.
-    radiance : ndarray of shape (ty, tx), float32
-        Sum of estimates of the radiance, W m^-2 sr^-1.
-    count : ndarray of shape (ty, tx), float32
-        Pixels in these sums.
-    """
-
-    variance: Floats
-    radiance: Floats
-    count: Floats
+    variance: Floats  # Sum of estimates of the variance of one sample, (W m^-2 sr^-1)^2.
+    radiance: Floats  # Sum of estimates of the radiance, W m^-2 sr^-1.
+    count: Floats  # Pixels in these sums.
 
     def and_then(self, later: Statistics) -> Statistics:
         """Pool with a later pose's statistics; older ones count less."""

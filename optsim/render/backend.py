@@ -58,27 +58,13 @@ class Attempt:
 
 @dataclass(frozen=True)
 class BackendReport:
-    """The chosen backend and the reason.
+    """The chosen backend and the reason."""
 
-    Parameters
-    ----------
-    variant : str
-        Mitsuba variant.
-    library : str
-        LLVM library it uses; empty for Dr.Jit's own choice, or none.
-    preview : bool
-        True for the scalar fallback, whose truth is of preview quality.
-    reason : str
-        One line for users.
-    attempts : tuple of Attempt
-        Probes, in order.
-    """
-
-    variant: str
-    library: str
-    preview: bool
-    reason: str
-    attempts: tuple[Attempt, ...]
+    variant: str  # Of Mitsuba.
+    library: str  # LLVM library it uses; empty for Dr.Jit's own choice, or none.
+    preview: bool  # The scalar fallback, whose truth is of preview quality.
+    reason: str  # One line for users.
+    attempts: tuple[Attempt, ...]  # Probes, in order.
 
 
 def versions() -> dict[str, str]:

@@ -48,41 +48,22 @@ _BATCH_BYTES = 256e6
 
 @dataclass(frozen=True, eq=False)
 class BandPictures:
-    """Slot means of radiance by band.
+    """Slot means of radiance by band."""
 
-    Parameters
-    ----------
-    w_m2_sr : dict
-        Band -> array of shape (y, x), float32. Unbiased, so it may be slightly negative.
-    own_noise : dict
-        Band -> noise besides the truth's: rms over the picture of the standard deviation over (radiance + 1 %
-        of white).
-    noise : dict
-        Band -> the whole noise, in the same measure; None where that of the truth is unknown.
-    """
-
-    w_m2_sr: dict[str, Floats]
+    w_m2_sr: dict[str, Floats]  # (y, x); unbiased, so it may be slightly negative.
+    # Besides the truth's: rms over the picture of the standard deviation over (radiance + 1 % of white).
     own_noise: dict[str, float]
+    # The whole noise, in the same measure; None where that of the truth is unknown.
     noise: dict[str, float | None]
 
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """The scene without movers under one group of lamps.
+    """The scene without movers under one group of lamps."""
 
-    Parameters
-    ----------
-    light : ndarray of shape (half, band, n)
-        Mean of many paths.
-    paths : ndarray of shape (instant, half, band, n)
-        Mean of the few paths that every slot takes.
-    near : ndarray of shape (instant, half, n)
-        Where one of these may meet a mover.
-    """
-
-    light: Floats
-    paths: Floats
-    near: Bools
+    light: Floats  # (half, band, n), mean of many paths.
+    paths: Floats  # (instant, half, band, n), mean of the few paths that every slot takes.
+    near: Bools  # (instant, half, n), where one of these may meet a mover.
 
 
 class BandLight:

@@ -26,9 +26,7 @@ def three_channels(scene: Scene, backend: str | None = None) -> Generator[None]:
     """Switch Mitsuba to the variant of three channels of the chosen backend for a block, where it serves.
 
     It doesn't for the scalar fallback, which renders whole pictures, and for a file of shapes: the colours in
-    it are Mitsuba's own, and count by their luminance in every band.
-
-    As in ``stokes.polarised``, what is loaded inside is valid inside alone; a later block may use it again.
+    it are Mitsuba's own, and count by their luminance in every band. A later block may use what was loaded.
     """
     report = activate(backend)
     if report.preview or scene.static is not None:

@@ -22,22 +22,13 @@ class Denoised:
     Measured on ``window_room``, 240 x 200, 16 samples a pixel, against 1024: half of all pixels are within
     3.6 % of the reference (raw: 9.8 %), and the mean is 0.2 % low. In the dark passage (8 % of the pixels)
     the relative RMSE stays at 0.97 (raw: 1.28): detail is lost with the noise.
-
-    Parameters
-    ----------
-    raw_w_m2_sr : ndarray of shape (y, x), float32
-        The render, W m^-2 sr^-1; unbiased, so it may be slightly negative.
-    w_m2_sr : ndarray of shape (y, x), float32
-        Denoised, W m^-2 sr^-1, never negative; biased by about a per cent where the raw one was noisy.
-    made_by : str
-        Package, version and settings.
     """
 
     LABEL: ClassVar[str] = "denoised: for looking at, not for accuracy figures"
 
-    raw_w_m2_sr: Floats
-    w_m2_sr: Floats
-    made_by: str
+    raw_w_m2_sr: Floats  # (y, x), the render; unbiased, so it may be slightly negative.
+    w_m2_sr: Floats  # (y, x), never negative; biased by about a per cent where the raw one was noisy.
+    made_by: str  # Package, version and settings.
 
     def attributes(self) -> dict[str, str]:
         """Attributes that a file with the denoised picture must have."""

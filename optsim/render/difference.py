@@ -93,10 +93,8 @@ class Difference:
         self._trace_new(turn, [(half, level, pixels[here]) for half, level, here in _wanted(counts)])
 
     def _trace_new(self, turn: object, wanted: list[tuple[int, int, Ints]]) -> None:
-        """Trace new paths without movers, for (half, level, pixels).
-
-        Level 0 is path 0 of a pixel, 1 is path 1, 2 paths 2 and 3, 3 paths 4 to 7, ...
-        """
+        """Trace new paths without movers, for (half, level, pixels)."""
+        # Level 0 is path 0 of a pixel, 1 is path 1, 2 paths 2 and 3, 3 paths 4 to 7, ...
         asks: list[Ints] = []
         for half, level, pixels in wanted:
             first, width = _stretch(level)

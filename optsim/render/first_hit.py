@@ -11,29 +11,15 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class FirstHit:
-    """First surface, in the types of Mitsuba's variant; in a wavefront, unread fields cost nothing.
+    """First surface, in the types of Mitsuba's variant; in a wavefront, unread fields cost nothing."""
 
-    Parameters
-    ----------
-    distance
-        In the renderer's unit; infinite if no surface is hit, and the other fields are then meaningless.
-    shape, face
-        Index of the shape and of its triangle.
-    weights
-        Barycentric weights of the triangle's second and third vertex.
-    normal, flat_normal
-        Shading normal and the triangle's own.
-    albedo
-        Diffuse reflectance, of ``principled`` its base colour; 0 where there is no diffuse part.
-    """
-
-    distance: Any
-    shape: Any
-    face: Any
-    weights: Any
-    normal: Any
-    flat_normal: Any
-    albedo: Any
+    distance: Any  # In the renderer's unit; infinite if no surface is hit: other fields are then meaningless.
+    shape: Any  # Index of the shape.
+    face: Any  # Index of its triangle.
+    weights: Any  # Barycentric weights of the triangle's second and third vertex.
+    normal: Any  # Shading normal.
+    flat_normal: Any  # The triangle's own.
+    albedo: Any  # Diffuse reflectance, of ``principled`` its base colour; 0 where there is no diffuse part.
 
 
 def first_hit(mi: Any, loaded: Any, ray: Any, *, matt_only: bool = False) -> FirstHit:

@@ -199,13 +199,11 @@ def _object_pose(rest: Doubles, moved: list[Doubles]) -> ObjectPose:
 
 
 def rigid_motion(start: Doubles, stop: Doubles) -> tuple[Doubles, float]:
-    """Fit the rigid motion (4, 4) that takes points to points, and its largest deviation, m.
-
-    Least squares by a singular value decomposition: W. Kabsch, Acta Cryst. A 32, 922 (1976), with the
-    sign of S. Umeyama, IEEE TPAMI 13, 376 (1991), so that flat sets are not mirrored.
-    """
+    """Fit the rigid motion (4, 4) that takes points to points, and its largest deviation, m."""
+    # W. Kabsch, Acta Cryst. A 32, 922 (1976), by a singular value decomposition.
     center, target = start.mean(axis=0), stop.mean(axis=0)
     u, _, vt = np.linalg.svd((start - center).T @ (stop - target))
+    # S. Umeyama, IEEE TPAMI 13, 376 (1991): flat sets are not mirrored.
     sign = np.sign(np.linalg.det(u @ vt))
     turn = vt.T @ np.diag([1, 1, sign]) @ u.T
     matrix = np.eye(4)

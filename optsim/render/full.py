@@ -53,8 +53,7 @@ def render_slot(
     """Render both halves of every instant of a slot, samples allocated by an earlier picture.
 
     Poses are at the centres of equal parts of an instant, so their mean is its motion blur. A pixel with
-    fewer samples than poses gets one random pose of each equal group. Its sample numbers continue from pose
-    to pose, so they stratify as one set.
+    fewer samples than poses gets one random pose of each equal group.
     """
     n_instants, pixels = plan.settings.instants_per_slot, plan.pixels
     target = plan.settings.moving_error * np.sqrt(n_instants)
@@ -72,6 +71,7 @@ def render_slot(
             group = pose // size
             chance = uniform_draws[group, :, pixels].T
             half, where = np.nonzero(pose % size == np.floor(chance * size))
+            # Sample numbers continue from pose to pose, so they stratify as one set.
             seen = stage.paths(where, samples[where], seeds[half], group[where] * samples[where])
             light[half, instant, where] += seen * samples[where] / counts[where]
     statistics = [
@@ -109,11 +109,7 @@ def _pilot(plan: RenderPlan, stage: RenderStage) -> dict[str, Floats]:
 def slot_to_error(
     groups: Sequence[tuple[RenderPlan, RenderStage, Floats]], slot: int, error: float
 ) -> dict[str, Floats]:
-    """Render a slot by itself, with its own random numbers, until its target error is reached.
-
-    Pictures are weighted by their allocated samples. The whole picture's error decides when to stop. Stopping
-    by a pixel's own error would favour low estimates, which is a bias.
-    """
+    """Render a slot by itself, with its own random numbers, until its target error is reached."""
     pooled, worth, more = np.zeros(1), 0.0, (_COARSE * error) ** -2
     statistics = [
         Statistics.of(
@@ -132,9 +128,11 @@ def slot_to_error(
             picture = render_slot(aimed, stage, slot, n_poses, statistics[group], _MOST_PURSUED)
             light = light + gains[:, None, None] * picture["light"].astype(np.float64)
             statistics[group] = Statistics.of(picture["tiles"])
+        # Weighted by allocated samples.
         pooled, worth = (worth * pooled + more * light) / (worth + more), worth + more
         a, b = pooled.mean(axis=1).astype(np.float32)
         reached = measured_error((a + b) / 2, (a - b) / 2, groups[0][0].scene.white_w_m2_sr)
+        # Of the whole picture: stopping by a pixel's own error favours low estimates, a bias.
         if reached <= error:
             break
         more = worth * (min(_SPARE * (reached / error) ** 2, _GROWTH) - 1)

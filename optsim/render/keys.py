@@ -21,24 +21,13 @@ from optsim.scene.materials import Diffuse
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """A segment being rendered: its movers and its first slot.
-
-    Parameters
-    ----------
-    plan, difference
-        Plan, and difference renderer.
-    static : ndarray of shape (2, y, x)
-        Light without movers.
-    first_slot : int
-        First slot of the segment.
-    trajectories : list of Trajectory
-        Visible movers, the one with the most poses first: its poses include all others.
-    """
+    """A segment being rendered: its movers and its first slot."""
 
     plan: RenderPlan
     difference: Difference
-    static: Floats
-    first_slot: int
+    static: Floats  # (2, y, x), light without movers.
+    first_slot: int  # Of the segment.
+    # Visible movers, the one with the most poses first: its poses include all others.
     trajectories: list[Trajectory]
 
     @property
@@ -75,12 +64,10 @@ class Span:
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
     def matt(self, trajectory: Trajectory) -> bool:
-        """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected.
-
-        A normal map changes irradiance finer than key poses know it.
-        """
+        """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected."""
         scene = self.plan.scene
         material = scene.materials[scene.singles()[trajectory.name].material]
+        # A normal map changes irradiance finer than key poses know it.
         return isinstance(material, Diffuse) and material.normal_map is None
 
     def eased(self, target: float, parts: int) -> float:
@@ -96,21 +83,11 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class KeyPose:
-    """Light at a key pose of some movers.
+    """Light at a key pose of some movers."""
 
-    Parameters
-    ----------
-    places : dict
-        Positions of these movers' vertices in the picture, by name: row, column, depth.
-    light : Key
-        Irradiance on them, for reprojection.
-    beside : dict
-        Radiance beside the movers on the samples of each trajectory, by name: (half, sample), W m^-2 sr^-1.
-        NaN where it is unknown in the whole segment.
-    """
-
-    places: dict[str, Doubles]
-    light: KeyPoseLight
+    places: dict[str, Doubles]  # Mover -> positions of its vertices in the picture: row, column, depth.
+    light: KeyPoseLight  # Irradiance on them, for reprojection.
+    # Trajectory -> radiance beside it, (half, sample), W m^-2 sr^-1; NaN if unknown in the whole segment.
     beside: dict[str, Floats]
 
 
@@ -146,10 +123,7 @@ def render_keys(
 
 
 def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, Floats]]:
-    """Allocate samples beside the movers, for each turn by trajectory; trace their paths without movers.
-
-    They are the same for all keys of a turn, so paths without movers are traced once.
-    """
+    """Allocate samples beside the movers, for each turn by trajectory; trace their paths without movers."""
     target = span.plan.settings.change_error
     pixels = np.concatenate([trajectory.pixels for trajectory in span.trajectories])
     counts: list[dict[str, Floats]] = []
@@ -160,6 +134,7 @@ def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, F
             )
             for trajectory in span.trajectories
         }
+        # Once: they are the same for all keys of a turn.
         span.difference.trace_without(turn, pixels, np.concatenate(list(wanted.values())))
         counts.append(wanted)
     return counts
@@ -168,10 +143,7 @@ def _counts_beside(span: Span, change: Sequence[Statistics]) -> list[dict[str, F
 def _own_light(
     span: Span, pose: int, places: dict[str, Doubles], own: Statistics
 ) -> tuple[KeyPoseLight, Doubles, Statistics]:
-    """Trace whole paths where movers have a key pose, and pool their statistics.
-
-    Also return each path's first hit in the ideal image, row and column; NaN if it is no such mover.
-    """
+    """Trace whole paths where movers have a key pose, and pool their statistics."""
     plan, time_s, moving = span.plan, span.times_s[pose], span.difference.moving
     wanted = np.zeros(plan.view.rows * plan.view.cols, np.int64)
     for trajectory in filter(span.matt, span.due_keys(pose)):
@@ -182,6 +154,7 @@ def _own_light(
     moving.pose(time_s)
     seeds = np.asarray(plan.seeds("mover", span.first_slot, pose), np.int64)
     hits = moving.hits(np.tile(pixels, 2), samples, np.repeat(seeds, len(pixels)), light=True)
+    # First hit of each path in the ideal image, row and column; NaN if it is no such mover.
     met = np.full((len(hits.shape), 3), np.nan)
     for name, here in places.items():
         hit = np.flatnonzero(hits.shape == moving.shape_of(name))

@@ -34,17 +34,10 @@ _HITS = 8
 
 @dataclass(frozen=True, eq=False)
 class MoverHistory:
-    """Mover history: statistics and densities from earlier segments.
+    """Mover history: statistics and densities from earlier segments."""
 
-    Parameters
-    ----------
-    own : Statistics
-        Statistics of their own pixels.
-    density : dict
-        Density of poses and keys for the interpolation bound, by mover; only for movers seen already.
-    """
-
-    own: Statistics
+    own: Statistics  # Of their own pixels.
+    # Mover -> density of poses and keys for the interpolation bound; only for movers seen already.
     density: dict[str, PoseDensity]
 
     @staticmethod
@@ -127,11 +120,9 @@ def render_segment(
 def _light_at(
     span: Span, keys: dict[int, KeyPose], pose: int, due: list[Trajectory], covered: Bools, own: Statistics
 ) -> tuple[Doubles, Doubles, Statistics]:
-    """Light of some trajectories at a pose, both halves, (2, their samples), and statistics.
-
-    If some of them have a key here, a second result uses every other key only.
-    """
+    """Light of some trajectories at a pose, both halves, (2, their samples), and statistics."""
     pixels = np.concatenate([trajectory.pixels for trajectory in due])
+    # If some of them have a key here, a second result uses every other key only.
     tried = (1, 2) if any(span.between_keys(trajectory, pose) for trajectory in due) else (1,)
     seen = [
         np.concatenate([_beside_at(span, keys, pose, trajectory, every) for trajectory in due], axis=1)

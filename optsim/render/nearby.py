@@ -29,18 +29,10 @@ _GLOW_W_M2_SR = 1e7
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes that contain pieces of movers at all sampled times.
+    """Boxes that contain pieces of movers at all sampled times."""
 
-    Parameters
-    ----------
-    pieces : mapping
-        Mover -> vertex indices of each of its pieces.
-    low_m, high_m : mapping
-        Mover -> corners of each piece's box, (piece, 3).
-    """
-
-    pieces: Mapping[str, list[np.ndarray]]
-    low_m: Mapping[str, Doubles]
+    pieces: Mapping[str, list[np.ndarray]]  # Mover -> vertex indices of each of its pieces.
+    low_m: Mapping[str, Doubles]  # Mover -> corner of each piece's box, (piece, 3).
     high_m: Mapping[str, Doubles]
 
     def hold(self, scene: Scene, time_s: float) -> bool:
@@ -109,11 +101,8 @@ def _extents(vertices_m: Doubles, pieces: list[np.ndarray]) -> tuple[Doubles, Do
 
 
 def glowing(mi: Any, boxes: Boxes, unit_m: float, *, shown: bool) -> Any:
-    """Make the boxes a Mitsuba shape that glows, or an invisible one of the same kind.
-
-    Even a light source that is never chosen changes Mitsuba's choices. So the hidden one is part of every
-    scene whose paths are compared.
-    """
+    """Make the boxes a Mitsuba shape that glows, or an invisible one of the same kind."""
+    # Even a light source that is never chosen changes Mitsuba's choices, so every compared scene has one.
     mesh = boxes.mesh()
     vertices, faces = mesh.vertices_m / unit_m, mesh.faces
     if not shown:

@@ -34,29 +34,15 @@ _DEPTH_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class KeyPoseLight:
-    """Light at a key pose, path by path: those of half A sorted by fine sample, then those of half B.
+    """Light at a key pose, path by path: those of half A sorted by fine sample, then those of half B."""
 
-    Parameters
-    ----------
-    corner, size : tuple of int
-        First row and column, and rows and columns, of the grid.
-    first : ndarray of shape (2 * samples of the grid + 1,), int64
-        Index of the first path of each half and fine sample.
-    shape : ndarray of shape (n,), int64
-        Shape hit by each path.
-    depth_m : ndarray of shape (n,), float32
-        Depth of the hit.
-    albedo, light : ndarray of shape (n,), float32
-        Reflectance at the hit, and radiance in W m^-2 sr^-1.
-    """
-
-    corner: tuple[int, int]
-    size: tuple[int, int]
-    first: Ints
-    shape: Ints
-    depth_m: Floats
-    albedo: Floats
-    light: Floats
+    corner: tuple[int, int]  # First row and column of the grid.
+    size: tuple[int, int]  # Rows and columns of the grid.
+    first: Ints  # (2 * samples of the grid + 1,), index of the first path of each half and fine sample.
+    shape: Ints  # (n,), shape hit by each path.
+    depth_m: Floats  # (n,), of the hit.
+    albedo: Floats  # (n,), reflectance at the hit.
+    light: Floats  # (n,), radiance, W m^-2 sr^-1.
 
     def beside(self, movers: list[int]) -> Floats:
         """Mean radiance of the paths that miss some shapes, (half, fine sample); NaN where there are none."""
@@ -177,11 +163,8 @@ def _looked_up(  # type: ignore[no-untyped-def]
 
 
 def filled(behind: Floats, static: Floats, mask: Bools, floor: float) -> Floats:
-    """Fill unknown values (NaN) at a key from the nearest key that has them, or from the nearest sample.
-
-    The movers' change of the light beside them varies slowly in time. In space it varies slowly relative to
-    the light without movers.
-    """
+    """Fill unknown values (NaN) at a key from the nearest key that has them, or from the nearest sample."""
+    # The movers' change beside them varies slowly in time, and in space relative to the light without movers.
     known = np.logical_and(*np.moveaxis(np.isfinite(behind), 1, 0))
     light = np.take_along_axis(behind, _nearest(known)[:, None], axis=0)
     never, ever = np.flatnonzero(~known.any(axis=0)), np.zeros(mask.shape, np.bool_)

@@ -58,15 +58,7 @@ class RenderSettings(Part):
 
 @dataclass(frozen=True)
 class CameraNoise:
-    """The camera's noise for a radiance, in one slot and one fine sample.
+    """The camera's noise for a radiance, in one slot and one fine sample."""
 
-    Parameters
-    ----------
-    electrons : float
-        Photo-electrons per W m^-2 sr^-1.
-    read_noise_e : float
-        Standard deviation of the noise that doesn't depend on light, electrons.
-    """
-
-    electrons: float
-    read_noise_e: float
+    electrons: float  # Photo-electrons per W m^-2 sr^-1.
+    read_noise_e: float  # Standard deviation of the noise that doesn't depend on light.

@@ -27,25 +27,13 @@ from optsim.scene.scene import SKY, Scene
 
 @dataclass(frozen=True, eq=False)
 class PrimaryHits:
-    """First hits of random paths; (n,) each, path by path.
+    """First hits of random paths; (n,) each, path by path."""
 
-    Parameters
-    ----------
-    shape, face : ndarray, int64
-        Index of Mitsuba's shape, -1 without a surface, and of its triangle.
-    weights : ndarray of shape (n, 2), float32
-        Barycentric weights of the triangle's second and third vertex.
-    albedo : ndarray, float32
-        Reflectance of matt surfaces, 0..1; 0 for all others.
-    light : ndarray, float32
-        Radiance along the whole path, W m^-2 sr^-1; empty if not requested.
-    """
-
-    shape: Ints
-    face: Ints
-    weights: Floats
-    albedo: Floats
-    light: Floats
+    shape: Ints  # Index of Mitsuba's shape, -1 without a surface.
+    face: Ints  # Index of its triangle.
+    weights: Floats  # (n, 2), barycentric weights of the triangle's second and third vertex.
+    albedo: Floats  # Reflectance of matt surfaces, 0..1; 0 for all others.
+    light: Floats  # Radiance along the whole path, W m^-2 sr^-1; empty if not requested.
 
 
 class RenderStage:
@@ -276,9 +264,9 @@ def outside_mask(scene: Scene, view: View) -> Bools:
 def _one_thread() -> Generator[None, None, None]:
     """Build trees and normals on one thread, so that every run builds the same.
 
-    With more threads, Embree's tree may put a ray along an edge on either side, and Mitsuba adds normals in
-    any order. Measured with 2 threads: 10 of 24 builds of window_room changed 0.3 % of the picture's pixels.
-    With one thread it was none of 48. For scenes of some thousand triangles one thread is as fast.
+    With more, Embree's tree may put a ray along an edge on either side, and normals add up in any order.
+    With 2 threads 10 of 24 builds of window_room changed 0.3 % of the picture's pixels, with one none of 48.
+    For scenes of some thousand triangles one thread is as fast.
     """
     import drjit as dr
 

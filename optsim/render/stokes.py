@@ -93,10 +93,7 @@ def render_stokes(
 
 
 def stokes_image(mi: Any, loaded: Any, view: View, samples: int, seed: int, *, max_depth: int) -> Floats:
-    """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32.
-
-    Mitsuba's own film is not used: threads add to it in any order, so its last digit may change.
-    """
+    """Render the Stokes vector of a scene loaded inside :func:`polarised`, array (4, y, x), float32."""
     integrator = mi.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": max_depth})
     pixels = np.arange(view.rows * view.cols)
     counts, seeds, total = (
@@ -104,6 +101,7 @@ def stokes_image(mi: Any, loaded: Any, view: View, samples: int, seed: int, *, m
         np.full_like(pixels, seed),
         np.empty((4, pixels.size)),
     )
+    # Without Mitsuba's film: threads add to it in any order, so its last digit may change.
     for part in pieces(counts):
         seen = _stokes_paths(mi, loaded, integrator, view, pixels[part], counts[part], seeds[part])
         total[:, part] = np.add.reduceat(seen, starts(counts[part]), axis=1, dtype=np.float64)

@@ -31,26 +31,13 @@ class PoseDensity:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Trajectory of a mover in a segment.
+    """Trajectory of a mover in a segment."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the mover.
-    length_px : float
-        Length of its path, fine samples.
-    n_steps : int
-        Number of equal steps.
-    n_keys : int
-        Number of equal parts between key poses; divides ``n_steps``.
-    mask : ndarray of shape (y, x), bool
-        Samples in which it may be seen, without those of movers with more steps; may be empty.
-    """
-
-    name: str
-    length_px: float
-    n_steps: int
-    n_keys: int
+    name: str  # Of the mover.
+    length_px: float  # Of its path, fine samples.
+    n_steps: int  # Equal steps.
+    n_keys: int  # Equal parts between key poses; divides ``n_steps``.
+    # (y, x), samples in which it may be seen, without those of movers with more steps; may be empty.
     mask: Bools
 
     @cached_property
@@ -68,16 +55,13 @@ def mover_path_px(
 
 
 def slots_per_segment(plan: RenderPlan) -> int:
-    """Choose the slots between key instants by the interpolation bound and the fastest mover's path.
-
-    The path is measured in every third slot of the whole experiment, up to a picture's width outside the
-    picture: shadows and bounce light still arrive from there.
-    """
+    """Choose the slots between key instants by the interpolation bound and the fastest mover's path."""
     per_frame = plan.timing.slots_per_frame
     if plan.settings.slots_per_segment is not None:
         return plan.settings.slots_per_segment
     fastest = max(
         (
+            # Up to a picture's width outside: shadows and bounce light still arrive from there.
             mover_path_px(plan, name, s, s + 1, plan.view.cols)
             for name in plan.scene.singles()
             for s in range(0, plan.timing.n_slots, 3)

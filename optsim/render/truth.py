@@ -179,10 +179,8 @@ def _key_instant(plan: RenderPlan, difference: Callable[[], Difference], index: 
 
 
 def _others(plan: RenderPlan, before: int, turn: int) -> Statistics:
-    """Pool the statistics of earlier key instants with other random numbers than this turn's.
-
-    Samples must not decide their own number: that would be a bias.
-    """
+    """Pool the statistics of earlier key instants with other random numbers than this turn's."""
+    # Samples must not decide their own number: that would be a bias.
     statistics = Statistics.of(plan.cache.read(_key(plan, 0))["pilot"])
     for index in range(max(0, before - _REMEMBERED), before):
         if index % plan.settings.key_seeds != turn:
