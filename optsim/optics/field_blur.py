@@ -235,19 +235,11 @@ def collect_windows(
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of the nodes' grid along an axis: windows of one size inside the image.
+    """Cells of the nodes' grid along an axis: windows of one size inside the image."""
 
-    Parameters
-    ----------
-    starts, nodes : ndarray of shape (cell,), int64
-        Start of each window, and the first of its two nodes.
-    hats : ndarray of shape (cell, 2, side), float64
-        Hat functions of both nodes in the window, zero outside the cell.
-    """
-
-    starts: Ints
-    nodes: Ints
-    hats: Doubles
+    starts: Ints  # (cell,), start of each window.
+    nodes: Ints  # (cell,), the first of its two nodes.
+    hats: Doubles  # (cell, 2, side), hat functions of both nodes in the window, zero outside the cell.
 
     @property
     def side(self) -> int:

@@ -212,11 +212,9 @@ def fine_weights(
 def _switch_between(
     row: int, ahead: int, levels: Bytes, displayed: Bytes, switching: Switching, n_sub: int
 ) -> None:
-    """Let a late neighbour switch as late as early rows may, or an early one as soon as late rows may.
-
-    So it switches just as slots begin, off by less than the time between two rows.
-    """
+    """Let a neighbour switch just as slots begin: off by less than the time between two rows."""
     switching.early_s[row] = 0
+    # A late neighbour switches as late as early rows may, an early one as soon as late rows may.
     if ahead:
         switching.instant[row], displayed[row] = n_sub, levels[0, row]
         levels[:-1, row] = levels[1:, row].copy()

@@ -191,11 +191,9 @@ def _open_cells(
     room: Floats,
     cells: Floats,
 ) -> None:
-    """Fill the cells of some columns of a row of pixels from integrals over so many instants.
-
-    ``kept`` is that row's place in ``integrals.blurred``. ``room`` holds rows in work: mixed weights of
-    pixels, mixed cosines of their own, the cells, and the means down each column of nodes.
-    """
+    """Fill the cells of some columns of a row of pixels from integrals over so many instants."""
+    # ``kept`` is that row's place in ``integrals.blurred``. ``room`` holds rows in work: mixed weights of
+    # pixels, mixed cosines of their own, the cells, and the means down each column of nodes.
     nodes, (least, span) = quadrature.nodes, quadrature.light
     pitch, n_nodes = nodes.means.shape
     begin, n, half = np.uint64(first), np.uint64(end - first), np.float32(0.5)
@@ -222,14 +220,12 @@ def _open_cells(
 
 @compiled(fastmath=True, makes_arrays=False)
 def _begin(gamma: Floats, drive: Floats, levels: Bytes, target: Floats, step: Floats) -> None:
-    """Find where pixels are going to, and how far they are from there.
-
-    Dark pixels would come ever nearer to 0, and numbers below 1e-38 take processors ten times as long.
-    """
+    """Find where pixels are going to, and how far they are from there."""
     for r in range(gamma.shape[0]):
         for u in range(gamma.shape[1]):
             target[r, u] = drive[levels[r, u]]
             step_rad = gamma[r, u] - target[r, u]
+            # Below 1e-38, nearer and nearer to 0, numbers take processors ten times as long.
             step[r, u] = step_rad if abs(step_rad) > _SETTLED_RAD else np.float32(0)
 
 

@@ -132,10 +132,8 @@ def irradiance_interval(
 
 
 def _slope(image: Floats) -> Floats:
-    """Root mean square of the steps to the four neighbours, combined over the axes, per pixel.
-
-    One-sided steps: a central difference would miss a mosaic that alternates from pixel to pixel.
-    """
+    """Root mean square of the steps to the four neighbours, combined over the axes, per pixel."""
+    # One-sided steps: a central difference would miss a mosaic that alternates from pixel to pixel.
     squared = np.zeros_like(image)
     for axis in (0, 1):
         padding = [(1, 1) if a == axis else (0, 0) for a in (0, 1)]
@@ -199,29 +197,15 @@ def changed(
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two measurements of each pixel, where both exist.
+    """Two measurements of each pixel, where both exist; arrays (v, u)."""
 
-    Parameters
-    ----------
-    measured : ndarray of shape (v, u), bool
-        Whether both exist.
-    difference : ndarray of shape (v, u)
-        First minus second; 0 elsewhere.
-    mean : ndarray of shape (v, u)
-        Their pooled estimate, not negative.
-    shared, stray : ndarray of shape (v, u)
-        Variance of the difference by model error, and by stray light.
-    read, shot : ndarray of shape (v, u)
-        Variance of the difference by noise without light, and its growth with the irradiance.
-    """
-
-    measured: Bools
-    difference: Reals
-    mean: Reals
-    shared: Reals
-    stray: Reals
-    read: Reals
-    shot: Reals
+    measured: Bools  # Whether both exist.
+    difference: Reals  # First minus second; 0 elsewhere.
+    mean: Reals  # Their pooled estimate, not negative.
+    shared: Reals  # Variance of the difference by model error.
+    stray: Reals  # The same by stray light.
+    read: Reals  # Variance of the difference by noise without light.
+    shot: Reals  # Growth of this variance with the irradiance.
 
     @property
     def noise(self) -> Reals:

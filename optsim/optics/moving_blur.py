@@ -156,10 +156,8 @@ def _by_transforms(psf: FieldPsf, grid: Grid) -> _Collector:
 
 
 def _one_after_the_other(even: FieldPsf, varying: FieldPsf, grid: Grid) -> _Collector:
-    """Collect with the uniform part of the PSF, and with the smaller core that varies.
-
-    Transforming every node's whole PSF would multiply the time by the number of nodes.
-    """
+    """Collect with the uniform part of the PSF, and with the smaller core that varies."""
+    # Transforming every node's whole PSF would multiply the time by the number of nodes.
     whole, middle = _by_transforms(even, grid), _by_transforms(varying, grid)
 
     def add(light: Patch, target: Patch, first: int, end: int) -> None:

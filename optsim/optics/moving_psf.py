@@ -31,27 +31,16 @@ _RIDGE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class MovingPsf:
-    """PSF over the field for moving light: the weights with which each point collects.
+    """PSF over the field for moving light: the weights with which each point collects."""
 
-    Parameters
-    ----------
-    near : FieldPsf
-        On fine samples.
-    rest : FieldPsf or None
-        On panel pixels, if any; the same all over the field.
-    """
-
-    near: FieldPsf
-    rest: FieldPsf | None = None
+    near: FieldPsf  # On fine samples.
+    rest: FieldPsf | None = None  # On panel pixels, if any; the same all over the field.
 
 
 # Cached, since a camera has many blocks.
 @lru_cache(maxsize=2)
 def divided(psf: FieldPsf, pitch: int) -> MovingPsf:
-    """Cut a PSF in two, if the part around its core is large enough and the core fits a loop over taps.
-
-    It also stays whole if it is not smooth enough: if a point's light would be off by more than 2e-4.
-    """
+    """Cut a PSF in two, if it is smooth and large around its core, and the core fits a loop over taps."""
     # The varying part stays on fine samples: between nodes, samples and pixels would weigh it differently. A
     # frame would be off by half of its noise for motion before a window a thousand times as bright as the
     # room.
@@ -94,11 +83,9 @@ def _along_both(matrix: Doubles) -> Doubles:
 
 
 def _passed(pitch: int, reach: int, half: int) -> Doubles:
-    """Light at samples up to ``half`` away, for each position of a source in its pixel, along one axis.
-
-    Array (pitch, 2 half + 1, 2 reach + 1), for the path through each pixel.
-    """
+    """Light at samples up to ``half`` away, for each position of a source in its pixel, along one axis."""
     shares, place = splines(pitch), np.arange(-half, half + 1)
+    # Pixel by pixel of the path.
     passed = np.zeros((pitch, len(place), 2 * reach + 1))
     for phase, found in enumerate(passed):
         pixel, sample = np.divmod(phase + place, pitch)

@@ -15,13 +15,11 @@ Reals = NDArray[np.floating]
 
 
 def sum_around(image: Reals, reach_px: int) -> Reals:
-    """Sum over the square within ``reach_px`` rows and columns of each pixel, dark beyond the border.
-
-    Each sum is direct: a running sum would leave rounding errors in the dark beside a lamp.
-    """
+    """Sum over the square within ``reach_px`` rows and columns of each pixel, dark beyond the border."""
     from scipy import ndimage
 
     line = np.ones(2 * reach_px + 1)
+    # Direct sums: a running one would leave rounding errors in the dark beside a lamp.
     for axis in (0, 1):
         image = cast("Callable[..., Reals]", ndimage.correlate1d)(image, line, axis=axis, mode="constant")
     return image

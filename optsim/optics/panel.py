@@ -126,10 +126,7 @@ def first_panel(levels: Bytes, response: PanelResponse, slot_s: float) -> PanelS
 
 
 def drive_targets(response: PanelResponse, slots_displayed: int, n_slots: int) -> Doubles:
-    """Target retardance of each level, from the slot before the first to that after the last.
-
-    Array (slot + 2, 256).
-    """
+    """Target retardance of each level, from the slot before the first to that after the last: (slot, 256)."""
     n_fields = len(response.field_drive)
     drive = [response.field_drive[(slots_displayed + k) % n_fields] for k in range(-1, n_slots + 1)]
     return np.array(drive)[:, None] * _curve(response)

@@ -25,9 +25,8 @@ def splines(pitch: int) -> Doubles:
 def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
     """Kernel between pixels that best replaces one between fine samples, with splines at both ends.
 
-    It is the least-squares fit over all positions within a pixel (R. W. Hockney and J. W. Eastwood, *Computer
-    Simulation Using Particles*, 1988, chapter 8: the optimal influence function, in closed form). Beyond the
-    original kernel it would oscillate slightly about 0; there it is cut at 0.
+    Least squares over all positions within a pixel: the optimal influence function of R. W. Hockney and J. W.
+    Eastwood, *Computer Simulation Using Particles*, 1988, chapter 8, in closed form.
     """
     half = len(kernel) // 2
     reach = -(-half // pitch) + _SWINGS
@@ -47,6 +46,7 @@ def spline_kernel(kernel: Doubles, pitch: int) -> Doubles:
     best = folded(both * np.fft.fft2(wide).real) / folded(both**2)
     found = np.fft.fftshift(np.fft.ifft2(best).real)
     far = np.abs(np.arange(-reach, reach + 1)) * pitch
+    # Beyond the original kernel it would oscillate slightly about 0.
     beyond = np.maximum(far[:, None], far) > half
     found[beyond] = np.maximum(found[beyond], 0)
     return found * (kernel.sum() / found.sum())

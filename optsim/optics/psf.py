@@ -118,11 +118,9 @@ def psf_kernel(
 
 
 def _point_kernel(spread: float, half: int) -> Doubles:
-    """Kernel of an Airy pattern far smaller than a cell: the rings' mean, integrated over cells.
-
-    The integral of r^-3 over a rectangle is the difference of -r / (x y) between its corners.
-    """
+    """Kernel of an Airy pattern far smaller than a cell: the rings' mean, integrated over cells."""
     edges = np.arange(-half, half + 2) - 0.5
+    # The integral of r^-3 over a rectangle is the difference of -r / (x y) between its corners.
     corners = -np.hypot(edges[:, None], edges) / np.outer(edges, edges)
     kernel = spread / np.pi**3 * np.diff(np.diff(corners, axis=0), axis=1)
     kernel[half, half] = 0

@@ -232,21 +232,11 @@ def _spline_means(image: Floats, pitch: int) -> Doubles:
 
 @dataclass(frozen=True, eq=False)
 class TailedBlur:
-    """Blur on a fine grid, dark outside, with PSF tails on panel pixels and an exact adjoint.
+    """Blur on a fine grid, dark outside, with PSF tails on panel pixels and an exact adjoint."""
 
-    Parameters
-    ----------
-    near : Blur or FieldBlur
-        Blur without the tails.
-    far : Blur
-        Blur by the tails, on panel pixels.
-    pitch : int
-        Fine cells to a panel pixel.
-    """
-
-    near: SomeBlur
-    far: Blur
-    pitch: int
+    near: SomeBlur  # Without the tails.
+    far: Blur  # By the tails, on panel pixels.
+    pitch: int  # Fine cells to a panel pixel.
 
     @property
     def shape(self) -> tuple[int, int]:

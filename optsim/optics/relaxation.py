@@ -101,10 +101,8 @@ def walk(
 
 
 def _different(levels: Bytes, retardance: Floats, displayed: Bytes, delays_s: Doubles) -> tuple[Ints, Ints]:
-    """Find the distinct pixels by level and delay: one of each kind, and the kind of each pixel.
-
-    Periodic codes have few kinds, and arrays of few pixels cost little more than the calls.
-    """
+    """Find the distinct pixels by level and delay: one of each kind, and the kind of each pixel."""
+    # Periodic codes have few kinds, and arrays of few pixels cost little more than the calls.
     course = [
         np.ascontiguousarray(each.reshape(displayed.size, -1)).view(np.uint8)
         for each in (np.moveaxis(levels, 0, -1), displayed, retardance, delays_s)

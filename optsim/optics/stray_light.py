@@ -16,15 +16,15 @@ _REACH_PX, _SIGMA = 7, 3.0
 def stray_light(signal: Floats, exposure: Floats, variance: Floats, electron: Floats, known: Bools) -> Reals:
     """Estimate the light around each pixel that is independent of its code, beyond the noise.
 
-    The light that a saturated lamp spreads far from it is unknown, and so are its slots. But it adds equally
-    to short and long exposures. So it is the intercept of a line through signals against exposures. Texture
-    makes the pixels differ; it counts as a difference of a half.
+    A saturated lamp's light far from it is unknown, and so are its slots, but it adds equally to short and
+    long exposures: it is the intercept of a line through signals against exposures.
     """
     around = partial(sum_around, reach_px=_REACH_PX)
     own = np.where(known, signal, 0).astype(np.float64)
     opened = np.where(known, exposure, 0).astype(np.float64)
     mean = np.maximum(around(own) / np.maximum(around(opened), 1e-30), 0)
     read = np.maximum(variance - electron * np.maximum(own, 0), 0)
+    # Texture makes the pixels differ, by half of the mean.
     weights = known / np.maximum(read + electron * opened * mean + (opened * mean / 2) ** 2, 1e-30)
     n, x, xx = around(weights), around(weights * opened), around(weights * opened**2)
     y, xy = around(weights * own), around(weights * opened * own)

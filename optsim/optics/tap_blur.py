@@ -95,12 +95,10 @@ def collect_strip(
 
 @compiled(fastmath=True)
 def _light_of_columns(light: Patch, top: int, bottom: int) -> Floats:
-    """Sum of the magnitudes in each column of some rows of the field, (t, x): nothing where it is dark.
-
-    Beyond the field's border its own light goes on, which reaches no place that the border's does not.
-    """
+    """Sum of the magnitudes in each column of some rows of the field, (t, x): nothing where it is dark."""
     n, tall, wide = light.excess.shape
     found = np.zeros((n, wide), np.float32)
+    # Beyond the border its own light goes on, and reaches no other place than the border's.
     first, end = max(top - light.row, 0), min(bottom - light.row, tall)
     for t in range(n):
         # Unsigned: a loop whose places might be negative would not become vector code.
@@ -162,15 +160,13 @@ def _kernels_between(nodes: Floats, place: float, node: int, own: Floats) -> Non
 def _add_products(
     lines: Floats, first: int, taps_down: tuple[int, int], kernels: Floats, totals: Floats, length: int
 ) -> None:
-    """Sum the products of a row, with one kernel or two; of taps from the first to before the last of two.
-
-    Several taps of both kernels at a time: light is read, and sums are written, that much more seldom.
-    """
+    """Sum the products of a row, with one kernel or two; of taps from the first to before the last of two."""
     n, last = np.uint64(length), np.uint64(kernels.shape[0] - 1)
     for x in range(n):
         totals[0, x] = totals[1, x] = 0
     for a in range(np.uint64(taps_down[0]), np.uint64(max(taps_down))):
         y = np.uint64(first) + a
+        # Several taps of both kernels at a time: sums are read and written that much more seldom.
         for b in range(np.uint64(0), np.uint64(kernels.shape[2]), np.uint64(_TAPS)):
             b1, b2, b3 = b + np.uint64(1), b + np.uint64(2), b + np.uint64(3)
             b4, b5 = b + np.uint64(4), b + np.uint64(5)
