@@ -69,31 +69,15 @@ def student(values: Sequence[float]) -> Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A point over its seeds.
+    """A point over its seeds; the keys are (method, region)."""
 
-    Parameters
-    ----------
-    point : Point
-        Without its seed.
-    db, change_db : dict
-        (method, region) -> its score, and the change against the unchanged camera at the same seed.
-    stops : dict
-        (method, region) -> error of the logarithm, stops, mean over the seeds.
-    first : Measured
-        Of the experiment's own seed.
-    refused : str
-        Why the point cannot be; empty for one that can.
-    work : dict
-        Counts of what was computed.
-    """
-
-    point: Point
+    point: Point  # Without its seed.
     db: dict[Key, Estimate]
-    change_db: dict[Key, Estimate]
-    stops: dict[Key, float]
-    first: PointScores
-    refused: str
-    work: dict[str, int] = field(default_factory=dict[str, int])
+    change_db: dict[Key, Estimate]  # Against the unchanged camera at the same seed.
+    stops: dict[Key, float]  # Error of the logarithm, mean over the seeds.
+    first: PointScores  # Of the experiment's own seed.
+    refused: str  # Why the point cannot be; empty for one that can.
+    work: dict[str, int] = field(default_factory=dict[str, int])  # Counts of what was computed.
 
     def worst(self, keys: Iterable[Key]) -> Key | None:
         """Score that loses most."""
@@ -182,9 +166,8 @@ def rows_of(compared: Compared, **about: Any) -> list[dict[str, Any]]:
 def pool_scatter(rows: Iterable[dict[str, Any]]) -> None:
     """Set the intervals of tidy rows anew: the scatter over seeds is that of the whole curve.
 
-    Two seeds alone have an interval nine standard deviations wide; nine points of two seeds know the standard
-    deviation well. It is taken to be the same along a curve: a mode, method and region. The unchanged camera
-    has no scatter against itself and counts for none.
+    Two seeds alone have an interval nine standard deviations wide. The standard deviation is taken to be the
+    same along a curve (a mode, method and region); the unchanged camera has none against itself.
     """
     curves: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:

@@ -35,36 +35,16 @@ _REFUSALS = (ConfigError, GeometryError, BenchError, ValueError)
 
 @dataclass(frozen=True, eq=False)
 class PointScores:
-    """Scores of one point.
+    """Scores of one point; the keys of ``db`` and ``stops`` are (method, region)."""
 
-    Parameters
-    ----------
-    db : dict
-        (method, region) -> PU21-PSNR, dB, None where nothing is scored.
-    stops : dict
-        Likewise the error of the logarithm, stops.
-    covered : float
-        Share of the samples that all methods hold valid, so that they are scored.
-    map_residual_px : float
-        Rms distance between map and dots of the calibration, panel pixels.
-    values : dict
-        What the compensators were set to.
-    pictures : dict
-        Method -> one reconstructed slot, (v, u), W m^-2, and the same of the truth as "truth".
-    refused : str
-        Why the point cannot be; empty for one that can.
-    work : dict
-        What was computed, and what was found: counts.
-    """
-
-    db: dict[Key, float | None]
-    stops: dict[Key, float | None]
-    covered: float
-    map_residual_px: float
-    values: Values
-    pictures: Mapping[str, Floats]
-    refused: str
-    work: dict[str, int]
+    db: dict[Key, float | None]  # PU21-PSNR, dB, None where nothing is scored.
+    stops: dict[Key, float | None]  # Error of the logarithm.
+    covered: float  # Share of the samples that all methods hold valid, so that they are scored.
+    map_residual_px: float  # Rms distance between map and dots of the calibration, panel pixels.
+    values: Values  # What the compensators were set to.
+    pictures: Mapping[str, Floats]  # Method, or "truth" -> a slot, (v, u), W m^-2.
+    refused: str  # Why the point cannot be; empty for one that can.
+    work: dict[str, int]  # What was computed, and what was found: counts.
 
 
 def measured(stage: Stage, point: Point) -> PointScores:

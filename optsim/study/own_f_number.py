@@ -41,27 +41,14 @@ _ENOUGH = 0.98
 
 @dataclass(frozen=True, eq=False)
 class OwnLight:
-    """How schemes compare when each has its own f-number.
+    """How schemes compare when each has its own f-number; the keys are method names."""
 
-    Parameters
-    ----------
-    f_numbers : dict
-        Method name -> f-number of the objective.
-    open_shares : dict
-        Method name -> exposure of its fullest pixel, of one that is on for ever.
-    mean_e : dict
-        Method name -> photoelectrons a pixel and frame, mean.
-    filled : dict
-        Method name -> share of saturation that the interior's percentile reaches under its fullest exposure.
-    scores : list of Score
-        Of all methods, as at one f-number for all.
-    """
-
-    f_numbers: dict[str, float]
-    open_shares: dict[str, float]
-    mean_e: dict[str, float]
+    f_numbers: dict[str, float]  # Of the objective.
+    open_shares: dict[str, float]  # Exposure of the fullest pixel, of one that is on for ever.
+    mean_e: dict[str, float]  # Photoelectrons a pixel and frame.
+    # Share of saturation that the interior's percentile reaches under the fullest exposure.
     filled: dict[str, float]
-    scores: list[Score]
+    scores: list[Score]  # Of all methods, as at one f-number for all.
 
 
 def open_share(frames: Iterable[CodedFrame], calibration: Calibration) -> float:

@@ -15,39 +15,19 @@ from optsim.experiment.experiment import Experiment
 
 @dataclass(frozen=True)
 class Tolerated:
-    """A parameter with its tolerance.
-
-    Parameters
-    ----------
-    name, unit : str
-        Name, and unit on the drawing.
-    per_unit : float
-        Change in the key's own unit for one unit of the drawing.
-    keys : tuple of str
-        Keys that change together.
-    how : {"add", "times"}
-        Whether a change is added, or multiplies by one plus it.
-    first, most, usual : float
-        Change at which a search begins, largest one that is tried, and a bad specimen's; key's own unit.
-    about : str
-        What it stands for, where the name does not say all.
-    signs : tuple of int
-        Which way it may change: upwards first.
-    period : float or None
-        Change after which the panel lies on the CCD's pixels as before, key's own unit; None without one.
-    """
+    """A parameter with its tolerance."""
 
     name: str
-    unit: str
-    per_unit: float
-    keys: tuple[str, ...]
-    how: Literal["add", "times"]
-    first: float
-    most: float
-    usual: float
-    about: str = ""
-    signs: tuple[int, ...] = (1, -1)
-    period: float | None = None
+    unit: str  # On the drawing.
+    per_unit: float  # Change in the key's own unit for one unit of the drawing.
+    keys: tuple[str, ...]  # Keys that change together.
+    how: Literal["add", "times"]  # Whether a change is added, or multiplies by one plus it.
+    first: float  # Change at which a search begins; key's own unit.
+    most: float  # Largest one that is tried.
+    usual: float  # A bad specimen's.
+    about: str = ""  # What it stands for, where the name does not say all.
+    signs: tuple[int, ...] = (1, -1)  # Which way it may change: upwards first.
+    period: float | None = None  # Change that brings the panel back onto the CCD's pixels, key's own unit.
 
     @property
     def bad_specimen(self) -> tuple[float, float]:

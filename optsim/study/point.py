@@ -28,25 +28,14 @@ _MOST_VALUES = 1000
 
 @dataclass(frozen=True)
 class Point:
-    """Changes of an experiment, and how they count.
+    """Changes of an experiment, and how they count."""
 
-    Parameters
-    ----------
-    changes : tuple of (str, value)
-        Keys of the experiment, ``camera.relay.shift_x_px`` for example, and their values.
-    mode : {"known", "unknown", "compensated"}
-        Calibrated with the changes; changed after the calibration; or changed after it and then put right
-        by the compensators.
-    compensators : tuple of str
-        What an operator does in the mode "compensated" (:mod:`optsim.study.compensation`).
-    seed : int
-        Of codes and photons. The bench keeps the experiment's own.
-    """
-
+    # Keys of the experiment, ``camera.relay.shift_x_px`` for example, and their values.
     changes: tuple[tuple[str, Any], ...] = ()
+    # "known" to the calibration, "unknown" to it, or "compensated": unknown, then put right.
     mode: Mode = "known"
-    compensators: tuple[str, ...] = ()
-    seed: int = 1
+    compensators: tuple[str, ...] = ()  # Of the mode "compensated".
+    seed: int = 1  # Of codes and photons. The bench keeps the experiment's own.
 
     def as_json(self) -> dict[str, Any]:
         """Return its content for a JSON file."""

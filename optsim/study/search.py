@@ -26,34 +26,18 @@ COSTS = ("found", "step", "not converged")
 
 @dataclass(frozen=True)
 class Limit:
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    value : float
-        The largest change, positive; with ``above``, the last measured one below.
-    ends : (float, float or None) or None
-        Its 95 % interval: where that of the loss reaches the loss asked for. None where that is nowhere, or
-        a loss has no interval.
-    status : {"found", "step", "not converged", "not reached", "refused beyond"}
-        Whether the loss is reached there; jumps; lies between two changes that are not yet near; isn't
-        reached up to the largest change tried; or larger ones cannot be built.
-    loss : float
-        Loss at the value: of "found" as asked for, else as measured.
-    slope : float or None
-        Loss per change at the value.
-    steps : int
-        Measurements.
-    above : (float, float) or None
-        Of a step, or where the search did not converge: the next measured change, and its loss.
-    """
-
-    value: float
+    value: float  # The largest change, positive; with ``above``, the last measured one below.
+    # 95 % interval, where that of the loss reaches the loss asked for; None where it is nowhere, or has none.
     ends: tuple[float, float | None] | None
+    # The loss is reached there, jumps there, or lies between two changes that are not yet near; isn't
+    # reached up to the largest change tried; or larger changes cannot be built.
     status: Literal["found", "step", "not converged", "not reached", "refused beyond"]
-    loss: float
-    slope: float | None
-    steps: int
+    loss: float  # At the value: of "found" as asked for, else as measured.
+    slope: float | None  # Loss per change at the value.
+    steps: int  # Measurements.
+    # Of a step, or without convergence: the next measured change, and its loss.
     above: tuple[float, float] | None = None
 
 
@@ -63,11 +47,7 @@ _Seen = dict[float, tuple[float, float | None]]
 
 
 def largest_change(loss: Loss, wanted: float, first: float, most: float) -> Limit:
-    """Search the largest change whose loss is at most ``wanted``.
-
-    Between two measurements the square root of the loss is taken to be straight: losses by small changes
-    grow with their square.
-    """
+    """Search the largest change whose loss is at most ``wanted``."""
     low, high = (0.0, 0.0), None
     seen: _Seen = {}
     refused = math.inf
@@ -152,10 +132,8 @@ def _power(seen: _Seen, wanted: float) -> float:
 
 
 def _crossing(curve: dict[float, float], wanted: float, power: float, *, last: bool) -> float | None:
-    """Change at which a curve first, or last, rises to a loss; None if never.
-
-    The root of the loss is straight between measurements, and beyond them from 0 through the last one.
-    """
+    """Change at which a curve first, or last, rises to a loss; None if never."""
+    # The root of the loss is straight between measurements, and beyond them from 0 through the last one.
     points = [(0.0, 0.0), *((change, max(loss, 0) ** (1 / power)) for change, loss in sorted(curve.items()))]
     goal = wanted ** (1 / power)
     under = [at for at, (_, root) in enumerate(points) if root < goal]

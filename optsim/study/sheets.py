@@ -26,25 +26,15 @@ _ENDS = {"minus": -1, "plus": 1}
 
 @dataclass(frozen=True)
 class Sheet:
-    """A tolerance sheet to draw cameras within.
+    """A tolerance sheet to draw cameras within."""
 
-    Parameters
-    ----------
-    limits : dict
-        Parameter -> largest change down and up, both positive, in the unit of its keys.
-    distributions : dict
-        Parameter -> how its changes lie about the middle of its limits, where that is not evenly. The limits
-        of a normal one are two standard deviations away; a truncated one is drawn again beyond them.
-    mounts : dict
-        Mount -> parameters that one draw moves together.
-    of : str
-        What the limits are of, where that is known.
-    """
-
+    # Parameter -> largest change down and up, both positive, in the unit of its keys.
     limits: dict[str, tuple[float, float]]
+    # Parameter -> how its changes lie about the middle of its limits, where not evenly.
     distributions: dict[str, Distribution] = field(default_factory=dict[str, Distribution])
+    # Mount -> parameters that one draw moves together.
     mounts: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
-    of: str = ""
+    of: str = ""  # What the limits are of, where that is known.
 
     def draw(self, rng: Generator) -> dict[str, float]:
         """Draw the changes of a camera, in the units of their keys."""

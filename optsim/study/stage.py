@@ -77,35 +77,16 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The unchanged camera before its scene, ready for points.
-
-    Parameters
-    ----------
-    base : Experiment
-        As given.
-    calibrations : dict
-        Calibrations of the unchanged camera.
-    light : LightLevel
-        Light level of the unchanged camera; all points that share the truth keep its density.
-    truth : IrradianceVideo
-        Light on the panel; segments are remembered.
-    board : ScoreBoard
-        Scoring rules.
-    targets : dict
-        Scored coded frame -> its target.
-    key : str
-        Hash of all that decides the numbers but the points themselves.
-    panel_light : Memory
-        Light that left the panel, and the panel after it, of earlier exposures.
-    """
+    """The unchanged camera before its scene, ready for points."""
 
     base: Experiment
     calibrations: Calibrations
-    light: LightLevel
-    truth: IrradianceVideo
-    board: ScoreBoard
-    targets: dict[int, Target]
-    key: str
+    light: LightLevel  # All points that share the truth keep its density.
+    truth: IrradianceVideo  # Light on the panel; segments are remembered.
+    board: ScoreBoard  # Scoring rules.
+    targets: dict[int, Target]  # Scored coded frame -> its target.
+    key: str  # Hash of all that decides the numbers but the points themselves.
+    # Light that left the panel, and the panel after it, of earlier exposures.
     panel_light: Memory[tuple[Floats, PanelState]]
 
     @property
@@ -122,16 +103,13 @@ class Stage:
         panel: PanelState | None,
         rng: Generator,
     ) -> tuple[CodedFrame, PanelState]:
-        """Take one coded frame, as :meth:`CodedCamera.expose` does.
-
-        The panel's light is recalled where the same panel showed the same code to the same truth before:
-        only relay and CCD are new.
-        """
+        """Take one coded frame, as :meth:`CodedCamera.expose` does, and recall the panel's light."""
 
         def light() -> tuple[Floats, PanelState]:
             shutter, after = camera.shutter(code, panel, truth.instants_per_slot, truth.samples_per_pitch)
             return camera.panel_energy(truth, index, shutter), after
 
+        # The same panel with the same code before the same truth: only relay and CCD are new.
         key = _panel_side(camera), index, _digest(code.levels), None if panel is None else _state(panel)
         energy, after = self.panel_light.get(key, light)
         expected = camera.electrons_of(camera.relay_operator(truth.samples_per_pitch).apply(energy))

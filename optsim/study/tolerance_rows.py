@@ -41,10 +41,9 @@ def room_of(row: dict[str, Any]) -> tuple[bool, float]:
 
 
 def allocate(rows: Sequence[dict[str, Any]], loss_db: float) -> float:
-    """Set in rows of drifts the change, ``together``, of limits that lose so much by root sum of squares.
+    """Set ``together`` in rows of drifts: changes within the limits that lose so much by root sum of squares.
 
-    Every end gets the share that is returned, but none more than it costs at its limit. The loss grows by the
-    power that its slope has at the limit, or else by the square.
+    Every end gets the share that is returned, but none more than it costs at its limit.
     """
     drifts = [row for row in rows if row["mode"] == "unknown"]
     low, share = 0.0, loss_db
@@ -54,6 +53,7 @@ def allocate(rows: Sequence[dict[str, Any]], loss_db: float) -> float:
             under = rss_db([{**row, "loss_db": min(row["loss_db"], middle)} for row in drifts]) < loss_db
             low, share = (middle, share) if under else (low, middle)
     for row in drifts:
+        # Of the loss by its slope at the limit, or else the square.
         power = row["db_per_unit"] * row["value"] / row["loss_db"] if row["db_per_unit"] else 2.0
         row["together"] = row["change"] * min(1.0, share / max(row["loss_db"], share)) ** (1 / power)
     return share

@@ -23,10 +23,8 @@ def shared_by_failures(
 ) -> list[dict[str, Any]]:
     """Say of each parameter which way it makes cameras worse, the one that explains most first.
 
-    ``failures`` and ``good`` are mean changes, with their sign, over the sheet's larger limit.
-    ``correlation`` is that of the change with the score, and ``size_correlation`` that of its size.
-    ``worse_at`` follows the stronger of the two. It is empty where that may be chance: one in twenty sheets
-    of parameters that do nothing names any.
+    ``failures`` and ``good`` are mean changes, with their sign, over the sheet's larger limit; correlations
+    are of the change, or of its size, with the score. ``worse_at`` follows the stronger of the two.
     """
     names = [name for name, ends in limits.items() if max(ends) > 0]
     found: list[dict[str, Any]] = []
@@ -36,6 +34,7 @@ def shared_by_failures(
         scored = [(r[name], r["db"]) for r in rows if r["db"] is not None]
         signed, size = _correlation(scored), _correlation([(abs(change), db) for change, db in scored])
         strongest = max(abs(signed), abs(size))
+        # Chance: one in twenty sheets of parameters that do nothing names any.
         if strongest < _chance(len(scored), 2 * len(names)):
             worse_at = ""
         elif abs(signed) == strongest:
@@ -73,17 +72,15 @@ def _correlation(pairs: Sequence[tuple[float, float]]) -> float:
 
 
 def won_by_halving(rows: Sequence[dict[str, Any]], target_db: float | None) -> list[dict[str, Any]]:
-    """Say of each parameter how many more cameras are good if its limits are half as wide, most first.
-
-    The cameras are the same but for that change. The interval is that of A. Agresti and Y. Min for matched
-    pairs (Statistics in Medicine 24, 729, 2005): half a camera is added to each of four counts.
-    """
+    """Say of each parameter how many more cameras are good if its limits are half as wide, most first."""
     columns = [column for column in (rows[0] if rows else ()) if column.startswith(HALVED)]
     found: list[dict[str, Any]] = []
     for column in columns if target_db is not None else ():
         good = [row[column] is not None and row[column] >= target_db for row in rows]
         gained = sum(now and not row["good"] for now, row in zip(good, rows, strict=True))
         lost = sum(row["good"] and not now for now, row in zip(good, rows, strict=True))
+        # A. Agresti and Y. Min, Statistics in Medicine 24, 729, 2005, for matched pairs: half a camera
+        # is added to each of four counts.
         n, more, less = len(rows) + 2, gained + 0.5, lost + 0.5
         middle, half = (more - less) / n, 1.96 * math.sqrt(more + less - (more - less) ** 2 / n) / n
         found.append(
@@ -100,10 +97,7 @@ def won_by_halving(rows: Sequence[dict[str, Any]], target_db: float | None) -> l
 
 
 def travel_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Say of each of the camera's keys that a compensator sets how far it goes, in the key's unit.
-
-    The middle 95 % of the cameras, their median, and the largest setting.
-    """
+    """Middle 95 % of the settings of each relay key that a compensator sets, their median and largest."""
     columns = dict.fromkeys(name for row in rows for name in row if name.startswith(f"{SET_TO}relay."))
     found: list[dict[str, Any]] = []
     for column in columns:

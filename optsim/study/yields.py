@@ -84,12 +84,9 @@ class Drawn:
 
 
 def drawn(base: Experiment, sheet: Sheet, mode: Mode, compensators: tuple[str, ...], camera: int) -> Drawn:
-    """Draw a camera by its number, anew until it can be built.
-
-    Its fixed patterns are known to its calibration, so that only the mode "known" can have its own: a bench
-    is needed to learn them.
-    """
+    """Draw a camera by its number, anew until it can be built."""
     rng = stream(base.seed, "yield", camera)
+    # To learn its own fixed patterns takes a bench, which only the mode "known" has.
     serial_number = base.camera.serial_number + (camera if mode == "known" else 0)
     refused: list[str] = []
     changes: dict[str, float] = {}
@@ -202,10 +199,7 @@ def yields(
 
 
 def binomial_interval(good: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share by A. Agresti and B. A. Coull (The American Statistician 52, 1998).
-
-    Two successes and two failures are added to what was counted.
-    """
+    """Return the 95 % interval of a share: A. Agresti, B. A. Coull, The American Statistician 52 (1998)."""
     n = of + 2 * _AGRESTI
     share = (good + _AGRESTI) / n
     half = 1.96 * math.sqrt(share * (1 - share) / n)
