@@ -304,10 +304,8 @@ def map_off_px(measured: BenchResult, camera: CodedCamera) -> Doubles:
 
 
 def light_places(camera: CodedCamera) -> tuple[Doubles, Doubles]:
-    """Give the panel pixels' centres, and where their light is on the CCD: each (n, 2).
-
-    Coma moves the centre of the light of a pixel away from its geometric image, and a bench sees light.
-    """
+    """Give the panel pixels' centres, and where their light is on the CCD: each (n, 2)."""
+    # Coma moves the centre of a pixel's light away from its geometric image, and a bench sees light.
     centres: Doubles = np.indices((camera.panel_rows, camera.panel_cols), np.float64).reshape(2, -1).T + 0.5
     lit = centres + light_shift_px(camera).reshape(-1, 2)
     places = camera.relay_geometry().place(lit[:, 0] * SAMPLES_PER_PITCH, lit[:, 1] * SAMPLES_PER_PITCH)
@@ -315,11 +313,7 @@ def light_places(camera: CodedCamera) -> tuple[Doubles, Doubles]:
 
 
 def light_shift_px(camera: CodedCamera) -> Doubles:
-    """Centre of the light of each panel pixel behind fringing and relay blur, minus its own: (v, u, 2).
-
-    Taken of a lattice of single bright pixels in windows as the pixel map's, and interpolated by a polynomial
-    of third order in the place.
-    """
+    """Centre of the light of each panel pixel behind fringing and relay blur, minus its own: (v, u, 2)."""
     rows, cols, n = camera.panel_rows, camera.panel_cols, SAMPLES_PER_PITCH
     lit = np.zeros((rows, cols))
     first = _WINDOW_PX + 1
@@ -336,6 +330,7 @@ def light_shift_px(camera: CodedCamera) -> Doubles:
         light = window - np.median(edge)
         shifts.append(np.array([span @ light.sum(axis=1), light.sum(axis=0) @ span]) / light.sum() / n)
     low = np.array([rows, cols]) / 2
+    # Measured on a lattice of single bright pixels; between them a cubic polynomial in the place.
     everywhere: Doubles = (np.indices((rows, cols)).reshape(2, -1).T + 0.5) / low - 1
     known = np.linalg.lstsq(_cubic((places + 0.5) / low - 1), np.stack(shifts))[0]
     return (_cubic(everywhere) @ known).reshape(rows, cols, 2)

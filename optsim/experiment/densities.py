@@ -31,12 +31,8 @@ def mosaics(experiment: Experiment) -> dict[str, HdrMosaic]:
 
 
 def densities(camera: CodedCamera, mosaic: HdrMosaic) -> list[Density]:
-    """Exposures of a mosaic by a camera's panel on its axis, the shortest first.
-
-    Each is the mean over the pixels of a tile and over a round of frames. One round has passed before,
-    because a pixel's earlier code matters. Fringing between pixels is left out, as in the averaged
-    fringe-field correction.
-    """
+    """Exposures of a mosaic by a camera's panel on its axis, the shortest first; without fringing."""
+    # Means over a tile's pixels and a round of frames, after another round: a pixel's earlier code matters.
     tiles = mosaic.tiles(camera.slots_per_frame, camera.coded_slots, np.random.default_rng(0))
     panel: PanelState | None = None
     exposures: dict[int, list[float]] = {}

@@ -25,15 +25,12 @@ _PLACE_SHARE = 0.15
 
 @dataclass(eq=False)
 class Figures:
-    """Collector of frames during decoding, which writes all pictures at the end.
-
-    It holds two coded frames: the last one, and the one with the first method's largest error in stops, among
-    the frames of the latest phase that the run reaches.
-    """
+    """Collector of frames during decoding, which writes all pictures at the end."""
 
     experiment: Experiment
     scorer: Scorer
     saturation_dn: float
+    # The last frame and, in the latest phase, the one of the first method's largest error in stops.
     _moments: dict[int, Moment] = field(default_factory=dict[int, Moment], init=False)
     _bins: list[LuminanceBin] = field(default_factory=list[LuminanceBin], init=False)
     _places: list[Place] = field(default_factory=list[Place], init=False)

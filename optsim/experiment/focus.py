@@ -22,30 +22,16 @@ NEGLIGIBLE_SAMPLES = 0.1
 
 @dataclass(frozen=True)
 class Focus:
-    """Focus and distortion of a camera's lens for a scene.
+    """Focus and distortion of a camera's lens for a scene."""
 
-    Parameters
-    ----------
-    choice : str
-        ``modelled`` by a thin lens, ``skipped`` as too small to see, or ``everywhere`` if requested.
-    aperture_m, focus_m : float
-        Diameter of the lens and depth in focus, m.
-    near_m, far_m : float
-        Depth range of the image, m; far is infinite where a surface reflects or is clear.
-    near_px, far_px : float
-        Diameter of the circle of confusion there, panel pixels.
-    corner_px : float
-        Displacement by distortion at the panel's corner, panel pixels; negative inwards.
-    """
-
-    choice: str
-    aperture_m: float
-    focus_m: float
-    near_m: float
+    choice: str  # "modelled" by a thin lens, "skipped" as too small to see, or "everywhere" if requested.
+    aperture_m: float  # Diameter of the lens.
+    focus_m: float  # Depth in focus.
+    near_m: float  # Depth range of the image; far is infinite where a surface reflects or is clear.
     far_m: float
-    near_px: float
+    near_px: float  # Diameter of the circle of confusion there, panel pixels, like ``far_px``.
     far_px: float
-    corner_px: float
+    corner_px: float  # Displacement by distortion at the panel's corner, panel pixels; negative inwards.
 
     def text(self) -> str:
         """Describe it in a sentence."""

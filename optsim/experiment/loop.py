@@ -100,18 +100,10 @@ def set_light(
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One coded frame as taken.
-
-    Parameters
-    ----------
-    frame : CodedFrame
-        The raw frame with its code.
-    before : PanelState or None
-        The panel when the frame begins; None at the start of the experiment.
-    """
+    """One coded frame as taken."""
 
     frame: CodedFrame
-    before: PanelState | None
+    before: PanelState | None  # The panel when the frame begins; None at the start of the experiment.
 
 
 def shots(
@@ -190,21 +182,11 @@ def capture(
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """One coded frame, decoded by all methods.
-
-    Parameters
-    ----------
-    index : int
-        Coded-frame index.
-    videos : dict
-        Method name -> its reconstruction.
-    seconds : dict
-        Method name -> wall time of its decoder, s.
-    """
+    """One coded frame, decoded by all methods; the keys are their names."""
 
     index: int
     videos: dict[str, Reconstruction]
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # Wall time of the decoder.
 
 
 def decode(

@@ -26,10 +26,10 @@ def object_masks(
     backend: str | None = None,
     progress: Progress = silent,
 ) -> Bools | None:
-    """Find the panel pixels that show a mover during a coded frame or the one before.
+    """Find the panel pixels that show a mover during a coded frame or the one before; without shadows.
 
     A pixel counts if the chief ray through its centre meets a mover first, even one at rest, in the middle
-    of any slot; as ``moving`` in an export of passes. Shadows are left out.
+    of any slot; as ``moving`` in an export of passes.
     """
     if experiment.scene is None:
         return None

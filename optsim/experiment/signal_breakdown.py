@@ -62,21 +62,11 @@ def light_paths(camera: CodedCamera, y: int, x: int, pitch: int) -> Doubles:
 
 @dataclass(frozen=True, eq=False)
 class Electrons:
-    """Expected electrons of a CCD pixel in one frame, before any clip.
+    """Expected electrons of a CCD pixel in one frame, before any clip."""
 
-    Parameters
-    ----------
-    by_slot : dict
-        Origin -> array (slot,); without smear, which arises later.
-    by_pixel : ndarray of shape (v, u), float64
-        Electrons on the direct path, from each panel pixel.
-    weight : ndarray of shape (slot,), float64
-        Effective weight of the own panel pixel, regardless of the shutter.
-    """
-
-    by_slot: dict[str, Doubles]
-    by_pixel: Doubles
-    weight: Doubles
+    by_slot: dict[str, Doubles]  # Origin -> array (slot,); without smear, which arises later.
+    by_pixel: Doubles  # (v, u), on the direct path from each panel pixel.
+    weight: Doubles  # (slot,), effective weight of the own panel pixel, regardless of the shutter.
 
 
 def count_electrons(

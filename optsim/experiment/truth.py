@@ -24,41 +24,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TruthFacts:
-    """Facts on the truth for a report.
+    """Facts on the truth for a report."""
 
-    Parameters
-    ----------
-    name, variation : str
-        Scene and variation, or ``footage`` and the name of its files.
-    description : str
-        A sentence or two.
-    white_w_m2_sr : float
-        Declared white, W m^-2 sr^-1.
-    focus : Focus or None
-        Effect of the lens on the scene; None for footage, which already includes a lens.
-    """
-
-    name: str
+    name: str  # Scene, or "footage" with the name of its files as variation.
     variation: str
-    description: str
-    white_w_m2_sr: float
-    focus: Focus | None
+    description: str  # A sentence or two.
+    white_w_m2_sr: float  # Declared white.
+    focus: Focus | None  # Effect of the lens; None for footage, which already includes a lens.
 
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Decision for polarised or unpolarised rendering of a scene, and its reason.
+    """Decision for polarised or unpolarised rendering of a scene, and its reason."""
 
-    Parameters
-    ----------
-    azimuth_rad : float or None
-        Azimuth of the transmitted polarised component, which is counted twice; None for unpolarised light.
-    why : str
-        One line for people.
-    """
-
+    # Of the transmitted polarised component, counted twice; None for unpolarised light.
     azimuth_rad: float | None
-    why: str
+    why: str  # One line for people.
 
 
 def scene_light(experiment: Experiment, *, preview: bool = False) -> SceneLight:
@@ -156,15 +137,12 @@ def truth_view(experiment: Experiment) -> View:
 
 
 def camera_noise(experiment: Experiment) -> CameraNoise | None:
-    """Noise of the camera in a slot and a fine sample, for ``render.noise_share``; None where that is unset.
-
-    Neutral density is left out, because the light rule sets it from the truth: sampling never stops too
-    early.
-    """
+    """Noise of the camera in a slot and fine sample, for ``render.noise_share``; None where that is unset."""
     from optsim.render import CameraNoise
 
     if experiment.render.noise_share is None:
         return None
+    # The light rule sets the density from the truth: without it, sampling never stops too early.
     camera = experiment.camera.with_nd(1.0)
     per_pixel = next(row.value for row in camera.ledger(1.0) if row.stage == "electrons a slot")
     pixels = (camera.ratio / camera.view.samples_per_pitch) ** 2

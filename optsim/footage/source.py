@@ -203,19 +203,11 @@ class FootageSource(Part):
 
 @dataclass(frozen=True, eq=False)
 class RecordedLight:
-    """Radiance of one footage frame, and the loss of its recording.
+    """Radiance of one footage frame, and the loss of its recording."""
 
-    Parameters
-    ----------
-    w_m2_sr : ndarray of shape (y, x), float64
-        Radiance, W m^-2 sr^-1; negative only where the signal was below the black level.
-    clipped, below_black : float
-        Shares of pixels at full scale, and of values below the black level.
-    """
-
-    w_m2_sr: Doubles
-    clipped: float
-    below_black: float
+    w_m2_sr: Doubles  # (y, x), negative only where the signal was below the black level.
+    clipped: float  # Share of pixels at full scale.
+    below_black: float  # Share of values below the black level.
 
 
 def _place(bad: NDArray[np.bool_]) -> str:
