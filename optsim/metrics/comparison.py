@@ -70,29 +70,16 @@ class Advantage:
 
 @dataclass(frozen=True)
 class Judgement:
-    """An estimate against its tolerance.
+    """An estimate against its tolerance."""
 
-    Parameters
-    ----------
-    low, high : float or None
-        Interval of the advantage.
-    verdict : Change
-        Better or worse: significant and beyond the tolerance. Same: the interval lies within the tolerance.
-    alarm : Alarm
-        ``fail`` for worse; ``warn`` for a loss that is only significant, or only beyond the tolerance, and
-        for grown scatter.
-    why : str
-        Reason of the alarm in words; empty without one.
-    detectable : float or None
-        Loss that raises ``fail`` with a probability of 90 %.
-    """
-
-    low: float | None
+    low: float | None  # Interval of the advantage.
     high: float | None
+    # Better or worse: significant and beyond the tolerance. Same: the interval lies within it.
     verdict: Change
+    # "fail" for worse; "warn" for grown scatter or a loss only significant, or only beyond the tolerance.
     alarm: Alarm
-    why: str
-    detectable: float | None
+    why: str  # Reason of the alarm; empty without one.
+    detectable: float | None  # Loss that raises "fail" with a probability of 90 %.
 
 
 def row_level(n_rows: int, confidence: float = CONFIDENCE) -> float:

@@ -17,11 +17,8 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) -> Floats:
-    """Update all atoms at once by the method of optimal directions: ``X' C (C' C)^-1``.
-
-    Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624. A weak ridge keeps rarely used
-    atoms.
-    """
+    """Update all atoms at once by the method of optimal directions: ``X' C (C' C)^-1``."""
+    # Engan, Aase and Husoy, ICASSP 1999, doi:10.1109/ICASSP.1999.760624.
     n_atoms = len(atoms)
     square = np.zeros((n_atoms, n_atoms))
     cross = np.zeros(atoms.shape)
@@ -30,19 +27,18 @@ def least_squares_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: 
         codes = dense(support[part], amounts[part], n_atoms)
         square += codes.T @ codes
         cross += codes.T @ signals[part]
+    # Keeps rarely used atoms.
     ridge = 1e-6 * np.trace(square) / n_atoms
     system: Doubles = square + ridge * np.eye(n_atoms)
     return np.asarray(np.linalg.solve(system, cross + ridge * atoms), np.float32)
 
 
 def k_svd_atoms(signals: Floats, atoms: Floats, support: Ints, amounts: Floats) -> tuple[Floats, Floats]:
-    """Update the atoms one after the other, each with its coefficients, by approximate K-SVD.
+    """Update the atoms but the constant one after the other, with their coefficients, by approximate K-SVD.
 
-    R. Rubinstein, M. Zibulevsky and M. Elad, "Efficient implementation of the K-SVD algorithm using batch
-    orthogonal matching pursuit", Technion CS-2008-08. Each atom and the coefficients of its signals take one
-    step of the power method. The step goes towards the best rank-one fit of the other atoms' residual, so the
-    error never grows. Here the residuals are stored and updated, which takes four passes over the signals of
-    an atom and no product with all atoms. Atom 0, the constant, stays.
+    R. Rubinstein, M. Zibulevsky and M. Elad, Technion CS-2008-08: one step of the power method towards the
+    best rank-one fit of the other atoms' residual, so the error never grows. The residuals are stored and
+    updated, which takes four passes over the signals of an atom and no product with all atoms.
     """
     rows, places = np.nonzero(support >= 0)
     used = support[rows, places]

@@ -30,15 +30,12 @@ _DIGITS, _LEAST_S = 6, 0.5
 
 
 class Facts(Record):
-    """Unit and direction of a metric; ``either_way``: it has one right value, and any change is a loss.
-
-    ``relative``: it is compared in per cent.
-    """
+    """Unit and direction of a metric."""
 
     unit: str
     higher_is_better: bool
-    either_way: bool = False
-    relative: bool = False
+    either_way: bool = False  # It has one right value: any change is a loss.
+    relative: bool = False  # It is compared in per cent.
 
 
 Values = list[float | None]

@@ -29,11 +29,7 @@ _TRUTH = ("scene", "source", "camera.panel_rows", "camera.panel_cols", "camera.s
 
 
 class Delta(Record):
-    """One row: scores before and after, and the advantage of after; below 0 it is worse.
-
-    ``low`` and ``high`` bound the advantage, None without an interval. ``detectable`` is the loss that fails
-    with a probability of 90 %. ``units`` are coded frames times ``seeds``, or seeds alone if not ``paired``.
-    """
+    """One row: scores before and after, and the advantage of after; below 0 it is worse."""
 
     case: str
     method: str
@@ -43,16 +39,16 @@ class Delta(Record):
     before: float
     after: float
     advantage: float
-    low: float | None
+    low: float | None  # Bounds of the advantage, like ``high``; None without an interval.
     high: float | None
     tolerance: float | None
-    detectable: float | None
+    detectable: float | None  # Loss that fails with a probability of 90 %.
     verdict: Change
     alarm: Alarm
     why: str
     scatter: float | None
     seeds: int
-    units: int
+    units: int  # Coded frames times ``seeds``; seeds alone if not ``paired``.
     paired: bool
 
 
