@@ -28,56 +28,27 @@ _LEAST = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class VelocityBlur:
-    """A velocity's blur.
+    """A velocity's blur; spectra (rows, cols // 2 + 1)."""
 
-    Parameters
-    ----------
-    transfer : ndarray of shape (rows, cols // 2 + 1), complex64
-        Transfer function of the code along the motion path.
-    noise : ndarray of shape (rows, cols // 2 + 1), float32
-        Noise power over signal power.
-    power : ndarray of shape (rows, cols // 2 + 1), float32
-        Squared magnitude of the transfer function, plus ``noise``.
-    rough : float
-        Standard deviation that noise alone gives the gradients of the equalised sharp image.
-    """
-
-    transfer: Spectrum
-    noise: Floats
-    power: Floats
-    rough: float
+    transfer: Spectrum  # Transfer function of the code along the motion path.
+    noise: Floats  # Noise power over signal power.
+    power: Floats  # Squared magnitude of the transfer function, plus ``noise``.
+    rough: float  # Standard deviation that noise alone gives the gradients of the equalised sharp image.
 
 
 @dataclass(frozen=True, eq=False)
 class CodedBlur:
-    """A coded image on a canvas, with a margin from which unknown light moves in.
+    """A coded image on a canvas, with a margin from which unknown light moves in."""
 
-    Parameters
-    ----------
-    light : ndarray of shape (rows, cols), float32
-        Mean light while open; a guess where it isn't measured.
-    certainty : ndarray of shape (rows, cols), float32
-        Inverse noise variance, relative to that of a typical pixel; 0 where the light isn't measured.
-    variance, error : float
-        Noise variance of a typical pixel, and the variance of the model error where something moves.
-    code : ndarray of shape (slot,), float32
-        Weights of the coded slots, sum 1. The sharp image is placed where it is at their middle.
-    margin : int
-        Pixels above and to the left of the image.
-    spectrum : ndarray of shape (rows, cols // 2 + 1), complex64
-        Spectrum of ``light``.
-    slope : ndarray of shape (rows, cols // 2 + 1), float32
-        Squared magnitude of the gradient's transfer function.
-    """
-
-    light: Floats
+    light: Floats  # (rows, cols), mean light while open; a guess where it isn't measured.
+    # (rows, cols), inverse noise variance over that of a typical pixel; 0 without a measurement.
     certainty: Floats
-    variance: float
-    error: float
-    code: Floats
-    margin: int
-    spectrum: Spectrum
-    slope: Floats
+    variance: float  # Noise variance of a typical pixel.
+    error: float  # Variance of the model error where something moves.
+    code: Floats  # Weights of the coded slots, sum 1. The sharp image is placed where it is at their middle.
+    margin: int  # Pixels above and to the left of the image.
+    spectrum: Spectrum  # (rows, cols // 2 + 1), of ``light``.
+    slope: Floats  # (rows, cols // 2 + 1), squared magnitude of the gradient's transfer function.
 
     @property
     def middle(self) -> float:
@@ -85,11 +56,7 @@ class CodedBlur:
         return (len(self.code) - 1) / 2
 
     def along(self, velocity: Velocity) -> VelocityBlur:
-        """Blur of a velocity, in pixels a slot, and its noise.
-
-        Image power is taken to fall as the inverse square of frequency (D. J. Field, J. Opt. Soc. Am. A
-        4, 2379 (1987)), so gradient power is the same at all frequencies. The coded image gives the amount.
-        """
+        """Blur of a velocity, in pixels a slot, and its noise."""
         shape = self.light.shape
         transfer = np.empty(self.spectrum.shape, np.complex64)
         back = (-self.middle * velocity[0], -self.middle * velocity[1])
@@ -103,6 +70,8 @@ class CodedBlur:
         per_gradient = passed / np.maximum(self.slope, _LEAST)
         seen[0, 0] = per_gradient[0, 0] = 0
         there = float(seen.mean(dtype=np.float64)) / self.light.size - variance
+        # Image power falls as the inverse square of frequency (D. J. Field, J. Opt. Soc. Am. A 4,
+        # 2379 (1987)): gradient power is the same at all frequencies, and the coded image gives it.
         gradient = max(there, _LEAST) / float(per_gradient.mean(dtype=np.float64))
         noise = self.slope * np.float32(variance / gradient)
         power = passed + noise
@@ -116,21 +85,15 @@ class CodedBlur:
         return _picture(found.astype(np.complex64, copy=False), self.light.shape)
 
     def equalised(self, picture: Floats, along: VelocityBlur) -> Floats:
-        """Sharp image with its expected power: blurring by the regularisation must not lower a cost.
-
-        Power spectrum equalisation, the geometric mean of inverse and Wiener filter (T. M. Cannon, IEEE
-        Trans. Acoust. Speech Signal Process. 24, 58 (1976), doi:10.1109/TASSP.1976.1162770).
-        """
+        """Sharp image with its expected power: blurring by the regularisation must not lower a cost."""
+        # Power spectrum equalisation, the geometric mean of inverse and Wiener filter (T. M. Cannon, IEEE
+        # Trans. Acoust. Speech Signal Process. 24, 58 (1976), doi:10.1109/TASSP.1976.1162770).
         lost = np.sqrt(along.power / np.maximum(along.power - along.noise, _LEAST))
         equal = (spectrum_of(picture) * lost).astype(np.complex64, copy=False)
         return _picture(equal, self.light.shape)
 
     def restored(self, along: VelocityBlur, rounds: int) -> Floats:
-        """Sharp image that fits the measured pixels best, each weighted by its own noise: (rows, cols).
-
-        This takes ``rounds`` steps of conjugate gradients on the normal equations of the same regularised
-        least squares. They start from the closed form and use it as the preconditioner.
-        """
+        """Sharp image (rows, cols) that fits the measured pixels best, each weighted by its own noise."""
         shape = self.light.shape
         adjoint, inverse = np.conj(along.transfer), 1 / along.power
 
@@ -142,6 +105,7 @@ class CodedBlur:
         left = adjoint * spectrum_of(self.certainty * self.light) - normal(found)
         ahead = (inverse * left).astype(np.complex64, copy=False)
         size = start = _inner(left, ahead, shape)
+        # Conjugate gradients on the normal equations, preconditioned by the closed form.
         for _ in range(rounds):
             # Float32 allows no smaller residual.
             if size <= _LEAST * start:

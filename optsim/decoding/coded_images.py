@@ -24,32 +24,17 @@ _TOO_FEW = 0.25
 
 @dataclass(frozen=True, eq=False)
 class CodedImage:
-    """A coded frame on the panel grid, one sample a pixel.
+    """A coded frame on the panel grid, one sample a pixel; zero where a pixel is unusable.
 
-    Unusable pixels are zero. Gaps with under a quarter usable pixels take the nearest usable sample.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (v, u), float32
-        Sum over the slots of weight times irradiance.
-    exposure : ndarray of shape (v, u), float32
-        Sum of the weights.
-    variance : ndarray of shape (v, u), float32
-        Noise variance of the signal.
-    weights : ndarray of shape (v, u, slot), float32
-        Effective weights.
-    usable : ndarray of shape (v, u), bool
-        Pixels with a signal.
-    saturated : ndarray of shape (v, u), bool
-        Pixels of which only a lower bound is known.
+    Gaps with under a quarter usable pixels take the nearest usable sample.
     """
 
-    signal: Floats
-    exposure: Floats
-    variance: Floats
-    weights: Floats
-    usable: Bools
-    saturated: Bools
+    signal: Floats  # (v, u), sum over the slots of weight times irradiance.
+    exposure: Floats  # (v, u), sum of the weights.
+    variance: Floats  # (v, u), noise variance of the signal.
+    weights: Floats  # (v, u, slot), effective.
+    usable: Bools  # (v, u), pixels with a signal.
+    saturated: Bools  # (v, u), pixels of which only a lower bound is known.
 
 
 ImageDecoder = Callable[[CodedFrame, "CodedImage"], Partial]
@@ -122,15 +107,9 @@ def covered(
 ) -> Partial:
     """Average the patches over each pixel; the blend weight is the share of possible patches decoded.
 
-    Patches over a pixel share samples and prior, so their errors are nearly equal. The variance of the mean
-    is therefore taken as the mean of their variances, not divided by their number. No correlation can make
-    the mean's error larger.
-
-    A saturated pixel is only bounded from below, or measured by other frames. It counts as interpolated, with
-    a standard deviation equal to its value. So does a moving pixel without a sample, which isn't valid.
-
-    Negative and near-zero values are replaced by their :func:`positive_mean`, with the error that negative
-    light nearby implies.
+    Patches over a pixel share samples and prior: the variance of their mean is taken as the mean of their
+    variances, which no correlation can exceed. A saturated pixel, and a moving one without a sample, counts
+    as interpolated, with a standard deviation equal to its value.
     """
     total /= np.maximum(count, 1)[:, :, None]
     spread = None

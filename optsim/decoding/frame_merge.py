@@ -35,27 +35,14 @@ _GLARE_ROUNDS, _APART, _SAME_FACTOR, _PERIOD = 6, 2, 0.02, 4
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """Joint estimate of each pixel from several frames.
+    """Joint estimate of each pixel from several frames; arrays (v, u)."""
 
-    Parameters
-    ----------
-    mean : ndarray of shape (v, u), float32
-        Irradiance, W m^-2; noise may make it negative.
-    variance : callable
-        Variance that the mean would have for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
-    found : ndarray of shape (v, u), bool
-        Pixels with an unsaturated sample.
-    floor : ndarray of shape (v, u), float32
-        Lower bound from saturated samples, W m^-2.
-    tainted : ndarray of shape (v, u), float32
-        Share of the kernel on pixels of unknown light.
-    """
-
-    mean: Floats
+    mean: Floats  # Irradiance, W m^-2; noise may make it negative.
+    # Variance of the mean for an irradiance like ``mean``, nowhere negative, W^2 m^-4.
     variance: Callable[[Floats], Floats]
-    found: Bools
-    floor: Floats
-    tainted: Floats
+    found: Bools  # Pixels with an unsaturated sample.
+    floor: Floats  # Lower bound from saturated samples, W m^-2.
+    tainted: Floats  # Share of the kernel on pixels of unknown light.
 
 
 def merged(

@@ -102,11 +102,9 @@ def estimate_by_glare(
 
 
 def _by_block(values: Doubles, shape: tuple[int, ...]) -> Doubles:
-    """Sum values of all frames, (frame x v x u,), over blocks of the panel.
-
-    Edges off their place leave residuals that resemble glare, in a few places. The error is that of sums over
-    blocks (K.-Y. Liang and S. L. Zeger, Biometrika 73, 13, 1986).
-    """
+    """Sum values of all frames, (frame x v x u,), over blocks of the panel."""
+    # Edges off their place leave residuals that resemble glare, in a few places. The error is that of sums
+    # over blocks (K.-Y. Liang and S. L. Zeger, Biometrika 73, 13, 1986).
     image = values.reshape(-1, *shape).sum(axis=0)
     rows, cols = (np.arange(0, side, _BLOCK_PX) for side in shape)
     return np.add.reduceat(np.add.reduceat(image, rows, axis=0), cols, axis=1)

@@ -38,11 +38,9 @@ def solved_together(
 ) -> Floats:
     """Estimate static pixels whose samples hold more light of saturated neighbours than of their own.
 
-    A pixel open for one slot among pixels open for long needs a joint solution with them. The measurements
-    are linear in all of them, ``mix(irradiance x exposure)``. The estimate fits them best, weighted by the
-    variances of noise and attribution, and stays near uniform light where the frames have no information. It
-    is the maximum of the posterior for a Gaussian prior. Uniform light is the mean of the measured samples,
-    but no less than the bound of the saturated ones.
+    The measurements are linear in all of them, ``mix(irradiance x exposure)``. The estimate is the maximum of
+    the posterior for a Gaussian prior about uniform light, by the variances of noise and attribution.
+    Uniform light is the mean of the measured samples, but no less than the bound of the saturated ones.
     """
     uniform, sigma = _expected(calibration, samples, alive, usable, floor)
     number = np.where(unknown, np.cumsum(unknown).reshape(unknown.shape) - 1, -1)

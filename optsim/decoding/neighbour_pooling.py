@@ -39,10 +39,6 @@ def pooled(
     PAMI 2, 1980, doi:10.1109/TPAMI.1980.4766994). So noise is averaged where it dominates, and texture above
     it stays. Means are not made positive before, and variances are those of the pooled light, not of each
     pixel's own: both would bias the dark.
-
-    An unmeasured pixel is estimated from its neighbours alone. Their differences from it are taken to be
-    Laplacian, as for total variation (L. I. Rudin, S. Osher and E. Fatemi, Physica D 60, 1992,
-    doi:10.1016/0167-2789(92)90242-F), so that edges stay.
     """
     means, known = np.pad(mean, 1), np.pad(measured, 1)
     evidence = [share * known[around] for share, around in _neighbours(mean.shape)]
@@ -59,6 +55,8 @@ def pooled(
         for share, (_, around) in zip(evidence, _neighbours(mean.shape), strict=True):
             apart = np.abs(there[around] - estimate)
             beyond_noise = apart.astype(np.float64) ** 2 - _SURELY**2 * (own + variances[around])
+            # An unmeasured pixel's neighbours differ from it by a Laplacian, as for total variation (L. I.
+            # Rudin, S. Osher and E. Fatemi, Physica D 60, 1992, doi:10.1016/0167-2789(92)90242-F).
             differ = np.where(
                 measured,
                 np.maximum(texture * _squares(light, lights[around]), beyond_noise),

@@ -20,35 +20,19 @@ _FAR = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Partial:
-    """Reconstruction of one coded frame by one decoder, before a union joins it with another.
+    """Reconstruction of one coded frame by one decoder, before a union joins it with another."""
 
-    Parameters
-    ----------
-    index : int
-        Coded-frame index.
-    irradiance_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32
-        Mean irradiance in each slot, or the same for all slots; never negative.
-    blend_weight : ndarray of shape (v, u), float32
-        Its share of the joined image, 0..1.
-    valid, interpolated, moving : ndarray of shape (v, u), bool
-        As in :class:`~optsim.core.quantities.Reconstruction`.
-    slots : int
-        Slots of the frame's period.
-    uncertainty_w_m2 : ndarray of shape (slot, v, u) or (1, v, u), float32, or None
-        Standard deviation of the irradiance as the decoder predicts it; None if unknown.
-    held_out : ndarray of shape (v, u), float32, or None
-        Squared error of each sample as the others predict it, of mean light while the pixel was open; NaN
-        where there is none, None if unknown.
-    """
+    # Masks as in :class:`~optsim.core.quantities.Reconstruction`.
 
-    index: int
-    irradiance_w_m2: Floats
-    blend_weight: Floats
+    index: int  # Of the coded frame.
+    irradiance_w_m2: Floats  # (slot, v, u), mean of each slot, or (1, v, u) for all; never negative.
+    blend_weight: Floats  # (v, u), its share of the joined image, 0..1.
     valid: Bools
     interpolated: Bools
     moving: Bools
-    slots: int
-    uncertainty_w_m2: Floats | None = None
+    slots: int  # Of the frame's period.
+    uncertainty_w_m2: Floats | None = None  # Standard deviation as the decoder predicts it; None if unknown.
+    # (v, u), squared error of each sample's mean light as the others predict it; NaN without a sample.
     held_out: Floats | None = None
 
     def finished(self) -> Reconstruction:
@@ -67,10 +51,8 @@ class Partial:
 
 
 def positive_mean(mean: Floats, variance: Floats) -> Floats:
-    """Mean of a Gaussian cut off at zero: the expected light given that it isn't negative.
-
-    Noise puts dark pixels below zero as often as above; clipping would bias them.
-    """
+    """Mean of a Gaussian cut off at zero: the expected light given that it isn't negative."""
+    # Noise puts dark pixels below zero as often as above; clipping would bias them.
     sigma = np.broadcast_to(np.sqrt(np.maximum(variance, 1e-30)), mean.shape)
     result = mean.copy()
     near = mean < _FAR * sigma

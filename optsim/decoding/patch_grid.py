@@ -30,10 +30,7 @@ def cut_patches(image: NDArray[_Kind], corners: Ints, patch: int) -> NDArray[_Ki
 
 
 def overlap(shape: tuple[int, ...], patch: int, stride: int, along: Floats | None = None) -> Floats:
-    """Count the patches of the whole grid over each pixel: array of shape (v, u), float32.
-
-    ``along`` is the weight of a pixel by its place along either side of a patch, instead of 1.
-    """
+    """Count the grid's patches over each pixel, (v, u), or sum their weights ``along`` either side."""
     counts: list[Floats] = []
     for length in shape:
         count = np.zeros(length, np.float32)

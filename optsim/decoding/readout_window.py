@@ -18,17 +18,13 @@ _SIGMA_OVER_MEDIAN = 1.4826  # of a Gaussian's absolute value
 
 
 def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
-    """Estimate the rms difference between each pixel's readout window and the pixel's mean.
+    """Estimate the rms difference between each pixel's readout window, narrower by ``ratio``, and its mean.
 
-    The readout window is narrower than its panel pixel by ``ratio``. The larger of two estimates counts.
-
-    Curvature: where light curves by E'' over a pixel, the mean over a width w exceeds the central value by
-    E''/2 w^2/12 along each axis; the curvature is measured between pixels.
-
-    Roughness: in natural images power falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A
-    4, 2379, 1987, doi:10.1364/JOSAA.4.002379), so roughness between pixels gives the roughness within. It is
-    the Laplacian's median over 3 x 3, which edges and lamps don't move, minus its noise. Smoothing by a lens
-    is ignored, so this is an upper estimate.
+    The larger of two estimates counts. Curvature: where light curves by E'' over a pixel, the mean over a
+    width w exceeds the central value by E''/2 w^2/12 along each axis. Roughness: in natural images power
+    falls with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4, 2379, 1987,
+    doi:10.1364/JOSAA.4.002379), so roughness between pixels gives that within. A lens's smoothing is ignored:
+    this is an upper estimate.
     """
     from scipy import ndimage
 
@@ -37,6 +33,7 @@ def missed(irradiance: Floats, variance: Floats, ratio: float) -> Floats:
     median = cast("Callable[..., Floats]", ndimage.median_filter)
     curvature = np.abs(laplace(irradiance, mode="nearest"))
     noise = convolve(variance, np.array([[0, 1, 0], [1, 16, 1], [0, 1, 0]], np.float32), mode="nearest")
+    # The median over 3 x 3: edges and lamps don't move it.
     roughness = (_SIGMA_OVER_MEDIAN * median(curvature, size=3, mode="nearest")) ** 2
     rough = np.sqrt(np.maximum(roughness - noise, 0)) * missed_of_roughness(ratio)
     return np.maximum(curvature * abs(1 - ratio**-2) / 24, rough).astype(np.float32)

@@ -34,21 +34,13 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True, eq=False)
 class SharedWeights:
-    """Assignment of patches to shared weights, and these weights.
+    """Assignment of patches to shared weights, and these weights."""
 
-    Parameters
-    ----------
-    tile : ndarray of shape (v, u, slot), float32
-        Weights of the periodic tile; as many rows or columns as the image where there is no period.
-    phase : ndarray of shape (p,), int64
-        Place in the tile at which each patch starts, row by row; -1 for patches with their own weights.
-    patch : int
-        Side of a patch, panel pixels.
-    """
-
+    # (v, u, slot), the periodic tile; as many rows or columns as the image where there is no period.
     tile: Floats
+    # (p,), place in the tile at which each patch starts, row by row; -1 for those with their own weights.
     phase: Ints
-    patch: int
+    patch: int  # Side of a patch, panel pixels.
 
     def weights(self, phase: int) -> Floats:
         """Weights (pixel, slot) of the patches that start at a place of the tile."""
@@ -63,11 +55,7 @@ class SharedWeights:
 def shared_weights(
     weights: Floats, mask: Bools, corners: Ints, patch: int, tolerance: float
 ) -> SharedWeights:
-    """Find the patches that share weights.
-
-    Where the tile excludes many patches, because weights drift over the rows or columns, only
-    patches of the same rows, or columns, share.
-    """
+    """Find the patches that share weights."""
     rows, cols = mask.shape
     v, u = code_period(weights, mask, tolerance)
     if (v, u) == (rows, cols):
@@ -77,6 +65,7 @@ def shared_weights(
     if left_out.any():
         # No tile includes patches with a hole.
         left_out &= _gathered(mask, corners, patch) == patch**2
+    # Weights drift over the rows or columns: only patches of the same rows, or columns, share.
     for tile in ((rows, u), (v, cols)):
         if 2 * len(np.unique(places(corners[left_out], tile))) < left_out.sum():
             other = _shared(weights, mask, corners, patch, tolerance, tile)
@@ -94,15 +83,8 @@ def weights_at(tile: Floats, place: int, patch: int) -> Floats:
 
 
 def followed_tile(weights: Floats, mask: Bools, tolerance: float) -> tuple[Floats, Bools]:
-    """Find the periodic tile that most pixels follow, and the pixels that do.
-
-    Returns
-    -------
-    tile : ndarray of shape (v, u, slot), float32
-        Weights; as many rows or columns as the image where there is no period or weights drift along it.
-    follows : ndarray of shape (v, u), bool
-        Pixels of the mask whose weights differ by less than the tolerance, relative rms.
-    """
+    """Find the tile (v, u, slot) that most pixels follow to the tolerance, relative rms, and these pixels."""
+    # As many rows or columns as the image where there is no period or weights drift along it.
     rows, cols = mask.shape
     v, u = code_period(weights, mask, tolerance / _APART)
     best = np.zeros((v, u, weights.shape[2]), np.float32), np.zeros_like(mask)

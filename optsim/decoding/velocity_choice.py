@@ -65,16 +65,15 @@ def gradient_cost(picture: Floats, along: VelocityBlur, inside: tuple[slice, sli
 
     Minus the log-likelihood of the coded image if the gradients of its sharp image follow one generalised
     Gaussian of any scale, with the exponent 1/2 (A. Levin, R. Fergus, F. Durand and W. T. Freeman, ACM Trans.
-    Graph. 26(3), 70 (2007), doi:10.1145/1276377.1276464, take 0.8). It has two terms: the logarithm of their
-    generalised mean, and that of the determinant of the deblurring filter. Without the second the blurred
-    image itself would be the likeliest. Light is not negative; negative light counts as a gradient of that
-    size.
+    Graph. 26(3), 70 (2007), doi:10.1145/1276377.1276464, take 0.8).
     """
     rows, cols = inside
     near = picture[rows.start - 1 : rows.stop, cols.start - 1 : cols.stop]
     here = near[1:, 1:]
     rough = np.sqrt(np.abs(here - near[:-1, 1:])) + np.sqrt(np.abs(here - near[1:, :-1]))
+    # Light is not negative; negative light counts as a gradient of that size.
     rough += np.sqrt(np.maximum(-here, 0))
+    # The determinant of the deblurring filter, without which the blurred image would be the likeliest.
     undone = 0.5 * float(np.log(along.power).mean(dtype=np.float64))
     # In pure noise no velocity can score better than the noise allows.
     least = np.float32(max(_OF_NOISE * math.sqrt(along.rough), _LEAST))
@@ -134,14 +133,11 @@ _AROUND = sorted(((i, k) for i in (-1, 0, 1) for k in (-1, 0, 1)), key=lambda st
 
 
 def velocity_labels(costs: Floats) -> Ints:
-    """Choose a velocity for each pixel: the index of its least cost, (v, u).
-
-    The share of all pixels that a velocity has is its prior probability, as in a fitted mixture. It decides
-    where the costs give little evidence.
-    """
+    """Choose a velocity for each pixel: the index of its least cost, (v, u)."""
     shares = np.full(len(costs), 1 / len(costs))
     labels = np.zeros(costs.shape[1:], np.int64)
     for _ in range(_SETTLED):
+        # Its share of all pixels, as in a fitted mixture: it decides where the costs give little evidence.
         prior = np.log(np.maximum(shares, 1 / labels.size)) / _EVIDENCE
         labels = (costs - prior[:, None, None]).argmin(axis=0)
         shares = np.bincount(labels.ravel(), minlength=len(costs)) / labels.size

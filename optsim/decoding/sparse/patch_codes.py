@@ -27,21 +27,11 @@ _OWN_BLOCK, _SHARED_BLOCK = 256, 2048
 
 @dataclass(frozen=True, eq=False)
 class PatchCoder:
-    """A dictionary arranged for measuring, used for all frames of a video.
+    """A dictionary arranged for measuring, used for all frames of a video."""
 
-    Parameters
-    ----------
-    by_pixel : ndarray of shape (pixel, slot, atom), float32
-        The atoms, so that a row of a measurement matrix is a short sum of contiguous rows.
-    sums : ndarray of shape (pixel, atom), float32
-        Their sums over the slots, for the leak in every slot.
-    atoms : ndarray of shape (atom, v, u, slot), float32
-        The atoms themselves.
-    """
-
-    by_pixel: Floats
-    sums: Floats
-    atoms: Floats
+    by_pixel: Floats  # (pixel, slot, atom): a row of a measurement matrix is a short sum of contiguous rows.
+    sums: Floats  # (pixel, atom), sums over the slots, for the leak in every slot.
+    atoms: Floats  # (atom, v, u, slot).
 
     @classmethod
     def of(cls, dictionary: Dictionary) -> PatchCoder:
@@ -60,11 +50,7 @@ class PatchCoder:
         cap: int,
         noise_gain: float,
     ) -> tuple[Ints, Floats]:
-        """Sparse codes of the patches at ``corners``.
-
-        Patches that share their weights share one matrix; the others get their own. Blocks run in threads;
-        the result does not depend on how many.
-        """
+        """Sparse codes of the patches at ``corners``; those that share their weights share one matrix."""
         patch = self.atoms.shape[1]
         support = np.empty((len(corners), cap), np.int64)
         amounts = np.empty((len(corners), cap), np.float32)
@@ -121,17 +107,11 @@ def _gather(signal: Floats, variance: Floats, corners: Ints, patch: int) -> tupl
 def measurement_matrix(
     by_pixel: Floats, sums: Floats, weights: Floats, matrix: Floats, lengths: Floats
 ) -> None:
-    """Measured atoms for weights of shape (pixel, slot), as unit columns and their lengths.
-
-    An atom that the code hardly measures, by less than a share of the median atom's length, gets a column of
-    zeros and an infinite length: noise and the residual of other atoms would be amplified.
-
-    Most slots of a pixel have the same weight (the leak of a dark panel): they cost one row, and only the
-    others are added one by one.
-    """
+    """Measured atoms for weights of shape (pixel, slot), as unit columns and their lengths."""
     lengths[:] = 0
     for m in range(weights.shape[0]):
         row = matrix[m]
+        # Most slots have the same weight (the leak of a dark panel): they cost one row.
         least = weights[m].min()
         for k in range(len(row)):
             row[k] = least * sums[m, k]
@@ -146,6 +126,7 @@ def measurement_matrix(
             lengths[k] += row[k] * row[k]
     for k in range(len(lengths)):
         lengths[k] = np.sqrt(lengths[k])
+    # Hardly measured atoms, zero columns: noise and the residual of others would be amplified.
     least_length = np.float32(_HARDLY) * np.median(lengths)
     for k in range(len(lengths)):
         if lengths[k] < least_length or lengths[k] == 0:
