@@ -57,15 +57,13 @@ class FlutterShutter(PeriodicScheme):
 
 @lru_cache
 def flutter_code(n: int) -> Bools:
-    """Choose the code of n chops, n // 2 of them open, the first and last among them.
-
-    Each start opens the chops where a chirp is lowest, since chirps have flat spectra. Then an open and a
-    closed chop are exchanged, the pair that raises the spectrum's minimum most, until none raises it.
-    """
+    """Choose the code of n chops, n // 2 of them open, the first and last among them."""
     chop = np.arange(n)
     waves = np.exp(-2j * np.pi * np.outer(chop, np.arange(_PADDING * n // 2 + 1)) / (_PADDING * n))
     golden = (np.sqrt(5) - 1) / 2
     codes: list[tuple[float, Bools]] = []
+    # Each start opens the chops where a chirp, whose spectrum is flat, is lowest. Then an open and a closed
+    # chop are exchanged, the pair that raises the spectrum's minimum most, until none raises it.
     for start in range(1, _STARTS + 1):
         code = np.zeros(n, np.bool_)
         code[[0, -1]] = True

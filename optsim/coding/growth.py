@@ -17,11 +17,8 @@ _FURTHEST_LENGTHS = 3.0
 
 
 def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
-    """Sweep each region along its displacement, up to ``frames_ahead`` times as far.
-
-    The motion is continued straight at the same speed. A region without a measured displacement stays
-    unchanged. A region cut by the panel's edge, or just merged or split, follows its centroid.
-    """
+    """Sweep each region along its displacement, straight on and up to ``frames_ahead`` times as far."""
+    # A region cut by the panel's edge, or just merged or split, follows its centroid.
     places, displacements = region_displacements(mask, before)
     swept = mask.copy()
     for (v, u), displacement in zip(places, displacements, strict=True):
@@ -37,13 +34,11 @@ def swept_ahead(mask: Bools, before: Bools, frames_ahead: float) -> Bools:
 
 
 def region_displacements(mask: Bools, before: Bools) -> tuple[list[tuple[Ints, Ints]], Doubles]:
-    """Displacement of each region's centroid since the mask before.
+    """Displacement of each region's centroid since the mask before; NaN if unknown.
 
     Two successive masks share the frame between them. So a region overlaps its predecessor unless it moves by
-    more than its length in a frame. Otherwise a mask has one region for each of its two frames: that of the
-    shared frame stays, and the new one comes from it. So the predecessor is the region with the largest
-    overlap. Without overlap it is the region with the nearest centroid, within three lengths (the larger side
-    of the region's bounding box).
+    more than its length in a frame. If it does, the shared frame's region stays, and a new one comes from it.
+    Without overlap the predecessor is the nearest region within three lengths.
     """
     (now, n_now), (then, n_then) = regions(mask), regions(before)
     places = _places(now, n_now)

@@ -24,19 +24,11 @@ from optsim.optics.neighbourhoods import dilated, remove_specks
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveState:
-    """State of the adaptive scheme between frames.
-
-    Parameters
-    ----------
-    static, moving : PeriodicCode
-        The two codes it chooses from.
-    changes : Changes
-        What the frames that have arrived tell of motion.
-    """
+    """State of the adaptive scheme between frames."""
 
     static: PeriodicCode
     moving: PeriodicCode
-    changes: Changes
+    changes: Changes  # What the frames that have arrived tell of motion.
 
 
 class MotionAdaptive(Part):
