@@ -37,7 +37,6 @@ from optsim.core.quantities import (
     Floats,
     RadianceVideo,
     Segment,
-    made_radiance,
 )
 from optsim.optics.fringe_correction import cell_weights
 from optsim.optics.fringing import whole_cells
@@ -181,7 +180,7 @@ def moving_patches(camera: CodedCamera, share: float, rng: np.random.Generator) 
             excess = np.stack([_patch(texture, slot / n_slots, under) for slot in slots])
             blocks.append(Block(row, col, excess))
         segments.append(Segment(base, base, tuple(blocks), _SEGMENT))
-    return made_radiance(
+    return RadianceVideo.on_view(
         view,
         camera.slot_s,
         lambda index: segments[index % len(segments)],

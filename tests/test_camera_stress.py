@@ -13,7 +13,7 @@ from optsim.camera.parts import Modulator, Splitter, throughput
 from optsim.camera.parts.objective import MOVING_TAIL_SHARE
 from optsim.core.config import build
 from optsim.core.errors import ConfigError, GeometryError
-from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, Segment, made_radiance
+from optsim.core.quantities import Block, ExposureCode, IrradianceVideo, RadianceVideo, Segment
 from optsim.optics.panel import WEIGHT_ERROR
 from optsim.optics.radiometry import photons_per_joule
 
@@ -122,7 +122,7 @@ def scene(camera, moving, rng):
         change = np.where(late > 0.5, -1.0, 0) if index == 0 else np.sin(40 * late)
         return Segment(start, stop, (Block(row, col, (change * base).astype(np.float32)),), n)
 
-    return made_radiance(view, camera.slot_s, load, slots_per_segment=n, n_slots=2 * n)
+    return RadianceVideo.on_view(view, camera.slot_s, load, slots_per_segment=n, n_slots=2 * n)
 
 
 def shown(camera, levels):
@@ -134,10 +134,9 @@ def even_light(camera, w_m2):
     """Irradiance that is the same everywhere and always."""
     view, n = camera.view, camera.slots_per_frame
     image = np.full((view.rows, view.cols), w_m2, np.float32)
-    return IrradianceVideo(
-        rows=view.rows, cols=view.cols, samples_per_pitch=view.samples_per_pitch, slot_s=camera.slot_s,
-        instants_per_slot=1, slots_per_segment=n, n_slots=2 * n, load=lambda _: Segment(image, image, (), n),
-    )  # fmt: skip
+    return IrradianceVideo.on_view(
+        view, camera.slot_s, lambda _: Segment(image, image, (), n), slots_per_segment=n, n_slots=2 * n
+    )
 
 
 def steps(segment):
@@ -342,7 +341,7 @@ def test_an_exposure_over_15_orders_of_radiance_is_that_of_dense_float64(diffrac
     radiance = np.geomspace(1e-6, 1e9, view.cols) * rng.uniform(0.3, 1, (view.rows, view.cols))
     radiance = radiance.astype(np.float32)
     segment = Segment(radiance, radiance, (), 12)
-    video = made_radiance(view, camera.slot_s, lambda _: segment, slots_per_segment=12, n_slots=12)
+    video = RadianceVideo.on_view(view, camera.slot_s, lambda _: segment, slots_per_segment=12, n_slots=12)
     code = shown(camera, rng.integers(0, 256, (12, 5, 7)))
     found = camera.expected_electrons(camera.form_image(video), 0, code, None)[0]
 
@@ -472,7 +471,7 @@ def test_a_window_that_goes_dark_leaves_neither_light_nor_less_than_none():
 
     def instant(base, blocks):
         segment = Segment(base, base, blocks, 4)
-        video = made_radiance(view, camera.slot_s, lambda _: segment, slots_per_segment=4, n_slots=4)
+        video = RadianceVideo.on_view(view, camera.slot_s, lambda _: segment, slots_per_segment=4, n_slots=4)
         return camera.form_image(video).load(0).instant(3) / camera.irradiance_per_radiance
 
     left, dark = instant(lit, (Block(20, 150, gone),)), instant(room, ())

@@ -1,14 +1,12 @@
 """A coded frame without blur, pixel by pixel, against sums written here: radiance, slots, parts, patterns."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from optsim.camera.camera import CodedCamera
 from optsim.camera.hardware import demo
 from optsim.camera.parts.chain import stage_transmissions
-from optsim.core.quantities import ExposureCode, Segment, made_radiance
+from optsim.core.quantities import ExposureCode, RadianceVideo, Segment
 from optsim.optics.aberrations import Wavefront
 
 V, U, SLOTS, CODED, N_SUB = 6, 8, 8, 6, 4
@@ -75,8 +73,10 @@ def light(made: CodedCamera, pixels):
         fine = np.kron(pixels, np.ones((3, 3))).astype(np.float32)
         return Segment(radiance_at(fine, slot), radiance_at(fine, slot + 1), (), N_SUB)
 
-    video = made_radiance(made.view, made.slot_s, load, slots_per_segment=1, n_slots=2 * SLOTS)
-    return made.form_image(replace(video, instants_per_slot=N_SUB))
+    video = RadianceVideo.on_view(
+        made.view, made.slot_s, load, slots_per_segment=1, n_slots=2 * SLOTS, instants_per_slot=N_SUB
+    )
+    return made.form_image(video)
 
 
 def on_and_off(made: CodedCamera) -> tuple[float, float]:

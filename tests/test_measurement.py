@@ -18,7 +18,7 @@ from optsim.camera.true_calibration import true_calibration
 from optsim.coding import RandomExposure
 from optsim.core.errors import ConfigError, OptsimError, StorageError, ValueCheckError
 from optsim.core.files import read_exr, write_exr, write_png8, write_png16
-from optsim.core.quantities import ExposureCode, Floats, Segment, made_radiance
+from optsim.core.quantities import ExposureCode, Floats, RadianceVideo, Segment
 from optsim.decoding import GaussianMixture, Interpolation, Union
 from optsim.experiment.measurement import Sensor, coded_measurement, decode_measurement, read_measurement
 from optsim.experiment.measurement.coded import code_levels
@@ -342,7 +342,7 @@ def test_frames_of_a_camera_that_a_bench_knows(tmp_path: Path) -> None:
     code = ExposureCode(levels, np.ones(levels.shape[1:], np.bool_))
     view, slots = camera.view, camera.slots_per_frame
     flat = np.full((view.rows, view.cols), 0.3, np.float32)
-    still = made_radiance(
+    still = RadianceVideo.on_view(
         view,
         camera.slot_s,
         lambda _: Segment(flat, flat, (), slots),

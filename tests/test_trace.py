@@ -13,7 +13,7 @@ from optsim.app.cli import main
 from optsim.camera.camera import CodedCamera
 from optsim.camera.effects import with_effects
 from optsim.core.files import read_json, read_png16
-from optsim.core.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment, made_radiance
+from optsim.core.quantities import Block, CodedFrame, ExposureCode, RadianceVideo, Segment
 from optsim.core.random_streams import stream
 from optsim.experiment import calibrations, job, loop, trace
 from optsim.experiment.experiment import Experiment, load_experiment
@@ -71,7 +71,7 @@ def made_scene(camera: CodedCamera) -> RadianceVideo:
 
 
 def one_frame(camera: CodedCamera, load) -> RadianceVideo:
-    return made_radiance(camera.view, camera.slot_s, load, slots_per_segment=9, n_slots=SLOTS)
+    return RadianceVideo.on_view(camera.view, camera.slot_s, load, slots_per_segment=9, n_slots=SLOTS)
 
 
 def traced(experiment: Experiment, traced: TracedPixel) -> tuple[Trace, CodedCamera, np.ndarray, Shot]:

@@ -32,9 +32,9 @@ from optsim.core.quantities import (
     ExposureCode,
     Floats,
     IrradianceVideo,
+    RadianceVideo,
     Segment,
     Words,
-    made_radiance,
 )
 from optsim.optics.panel import settled_panel
 
@@ -232,7 +232,7 @@ class _Laboratory:
         radiance = np.full(
             (view.rows, view.cols), irradiance_w_m2 / camera.irradiance_per_radiance, np.float32
         )
-        sphere = made_radiance(
+        sphere = RadianceVideo.on_view(
             view, camera.slot_s, lambda _: Segment(radiance, radiance, (), n), slots_per_segment=n, n_slots=n
         )
         return camera.form_image(sphere)
@@ -262,15 +262,13 @@ class _Laboratory:
         strip = np.broadcast_to(pulse[:, None, None], (len(pulse), view.rows, width))
         black = np.zeros((view.rows, view.cols), np.float32)
         flash = Block(0, (view.cols - width) // 2, np.ascontiguousarray(strip))
-        led = IrradianceVideo(
-            rows=view.rows,
-            cols=view.cols,
-            samples_per_pitch=view.samples_per_pitch,
-            slot_s=camera.slot_s,
-            instants_per_slot=len(pulse),
+        led = IrradianceVideo.on_view(
+            view,
+            camera.slot_s,
+            lambda index: Segment(black, black, (flash,) if index == slot else (), len(pulse)),
             slots_per_segment=1,
             n_slots=n_slots,
-            load=lambda index: Segment(black, black, (flash,) if index == slot else (), len(pulse)),
+            instants_per_slot=len(pulse),
         )
         first, second = (np.full(self.panel, level, np.uint8) for level in (before, after))
         return self._take(camera, led, first, second, 1)

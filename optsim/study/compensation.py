@@ -144,15 +144,9 @@ def _photograph(
     """Mean of frames, with their noise, of a panel that is held at some levels in even light, (y, x), DN."""
     view, slots = camera.view, camera.slots_per_frame
     image = np.full((view.rows, view.cols), irradiance_w_m2, np.float32)
-    light = IrradianceVideo(
-        rows=view.rows,
-        cols=view.cols,
-        samples_per_pitch=view.samples_per_pitch,
-        slot_s=camera.slot_s,
-        instants_per_slot=1,
-        slots_per_segment=slots,
-        n_slots=slots,
-        load=lambda _: Segment(image, image, (), slots),
+    even = Segment(image, image, (), slots)
+    light = IrradianceVideo.on_view(
+        view, camera.slot_s, lambda _: even, slots_per_segment=slots, n_slots=slots
     )
     code = ExposureCode(np.repeat(levels[None], slots, axis=0), np.zeros(levels.shape, np.bool_))
     expected_e, _ = camera.expected_electrons(light, 0, code, settled_panel(levels, camera.panel_response))

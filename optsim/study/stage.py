@@ -23,7 +23,6 @@ from optsim.core.quantities import (
     Floats,
     IrradianceVideo,
     PanelState,
-    RadianceVideo,
     Segment,
 )
 from optsim.experiment.calibrations import Calibrations, calibrate_all
@@ -139,14 +138,12 @@ def stage_of(text: str, frames: int) -> Stage:
     return make_stage(base, frames_to_score(base, frames))
 
 
-def make_stage(
-    base: Experiment, scored: tuple[int, ...], made_radiance: RadianceVideo | None = None
-) -> Stage:
+def make_stage(base: Experiment, scored: tuple[int, ...]) -> Stage:
     """Render or find the truth, calibrate the unchanged camera, set its light, and make the targets."""
     modelled, _ = planned(base)
     calibrations = calibrate_all(modelled)
     modelled.check_methods(calibrations)
-    radiance = render_truth(base) if made_radiance is None else made_radiance
+    radiance = render_truth(base)
     camera, light = set_light(modelled, radiance, calibrations[modelled.calibration_choice])
     truth = camera.form_image(radiance)
     segments = Memory[Segment](_segment_bytes, min(_SEGMENT_BYTES, available_bytes() / 8))

@@ -205,15 +205,9 @@ def _halves(camera: CodedCamera, left: float, right: float) -> IrradianceVideo:
     view, slots = camera.view, camera.slots_per_frame
     image = np.full((view.rows, view.cols), left, np.float32)
     image[:, view.cols // 2 :] = right
-    return IrradianceVideo(
-        rows=view.rows,
-        cols=view.cols,
-        samples_per_pitch=view.samples_per_pitch,
-        slot_s=camera.slot_s,
-        instants_per_slot=1,
-        slots_per_segment=slots,
-        n_slots=slots * _FRAMES,
-        load=lambda _: Segment(image, image, (), slots),
+    segment, n_slots = Segment(image, image, (), slots), slots * _FRAMES
+    return IrradianceVideo.on_view(
+        view, camera.slot_s, lambda _: segment, slots_per_segment=slots, n_slots=n_slots
     )
 
 

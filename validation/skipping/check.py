@@ -33,7 +33,7 @@ from optsim.coding import (
     Scheme,
 )
 from optsim.coding.periodic import PeriodicCode
-from optsim.core.quantities import Block, ExposureCode, RadianceVideo, Segment, made_radiance
+from optsim.core.quantities import Block, ExposureCode, RadianceVideo, Segment
 from optsim.scene import BrightLight
 
 CLAIM = (
@@ -243,7 +243,7 @@ def _scene(camera: CodedCamera, lights: Sequence[tuple[BrightLight, tuple[float,
         )
         for at in range(0, n, _SEGMENT)
     ]
-    return made_radiance(
+    return RadianceVideo.on_view(
         view,
         camera.slot_s,
         lambda index: segments[index],

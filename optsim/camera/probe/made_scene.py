@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from optsim.camera.camera import CodedCamera
-from optsim.core.quantities import Block, Floats, RadianceVideo, Segment, made_radiance
+from optsim.core.quantities import Block, Floats, RadianceVideo, Segment
 from optsim.scene import BrightLight
 
 # Declared white over the interior's bright places: about that of window_room, lit by its window alone. In
@@ -58,7 +58,7 @@ def made_scene(camera: CodedCamera, white_w_m2_sr: float, bright: BrightLight | 
     excess = np.stack([picture((t + 0.5) / n)[window] - lines.instant(t)[window] for t in range(n)])
     moving = replace(lines, blocks=(Block(row, col, excess),))
     segments = [moving, *[still] * (parts - 1)]
-    return made_radiance(
+    return RadianceVideo.on_view(
         view,
         camera.slot_s,
         lambda index: segments[index],

@@ -24,7 +24,6 @@ from optsim.core.quantities.video import (
     Timing,
     Video,
     View,
-    made_radiance,
 )
 
 __all__ = [
@@ -50,5 +49,4 @@ __all__ = [
     "View",
     "Words",
     "checked",
-    "made_radiance",
 ]

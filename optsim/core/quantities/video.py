@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -177,6 +177,22 @@ class Video:
     n_slots: int
     load: Callable[[int], Segment] = field(repr=False)
 
+    @classmethod
+    def on_view(
+        cls,
+        view: View,
+        slot_s: float,
+        load: Callable[[int], Segment],
+        *,
+        slots_per_segment: int,
+        n_slots: int,
+        instants_per_slot: int = 1,
+        **others: Any,
+    ) -> Self:
+        """Make a video of light that isn't rendered, on a camera's view; arguments as of the class."""
+        grid = view.rows, view.cols, view.samples_per_pitch
+        return cls(*grid, slot_s, instants_per_slot, slots_per_segment, n_slots, load, **others)
+
     def __post_init__(self) -> None:
         if self.n_slots % self.slots_per_segment:
             raise ValueCheckError(
@@ -249,40 +265,3 @@ class IrradianceVideo(Video):
 
     UNIT: ClassVar[str] = "W m^-2"
     shading: Floats = field(default_factory=lambda: np.ones((1, 1), np.float32), repr=False)
-
-
-def made_radiance(
-    view: View,
-    slot_s: float,
-    load: Callable[[int], Segment],
-    *,
-    slots_per_segment: int,
-    n_slots: int,
-    white_w_m2_sr: float = 1.0,
-) -> RadianceVideo:
-    """Make a video of light that isn't rendered, on a camera's view and slots, one instant a slot.
-
-    Parameters
-    ----------
-    view : View
-        Fine grid.
-    slot_s : float
-        Duration of a slot, s.
-    load : callable
-        Segment index -> Segment.
-    slots_per_segment, n_slots : int
-        Slots between two key instants, and in the whole video.
-    white_w_m2_sr : float
-        Declared white.
-    """
-    return RadianceVideo(
-        rows=view.rows,
-        cols=view.cols,
-        samples_per_pitch=view.samples_per_pitch,
-        slot_s=slot_s,
-        instants_per_slot=1,
-        slots_per_segment=slots_per_segment,
-        n_slots=n_slots,
-        white_w_m2_sr=white_w_m2_sr,
-        load=load,
-    )
