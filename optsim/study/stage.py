@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from optsim.camera.camera import CodedCamera
 from optsim.core.config import build
-from optsim.core.free_memory import available_bytes
+from optsim.core.memory import available_bytes
 from optsim.core.quantities import (
     Bools,
     CodedFrame,

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from optsim.core.errors import OptsimError, StorageError
-from optsim.core.free_memory import available_bytes
+from optsim.core.memory import available_bytes
 
 # Largest expansion in zlib's format: no valid file exceeds this times its compressed bytes.
 DEFLATE_LIMIT = 1032
