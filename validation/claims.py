@@ -31,7 +31,7 @@ from optsim.metrics.claims import CLAIMS
 from optsim.metrics.pairs import advantage
 from optsim.metrics.records import AREAS, PairRecord, Verdict
 from optsim.metrics.student import half_width
-from optsim.report.markdown import markdown_table
+from optsim.report.words import markdown_table
 
 REPORTS = Path("reports")
 OUT, FIGURE4, FIGURES = REPORTS / "claims.md", REPORTS / "figure4.md", REPORTS / "figures" / "claims.json"

@@ -32,7 +32,7 @@ from optsim.experiment import calibrations, loop
 from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.scoring import score
 from optsim.experiment.truth import render_truth
-from optsim.report.markdown import markdown_table
+from optsim.report.words import markdown_table
 
 OUT = Path("reports") / "fidelity.md"
 KEPT = Path("reports") / "runs" / "fidelity"

@@ -24,7 +24,7 @@ from optsim.experiment.loop import Result, planned, run
 from optsim.experiment.scoring import Scorer, score
 from optsim.experiment.truth import render_truth
 from optsim.metrics.records import Score
-from optsim.report.markdown import markdown_table
+from optsim.report.words import markdown_table
 
 OUT = Path("reports") / "imperfections.md"
 KEPT = Path("reports") / "runs" / "imperfections"

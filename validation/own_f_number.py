@@ -21,7 +21,7 @@ from optsim.experiment.experiment import Experiment, load_experiment
 from optsim.experiment.truth import render_truth
 from optsim.metrics.records import Score
 from optsim.report.headline import Row, table
-from optsim.report.markdown import markdown_table
+from optsim.report.words import markdown_table
 from optsim.study.own_f_number import OwnLight, compare
 
 SCENES = ("window_room", "half_moving", "night_street")

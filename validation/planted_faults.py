@@ -46,7 +46,7 @@ from optsim.report.baseline import (
 )
 from optsim.report.comparison import Comparison, compare
 from optsim.report.comparison_text import cells, detectable_lines, headline, ranked
-from optsim.report.markdown import markdown_table
+from optsim.report.words import markdown_table
 
 OUT = Path("reports") / "planted_faults.md"
 RUNS = Path("reports") / "runs" / "planted_faults"

@@ -23,8 +23,8 @@ import numpy as np
 from optsim.core.errors import ConfigError
 from optsim.core.files import write_text
 from optsim.experiment.experiment import Experiment, load_experiment
-from optsim.report.markdown import markdown_table
 from optsim.report.plots import write_signed_bars
+from optsim.report.words import markdown_table
 from optsim.study.comparison import Seeds
 from optsim.study.folder import Workplace, chosen_methods
 from optsim.study.measurement import measured

@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 from optsim.metrics.tolerances import short_name
 from optsim.report import words
 from optsim.report.comparison import ALL_CASES, Comparison, Delta
-from optsim.report.markdown import markdown_table
 
 COLUMNS = ("verdict", "scene", "method", "region", "metric", "change", "interval", "before", "after")
 _MOST_ROWS, _MOST_NOTES = 40, 12
@@ -119,13 +118,13 @@ def as_markdown(found: Comparison) -> str:
             "",
             *(f"- {line}" for line in detectable_lines(found) or ["none: nothing has an interval"]),
             "",
-            *markdown_table(COLUMNS, [cells(d) for d in shown(found)]),
+            *words.markdown_table(COLUMNS, [cells(d) for d in shown(found)]),
             "",
             *(f"- {line}" for line in further_lines(found)),
             "",
             f"<details><summary>All {len(rest)} judged rows</summary>",
             "",
-            *markdown_table(COLUMNS, [cells(d) for d in rest]),
+            *words.markdown_table(COLUMNS, [cells(d) for d in rest]),
             "",
             "</details>",
             "",

@@ -1,9 +1,9 @@
-"""Numbers and key names in readable form; the exact number stays beside each in the page."""
+"""Numbers, key names and tables in readable form; the exact number stays beside each in the page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import cast
 
 _DECIMALS = {"dB": 2, "stops": 3}
@@ -132,3 +132,8 @@ def _prefix(value: float) -> tuple[float, str]:
     if not value or not math.isfinite(value):
         return 1.0, ""
     return next(((f, p) for f, p in _PREFIXES if abs(value) >= f), _PREFIXES[-1])
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown."""
+    return ["| " + " | ".join(row) + " |" for row in (heads, ["---"] * len(heads), *rows)]
