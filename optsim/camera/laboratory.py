@@ -25,7 +25,6 @@ from optsim.calibration import Bench, Flat, Patches, Step
 from optsim.calibration.orientation import UPRIGHT
 from optsim.camera.camera import CodedCamera
 from optsim.core.errors import ConfigError
-from optsim.core.progress import Progress, silent
 from optsim.core.quantities import (
     Block,
     Bytes,
@@ -80,9 +79,7 @@ PlannedShot = tuple[str, Callable[[], Group]]
 """Set of the bench that a group of images belongs to, and what takes them."""
 
 
-def measure_bench(
-    camera: CodedCamera, rng: Generator, frames: Frames = ALL_FRAMES, progress: Progress = silent
-) -> Bench:
+def measure_bench(camera: CodedCamera, rng: Generator, frames: Frames = ALL_FRAMES) -> Bench:
     """Take all images that a camera's calibration needs.
 
     Parameters
@@ -93,19 +90,15 @@ def measure_bench(
         Generator of all shot and read noise on the bench.
     frames : Frames
         How many images.
-    progress : Progress
-        Told after each setting.
 
     Returns
     -------
     Bench
         Images and stated settings; no true parameter is in it.
     """
-    planned = planned_shots(camera, rng, frames)
-    taken: dict[str, list[Any]] = {name: [] for name, _ in planned}
-    for done, (name, take) in enumerate(planned):
-        taken[name].append(take())
-        progress("bench", done + 1, len(planned))
+    taken: dict[str, list[Any]] = {}
+    for name, take in planned_shots(camera, rng, frames):
+        taken.setdefault(name, []).append(take())
     sets: dict[str, Any] = {name: tuple(taken.get(name, ())) for name in Bench.SETS}
     sets |= {name: taken[name][0] for name in ("off", "saturated")}
     return Bench(**bench_settings(camera), darks=taken["darks"][0].dn, **sets)

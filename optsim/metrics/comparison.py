@@ -82,9 +82,9 @@ class Judgement:
     detectable: float | None  # Loss that raises "fail" with a probability of 90 %.
 
 
-def row_level(n_rows: int, confidence: float = CONFIDENCE) -> float:
+def row_level(n_rows: int) -> float:
     """Two-sided error probability of each of several intervals so that all hold together (Sidak)."""
-    return -math.expm1(math.log(confidence) / max(1, n_rows))
+    return -math.expm1(math.log(CONFIDENCE) / max(1, n_rows))
 
 
 def estimate(before: Values, after: Values, higher_is_better: bool) -> Advantage | None:

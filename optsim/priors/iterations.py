@@ -28,7 +28,8 @@ def iterate(
     keys = [hash_of("iteration", key, number) for number in range(iterations)]
     done = 0 if cache is None else cache.n_first(keys)
     if cache is not None and done:
-        state = _owned(cache.read(keys[done - 1]))
+        # Arrays in memory instead of on disk.
+        state = {name: np.array(array) for name, array in cache.read(keys[done - 1]).items()}
     progress("train", done, iterations)
     for number in range(done, iterations):
         state = step(state)
@@ -42,8 +43,3 @@ def learning_key(signals: Floats, *settings: object) -> str:
     """Hash of training numbers of any shape, and of settings that JSON can express."""
     content = hashlib.sha256(np.ascontiguousarray(signals).reshape(-1).data).hexdigest()
     return hash_of(content, signals.shape, *settings, __version__)
-
-
-def _owned(state: Arrays) -> Arrays:
-    """Arrays in memory instead of on disk."""
-    return {name: np.array(array) for name, array in state.items()}

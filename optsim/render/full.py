@@ -32,6 +32,8 @@ _SPARE = 1.05
 _MOST_PICTURES = 16
 # Most samples a pixel and half in one picture: single paths may deviate by 14 times the radiance at 1 %.
 _MOST_PURSUED = 2.0**20
+# Poses a slot of training footage.
+_FOOTAGE_POSES = 2
 
 
 def poses_per_instant(plan: RenderPlan, slot: int) -> int:
@@ -181,7 +183,6 @@ def render_footage(
     timing: Timing,
     *,
     samples: int = 32,
-    poses_per_slot: int = 2,
     seed: int = 0,
     backend: str | None = None,
     progress: Progress = silent,
@@ -191,9 +192,9 @@ def render_footage(
     n = view.samples_per_pitch
     stage = RenderStage(scene, replace(view, rows=view.rows // n, cols=view.cols // n, samples_per_pitch=1))
     frames = np.empty((timing.n_slots, stage.view.rows, stage.view.cols), np.float32)
-    share = max(1, samples // poses_per_slot)
+    share = max(1, samples // _FOOTAGE_POSES)
     for slot in range(timing.n_slots):
         seeds = (seed_of(seed, "footage", slot),)
-        frames[slot] = slot_image(stage, slot * timing.slot_s, timing.slot_s, share, poses_per_slot, seeds)[0]
+        frames[slot] = slot_image(stage, slot * timing.slot_s, timing.slot_s, share, _FOOTAGE_POSES, seeds)[0]
         progress("footage", slot + 1, timing.n_slots)
     return frames

@@ -17,6 +17,7 @@ import numpy as np
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Doubles, Floats, Ints
 
+_SLOTS = 36  # slots of a clip
 _POSES = 4  # poses a slot
 _RAYS = 4  # samples a pixel and pose
 # Range of speeds, pixels per slot: slower is still, faster crosses a patch in a few slots.
@@ -39,9 +40,7 @@ _LEAF = np.dtype(
 )
 
 
-def dead_leaves(
-    textures: Sequence[Floats], rng: np.random.Generator, *, slots: int = 36, size: int = 48
-) -> Floats:
+def dead_leaves(textures: Sequence[Floats], rng: np.random.Generator, *, size: int = 48) -> Floats:
     """Draw one clip.
 
     Parameters
@@ -50,8 +49,8 @@ def dead_leaves(
         Reflectance maps; at least 32 texels a side.
     rng : numpy.random.Generator
         Generator of all random numbers.
-    slots, size : int
-        Slots, and side of the square picture in pixels.
+    size : int
+        Side of the square picture, pixels.
 
     Returns
     -------
@@ -70,7 +69,7 @@ def dead_leaves(
     sizes = np.array([each.shape for each in maps])
     starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]])
     texels = np.concatenate([each.ravel() for each in maps])
-    clip = np.zeros((slots, size, size), np.float32)
+    clip = np.zeros((_SLOTS, size, size), np.float32)
     _draw(clip, leaves, camera, texels, starts, sizes, shifts)
     return clip
 

@@ -98,15 +98,11 @@ def run_matrix(
         What was made, found, and failed.
     """
     tasks = [
-        Task(f"{experiment.name}/{experiment.seed}", _key(experiment), measure_run, (experiment,))
-        for experiment in experiments
+        Task(f"{each.name}/{each.seed}", run_key(each, versions()), measure_run, (each,))
+        for each in experiments
     ]
     folder = out / hash_of([task.key for task in tasks])[:12]
     return folder, run_tasks(tasks, folder, workers=workers, progress=progress)
-
-
-def _key(experiment: Experiment) -> str:
-    return run_key(experiment, versions())
 
 
 def measure_run(folder: Path, experiment: Experiment) -> None:
