@@ -12,6 +12,7 @@ from optsim.core.quantities import ExposureCode
 from optsim.decoding import Joined, SparseCoding, VelocityMixture
 from optsim.decoding.coded_images import coded_images
 from optsim.decoding.joined import held_out
+from optsim.decoding.mixture import moving_textures
 from optsim.decoding.mixture.moving_textures import Windows, posterior
 from optsim.decoding.shared_weights import followed_tile
 
@@ -118,6 +119,26 @@ def test_draws_from_a_component_err_by_what_is_said():
     assert np.concatenate(scores).mean() == pytest.approx(1, abs=0.1)
 
 
+def test_few_velocities_represent_all_in_windows_of_mostly_noise(monkeypatch):
+    rng = np.random.default_rng(6)
+    weights, noise = drawn_weights(rng), 0.5
+    root = np.linalg.cholesky(dense_covariance(COMPONENTS[1]) - MEAN + 1.0 + 1e-9 * np.eye(SIDE**2 * SLOTS))
+    videos = 5 + 0.3 * rng.standard_normal((20, SIDE**2 * SLOTS)) @ root.T
+    samples = videos @ measuring(weights).T + noise * rng.standard_normal((20, SIDE**2))
+    windows = Windows(
+        samples.astype(np.float32), np.full(samples.shape, noise**2, np.float32), np.ones(samples.shape, bool)
+    )
+    components = [
+        (v, u, time) for time in TIMES for v in np.arange(-1, 1, 0.2) for u in np.arange(-1, 1, 0.2)
+    ]
+    few = posterior(weights, windows, components, 1.0)
+    monkeypatch.setattr(moving_textures, "_ROUGH", 99)
+    every = posterior(weights, windows, components, 1.0)
+    assert (few.shares > 0).sum() < 0.6 * (every.shares > 0).sum()
+    change, wrong = np.square(few.videos - every.videos).mean(), np.square(every.videos - videos).mean()
+    assert change < 0.02 * wrong
+
+
 def moving_texture(speed, seed=0):
     """A smooth random texture that moves along u: (slot, v, u), about 1."""
     rng = np.random.default_rng(seed)
@@ -202,12 +223,14 @@ def test_a_tile_is_followed_by_all_pixels_but_strangers_and_holes():
     tile = rng.random((8, 8, 5)).astype(np.float32)
     weights = np.tile(tile, (6, 7, 1)) * (1 + 0.02 * rng.standard_normal((48, 56, 1))).astype(np.float32)
     mask = rng.random((48, 56)) > 0.1
-    mask[:, 40:] &= True
     strange = np.zeros_like(mask)
     strange[:10, :12] = True
     weights[strange] = 0.3
     weights[~mask] = 0
+    there = mask & ~strange
+    # Beyond the mask the code goes on.
+    mask[:, 40:] = False
     found, follows = followed_tile(weights, mask, 0.25)
     assert found.shape == tile.shape
     np.testing.assert_allclose(found, tile, rtol=0.05, atol=0.01)
-    np.testing.assert_array_equal(follows, mask & ~strange)
+    np.testing.assert_array_equal(follows, there)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from pathlib import Path
@@ -14,14 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import nearest
-from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.core.threads import n_threads
 from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
 from optsim.decoding.mixture.posterior import MeasuredMixture, measured_through, posterior
 from optsim.decoding.mixture.posterior_spread import Spread
 from optsim.decoding.partial import Partial
-from optsim.decoding.patch_grid import cut_patches, overlap, patch_corners
+from optsim.decoding.patch_grid import add_patches, cut_patches, overlap, patch_corners
 from optsim.decoding.shared_weights import shared_weights
 from optsim.priors.mixture import Mixture, load_mixture, shipped_mixture
 from optsim.priors.prior_file import fitted
@@ -150,7 +150,7 @@ class GaussianMixture(CodedImageDecoder):
             for members, own in zip(chain(together, single), answers, strict=True):
                 if own is not None and total is not None:
                     where = corners[members[asked[members]]]
-                    _add(own.reshape(-1, size, size * prior.slots), where, total, times)
+                    _add(own, where, total, times)
             painted, count = _paint(prior, corners, z, scale, image.usable.shape, pool)
         if total is not None:
             total = _mean_everywhere(total, times)
@@ -196,7 +196,7 @@ def _paint(
         for start in range(0, len(members), _TOGETHER):
             some = members[start : start + _TOGETHER]
             videos = (z[some] @ basis + base) * scale[some, None]
-            _add(videos.reshape(-1, size, size * slots), corners[some] - (first, 0), total, count)
+            _add(videos, corners[some] - (first, 0), total, count)
         return total, count
 
     total, count = np.zeros((rows, cols, slots), np.float32), np.zeros((rows, cols), np.float32)
@@ -209,16 +209,9 @@ def _paint(
     return total, count
 
 
-@compiled()
 def _add(videos: Floats, corners: Ints, total: Floats, count: Floats) -> None:
-    slots = total.shape[2]
-    lines = total.reshape(total.shape[0], -1)
-    patch = videos.shape[1]
-    for p in range(len(corners)):
-        v0, u0 = corners[p]
-        for v in range(patch):
-            count[v0 + v, u0 : u0 + patch] += 1
-            target = lines[v0 + v, u0 * slots : (u0 + patch) * slots]
-            row = videos[p, v]
-            for k in range(len(target)):
-                target[k] += row[k]
+    """Add patches (p, pixel * slot) to sums (v, u, slot), and their number."""
+    size = math.isqrt(videos.shape[1] // total.shape[2])
+    once = np.ones((size, size), np.float32)
+    add_patches(videos, corners, once, total)
+    add_patches(np.ones((len(corners), size**2), np.float32), corners, once, count[:, :, None])

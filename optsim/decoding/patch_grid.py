@@ -7,6 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Floats, Ints
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -44,3 +45,21 @@ def _starts(length: int, patch: int, stride: int) -> Ints:
     """First indices of patches along an axis; the last patch ends at the edge, so every pixel is covered."""
     starts = np.arange(0, length - patch + 1, stride)
     return starts if starts[-1] == length - patch else np.append(starts, length - patch)
+
+
+@compiled()
+def add_patches(patches: Floats, corners: Ints, taper: Floats, total: Floats) -> None:
+    """Add patches (n, pixel * slot), times a weight of each pixel (v, u), to an image (v, u, slot)."""
+    size, slots = len(taper), total.shape[2]
+    weights = np.empty((size, size * slots), np.float32)
+    for u in range(size):
+        for k in range(slots):
+            weights[:, u * slots + k] = taper[:, u]
+    lines = total.reshape(total.shape[0], -1)
+    for p in range(len(corners)):
+        v0, u0 = corners[p]
+        for v in range(size):
+            target = lines[v0 + v, u0 * slots : (u0 + size) * slots]
+            row = patches[p, v * size * slots : (v + 1) * size * slots]
+            for k in range(len(target)):
+                target[k] += weights[v, k] * row[k]

@@ -83,19 +83,23 @@ def weights_at(tile: Floats, place: int, patch: int) -> Floats:
 
 
 def followed_tile(weights: Floats, mask: Bools, tolerance: float) -> tuple[Floats, Bools]:
-    """Find the tile (v, u, slot) that most pixels follow to the tolerance, relative rms, and these pixels."""
+    """Find the tile (v, u, slot) that most pixels follow to the tolerance, relative rms, and these pixels.
+
+    They may lie beyond the mask.
+    """
     # As many rows or columns as the image where there is no period or weights drift along it.
     rows, cols = mask.shape
     v, u = code_period(weights, mask, tolerance / _APART)
     best = np.zeros((v, u, weights.shape[2]), np.float32), np.zeros_like(mask)
+    most = 0
     for shape in ((v, u), (rows, u), (v, cols), (rows, cols)):
         tile = np.zeros((*shape, weights.shape[2]), np.float32)
         _fill_medians(weights, mask, tile)
         error, energy = _deviation(weights, tile)
-        follows = mask & (error <= tolerance**2 * energy)
-        if follows.sum() > best[1].sum():
-            best = tile, follows
-        if best[1].sum() >= _MOST_FOLLOW * mask.sum():
+        follows = error <= tolerance**2 * energy
+        if (inside := (follows & mask).sum()) > most:
+            best, most = (tile, follows), inside
+        if most >= _MOST_FOLLOW * mask.sum():
             break
     return best
 

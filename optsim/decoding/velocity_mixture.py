@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -14,7 +13,7 @@ from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from optsim.calibration.calibration import Calibration
-from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
+from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Ints
 from optsim.core.threads import side_by_side
 from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
 from optsim.decoding.mixture.moving_textures import (
@@ -22,11 +21,10 @@ from optsim.decoding.mixture.moving_textures import (
     Component,
     Posterior,
     Windows,
-    likelihoods,
     posterior,
 )
 from optsim.decoding.partial import Partial
-from optsim.decoding.patch_grid import cut_patches, overlap, patch_corners
+from optsim.decoding.patch_grid import add_patches, cut_patches, overlap, patch_corners
 from optsim.decoding.shared_weights import followed_tile, places, weights_at
 
 # Speeds, panel pixels a slot, and directions of each: about as dense as a window of 12 tells apart.
@@ -41,7 +39,7 @@ _BEST = 2  # velocities of a window with weights of its own
 # Weights below this share of a pixel's largest are gathered in so many slots.
 _LEAK, _LEAK_SLOTS = 0.03, 4
 _LONG = 8  # slots of an exposure that are taken one by one
-_BLOCK, _OWN_BLOCK = 2048, 32  # windows of a job
+_BLOCK = 2048  # windows of a job
 _TINY = np.float32(1e-12)
 
 
@@ -53,7 +51,7 @@ class VelocityMixture(CodedImageDecoder):
     the window's samples, with the scale integrated out, is its weight in the mean. Nothing is trained, and
     any code can be decoded; a code without a period takes much longer. Whole windows are averaged, weighted
     by a squared triangle. Where another code begins, velocities come from the pixels of the periodic tile,
-    and the light from all.
+    and the light from all. A window with more noise than texture takes every fourth velocity.
 
     Parameters
     ----------
@@ -82,7 +80,7 @@ class VelocityMixture(CodedImageDecoder):
         """Prepare for the frames of a calibration."""
         size = min(self.window_px, *calibration.shape)
         components = _components(self.fastest)
-        at_first = [component for component in components if component[2] == TIMES_SLOTS[0]]
+        still = _components(0)
 
         def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
             corners = _corners(frame.code.moving, size, self.stride_px)
@@ -98,51 +96,41 @@ class VelocityMixture(CodedImageDecoder):
                 cut_patches(noise, corners, size),
                 cut_patches(image.exposure > 0, corners, size),
             )
-            like_tile = replace(windows, measured=cut_patches(follows, corners, size))
+            like_tile = replace(windows, measured=cut_patches(follows & image.usable, corners, size))
             strange = (windows.measured & ~like_tile.measured).any(axis=1)
             enough = windows.measured.mean(axis=1) >= _LEAST_MEASURED
-            alike = like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
+            alike = ~strange | (like_tile.measured.mean(axis=1) >= _LEAST_ALIKE)
             place = places(corners, tile.shape[:2])
+
+            canvas, moves = _Canvas.of(image.weights, self.uncertainty), dict[int, list[Component]]()
 
             def shared(members: Ints) -> Posterior:
                 weights = _sparse(weights_at(tile, int(place[members[0]]), size))
                 some = like_tile.some(members)
                 return posterior(weights, some, components, self.noise_gain, spread=self.uncertainty)
 
-            def alone(m: int, moves: list[Component]) -> Posterior:
+            def alone(m: int) -> Posterior:
+                """Light by the pixels' own weights, with velocities found by those like the tile."""
                 v, u = corners[m]
-                own = _sparse(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
-                chosen = [(along_v, along_u, time) for time in TIMES_SLOTS for along_v, along_u, _ in moves]
-                some = windows.some(np.array([m]))
-                return posterior(own, some, chosen, self.noise_gain, spread=self.uncertainty)
+                weights = _sparse(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
+                some, chosen = windows.some(np.array([m])), moves.get(m, still)
+                return posterior(weights, some, chosen, self.noise_gain, spread=self.uncertainty)
 
-            def moving(members: Ints) -> Posterior:
-                """Velocities by the pixels like the tile, then light by all pixels' own weights."""
-                weights = _sparse(weights_at(tile, int(place[members[0]]), size))
-                shares = likelihoods(weights, like_tile.some(members), at_first, self.noise_gain)
-                found: list[Posterior] = []
-                for m, share in zip(members, shares.T, strict=True):
-                    best: list[int] = np.argsort(-share, kind="stable")[:_BEST].tolist()
-                    found.append(alone(m, [at_first[k] for k in best if share[k] > 0]))
-                return Posterior.joined(found)
-
-            def still(members: Ints) -> Posterior:
-                return Posterior.joined([alone(m, at_first[:1]) for m in members])
-
-            jobs: list[tuple[Callable[[Ints], Posterior], Ints]] = []
-            for solve, kind, block in (
-                (shared, ~strange, _BLOCK),
-                (moving, strange & alike, _OWN_BLOCK),
-                (still, strange & ~alike, _OWN_BLOCK),
-            ):
-                for each in np.unique(place[enough & kind]):
-                    members = np.flatnonzero(enough & kind & (place == each))
-                    jobs += [(solve, members[k : k + block]) for k in range(0, len(members), block)]
+            jobs: list[Ints] = []
+            for each in np.unique(place[enough & alike]):
+                members = np.flatnonzero(enough & alike & (place == each))
+                jobs += [members[k : k + _BLOCK] for k in range(0, len(members), _BLOCK)]
+            own: list[int] = np.flatnonzero(enough & strange).tolist()
             with threadpool_limits(1):
-                answers = side_by_side(lambda job=job: job[0](job[1]) for job in jobs)
-            canvas = _Canvas.of(image.weights, self.uncertainty)
-            for (_, members), found in zip(jobs, answers, strict=True):
-                canvas.add(corners[members], found, windows.measured[members])
+                answers = side_by_side(lambda m=members: shared(m) for members in jobs)
+                for members, found in zip(jobs, answers, strict=True):
+                    mine = ~strange[members]
+                    canvas.add(corners[members[mine]], found.some(mine), windows.measured[members[mine]])
+                    for m, shares in zip(members[~mine].tolist(), found.shares[~mine], strict=True):
+                        moves[m] = _best(components, shares)
+                answers = side_by_side(lambda m=m: alone(m) for m in own)
+                for m, found in zip(own, answers, strict=True):
+                    canvas.add(corners[[m]], found, windows.measured[[m]])
             full = overlap(image.usable.shape, size, self.stride_px, _triangle(size))
             canvas.brighten(unit)
             partial = covered(frame, image, canvas.total, canvas.count, full, canvas.variance)
@@ -169,16 +157,15 @@ class _Canvas:
 
     def add(self, corners: Ints, found: Posterior, measured: Bools) -> None:
         """Add windows."""
-        size = math.isqrt(measured.shape[1])
-        taper = np.outer(_triangle(size), _triangle(size))
-        for k, (v, u) in enumerate(corners):
-            at = slice(v, v + size), slice(u, u + size)
-            self.total[at] += found.videos[k].reshape(size, size, -1) * taper[:, :, None]
-            if self.variance is not None and found.variances is not None:
-                self.variance[at] += found.variances[k].reshape(size, size, -1) * taper[:, :, None]
-            self.count[at] += taper
-            self.errors[at] += np.square(found.residuals[k].reshape(size, size) * taper)
-            self.times[at] += np.square(measured[k].reshape(size, size) * taper)
+        taper = _triangle(math.isqrt(measured.shape[1]))
+        once, square = np.outer(taper, taper), np.outer(taper, taper) ** 2
+        there = measured.astype(np.float32)
+        add_patches(found.videos, corners, once, self.total)
+        add_patches(np.ones_like(there), corners, once, self.count[:, :, None])
+        add_patches(np.square(found.residuals), corners, square, self.errors[:, :, None])
+        add_patches(there, corners, square, self.times[:, :, None])
+        if self.variance is not None and found.variances is not None:
+            add_patches(found.variances, corners, once, self.variance)
 
     def brighten(self, unit: np.float32) -> None:
         """Convert sums to a unit of light, and summed variances to means."""
@@ -200,6 +187,13 @@ def _components(fastest: float) -> list[Component]:
             angles = 2 * np.pi * np.arange(n) / n
             velocities += [(speed * float(np.sin(a)), speed * float(np.cos(a))) for a in angles]
     return [(*velocity, time) for time in TIMES_SLOTS for velocity in velocities]
+
+
+def _best(components: list[Component], shares: Doubles) -> list[Component]:
+    """Components of the velocities with the largest shares."""
+    by_velocity = shares.reshape(len(TIMES_SLOTS), -1).sum(axis=0)
+    best = [k for k in np.argsort(-by_velocity, kind="stable")[:_BEST] if by_velocity[k] > 0]
+    return [components[start + k] for start in range(0, len(shares), len(by_velocity)) for k in best]
 
 
 def _sparse(weights: Floats) -> Floats:

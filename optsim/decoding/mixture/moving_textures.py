@@ -10,7 +10,7 @@ the part of the inverse that belongs to it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +28,8 @@ _CLEAN, _NOISY = 1e-4, 20.0
 _LEAST_TEXTURE = 0.05  # of the noise
 _NEGLIGIBLE = 0.05  # of the best component's share
 _UNLIKELY = 8.0  # logarithm of the evidence below the best one's
+# From this log2 of noise over texture, variances, on windows hardly tell velocities apart: few represent all.
+_ROUGH, _FEW = 0, 43
 _TINY = np.float32(1e-12)
 
 Component = tuple[float, float, float]
@@ -65,23 +67,21 @@ class Posterior:
         Posterior means.
     residuals : ndarray of shape (n, p), float32
         Each sample minus what the others predict; 0 without a sample.
+    shares : ndarray of shape (n, k), float64
+        Probability of each component; 0 for negligible ones.
     variances : ndarray of shape (n, p * slot), float32, or None
         Posterior variances, if asked for.
     """
 
     videos: Floats
     residuals: Floats
+    shares: Doubles
     variances: Floats | None
 
-    @classmethod
-    def joined(cls, parts: list[Posterior]) -> Posterior:
-        """Join those of several groups of windows."""
-        spreads = [part.variances for part in parts if part.variances is not None]
-        return cls(
-            np.concatenate([part.videos for part in parts]),
-            np.concatenate([part.residuals for part in parts]),
-            np.concatenate(spreads) if spreads else None,
-        )
+    def some(self, members: Bools) -> Posterior:
+        """Select some of them."""
+        variances = None if self.variances is None else self.variances[members]
+        return Posterior(self.videos[members], self.residuals[members], self.shares[members], variances)
 
 
 def posterior(
@@ -107,41 +107,72 @@ def posterior(
     spread : bool
         Whether the variances are wanted.
     """
-    samples, mean, level = _normalised(weights, windows, noise_gain)
-    shares = likelihoods(weights, windows, components, noise_gain)
-    found = _mixed(weights, samples, windows.measured, level, components, shares, spread)
-    return replace(found, videos=found.videos + mean[:, None])
+    given = _normalised(weights, windows, noise_gain)
+    logs, solved = _evidence(weights, given, components)
+    shares = np.exp(logs - logs.max(axis=0))
+    shares[shares < _NEGLIGIBLE] = 0
+    return _mixed(weights, given, components, shares / shares.sum(axis=0), solved, spread)
 
 
-def likelihoods(weights: Floats, windows: Windows, components: list[Component], noise_gain: float) -> Doubles:
-    """Share of each component in each window, (k, n), by its evidence; 0 for negligible ones."""
-    samples, _, level = _normalised(weights, windows, noise_gain)
-    n = windows.measured.sum(axis=1)
-    table, signals = _space(weights), np.empty((len(weights), len(weights)))
-    logs = np.full((len(components), len(samples)), -np.inf)
+@dataclass(frozen=True, eq=False)
+class _Normalised:
+    """Samples (n, p) less their window's mean, 0 if missing; log2 of noise over texture, variances, (n,)."""
+
+    samples: Floats
+    measured: Bools
+    mean: Floats
+    level: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Some windows' samples solved for a covariance.
+
+    ``members`` (m,) are their numbers; ``pulls`` (m, p) is the inverse covariance times the samples,
+    ``diagonal`` (m, p) that of the inverse; ``squares`` and ``log_root`` (m,) are what the log density is of.
+    """
+
+    members: Ints
+    pulls: Floats
+    diagonal: Floats
+    squares: Doubles
+    log_root: Doubles
+
+
+def _evidence(
+    weights: Floats, given: _Normalised, components: list[Component]
+) -> tuple[Doubles, list[list[_Solved]]]:
+    """Log evidence of each component in each window, (k, n), and the windows for which it may matter."""
+    n = given.measured.sum(axis=1)
+    logs = np.full((len(components), len(n)), -np.inf)
+    best = np.full(len(n), -np.inf)
+    solved: list[list[_Solved]] = [[] for _ in components]
     first: dict[tuple[float, float], int] = {}
+    coarse = -(-len({component[:2] for component in components}) // _FEW)
+    signals = np.empty((len(weights), len(weights)))
     for k, component in enumerate(components):
         # What was unlikely at one time is so at the others.
         before = first.setdefault(component[:2], k)
-        likely = (before == k) | (logs[before] >= logs.max(axis=0) - _UNLIKELY)
+        likely = (before == k) | (logs[before] >= best - _UNLIKELY)
+        if before % coarse:
+            likely &= given.level < _ROUGH
         if not likely.any():
             continue
-        _fill_table(*component, table)
-        _fill_signal_covariance(table, weights, signals)
-        for each in np.unique(level[likely]):
-            some = np.flatnonzero(likely & (level == each))
-            solved = _solved(signals + _MEAN, 2.0**each, samples[some], windows.measured[some], whole=False)
-            logs[k, some] = -(n[some] - 1) / 2 * np.log(solved.squares + _TINY**2) - solved.log_root
-    shares = np.exp(logs - logs.max(axis=0))
-    shares[shares < _NEGLIGIBLE] = 0
-    return shares / shares.sum(axis=0)
+        _fill_signal_covariance(_table(component, weights), weights, signals)
+        for each in np.unique(given.level[likely]):
+            root, log_root = _inverse_root(signals, each)
+            some = np.flatnonzero(likely & (given.level == each))
+            found = _solve(root, log_root, given, some, whole=False)
+            logs[k, some] = -(n[some] - 1) / 2 * np.log(found.squares + _TINY**2) - found.log_root
+            best[some] = np.maximum(best[some], logs[k, some])
+            near = some[logs[k, some] >= best[some] + math.log(_NEGLIGIBLE)]
+            if len(near):
+                solved[k].append(_solve(root, log_root, given, near, whole=True))
+    return logs, solved
 
 
-def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> tuple[Floats, Floats, Ints]:
-    """Subtract each window's mean, and find its noise.
-
-    Returns samples (n, p), 0 if missing; means (n,); log2 of noise variance over texture variance (n,).
-    """
+def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> _Normalised:
+    """Subtract each window's mean, and find its noise."""
     measured = windows.measured
     n = measured.sum(axis=1)
     mean = (windows.means * measured).sum(axis=1) / n
@@ -149,102 +180,90 @@ def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> tuple[F
     noise = noise_gain**2 * (windows.noise * measured).sum(axis=1) / n
     texture = np.square(samples).sum(axis=1) / n - noise
     texture = np.maximum(texture, _LEAST_TEXTURE * noise + _TINY * np.square(mean) + _TINY**2)
-    table, signals = _space(weights), np.empty((len(weights), len(weights)))
-    _fill_table(0.0, 0.0, TIMES_SLOTS[0], table)
-    _fill_signal_covariance(table, weights, signals)
-    # Scatter of samples about their mean, of a texture of unit variance.
-    unit = np.trace(signals) / len(signals) - signals.mean()
+    v, u = np.divmod(np.arange(len(weights)), math.isqrt(len(weights)))
+    slots = np.arange(weights.shape[1])
+    apart = np.exp(-np.hypot(v[:, None] - v, u[:, None] - u) / _LENGTH_PX)
+    later = np.exp(-np.abs(slots[:, None] - slots) / TIMES_SLOTS[0])
+    still = apart * (weights @ later @ weights.T)
+    # Scatter of samples about their mean, of a still texture of unit variance.
+    unit = np.trace(still) / len(still) - still.mean()
     level = 2 * np.rint(np.log2(np.clip(noise * unit / texture, _CLEAN, _NOISY)) / 2).astype(np.int64)
-    return samples, mean.astype(np.float32), level
+    return _Normalised(samples, measured, mean.astype(np.float32), level)
 
 
 def _mixed(
     weights: Floats,
-    samples: Floats,
-    measured: Bools,
-    level: Ints,
+    given: _Normalised,
     components: list[Component],
     shares: Doubles,
+    solved: list[list[_Solved]],
     spread: bool,
 ) -> Posterior:
     """Mean over the components by their shares, (k, n)."""
     pixels, slots = weights.shape
-    videos = np.zeros((len(samples), pixels * slots), np.float32)
-    residuals = np.zeros(samples.shape, np.float32)
+    videos = np.zeros((len(given.mean), pixels * slots), np.float32)
+    residuals = np.zeros(given.samples.shape, np.float32)
     squares = np.zeros_like(videos) if spread else None
-    table, light = _space(weights), np.empty((pixels, pixels * slots), np.float32)
-    signals = np.empty((pixels, pixels))
+    light = np.empty((pixels, pixels * slots), np.float32)
     for k in np.flatnonzero(shares.any(axis=1)):
-        _fill_table(*components[k], table)
+        table = _table(components[k], weights)
         _fill_light_covariance(table, weights, light)
-        _fill_signal_covariance(table, weights, signals)
-        for each in np.unique(level[shares[k] > 0]):
-            some = np.flatnonzero((level == each) & (shares[k] > 0))
-            solved = _solved(signals + _MEAN, 2.0**each, samples[some], measured[some], whole=True)
+        for found in solved[k]:
+            there = shares[k, found.members] > 0
+            some = found.members[there]
+            if len(some) == 0:
+                continue
             share = shares[k, some, None].astype(np.float32)
-            free = _MEAN * solved.pulls.sum(axis=1, dtype=np.float64)
-            video = solved.pulls @ light + free[:, None].astype(np.float32)
-            videos[some] += share * video
-            residuals[some] += share * solved.pulls / solved.diagonal
+            pulls = share * found.pulls[there]
+            free = _MEAN * pulls.sum(axis=1, dtype=np.float64)
+            video = pulls @ light + free[:, None].astype(np.float32)
+            videos[some] += video
+            residuals[some] += pulls / found.diagonal[there]
             if squares is not None:
-                reached = solved.root @ (light + np.float32(_MEAN))
+                signals = np.empty((pixels, pixels))
+                _fill_signal_covariance(table, weights, signals)
+                reached = _inverse_root(signals, given.level[some[0]])[0] @ (light + np.float32(_MEAN))
                 unit = (_MEAN - np.einsum("pe,pe->e", reached, reached)).clip(0)
-                freedom = np.maximum(measured[some].sum(axis=1) - 3, 1)
-                scale = (solved.squares / freedom).astype(np.float32)[:, None]
-                squares[some] += share * (np.square(video) + scale * unit)
+                freedom = np.maximum(given.measured[some].sum(axis=1) - 3, 1)
+                scale = (found.squares[there] / freedom).astype(np.float32)[:, None]
+                squares[some] += np.square(video) / share + share * scale * unit
     if squares is not None:
         squares = (squares - np.square(videos)).clip(0)
-    return Posterior(videos, residuals, squares)
+    return Posterior(videos + given.mean[:, None], residuals, shares.T, squares)
 
 
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """Samples solved for a covariance: n windows of p pixels.
-
-    ``pulls`` (n, p) is the inverse covariance times the samples, ``diagonal`` (n, p) that of the inverse;
-    ``squares`` and ``log_root`` (n,) are what the log density is of. ``root`` (p, p) is the inverse of the
-    covariance's lower root.
-    """
-
-    root: Floats
-    pulls: Floats
-    diagonal: Floats
-    squares: Doubles
-    log_root: Doubles
+def _inverse_root(signals: Doubles, level: int) -> tuple[Floats, float]:
+    """Inverse of the covariance's lower root, (p, p), and the root's log determinant."""
+    root = np.empty(signals.shape, np.float32)
+    return root, _invert_root(signals + _MEAN, 2.0**level, root)
 
 
-def _solved(covariance: Doubles, noise: float, samples: Floats, measured: Bools, *, whole: bool) -> _Solved:
-    """Solve for samples under a covariance and noise; pixels without a sample are taken out exactly."""
-    root, log_root = np.empty(covariance.shape, np.float32), np.full(len(samples), np.nan)
-    log_root[:] = _invert_root(covariance, noise, root)
-    half = samples @ root.T
+def _solve(root: Floats, log_root: float, given: _Normalised, members: Ints, *, whole: bool) -> _Solved:
+    """Solve for some windows' samples; pixels without a sample are taken out exactly."""
+    measured = given.measured[members]
+    half = given.samples[members] @ root.T
     squares = np.square(half, dtype=np.float64).sum(axis=1)
+    log_roots = np.full(len(members), log_root)
     holes = not measured.all()
     pulls = half @ root if whole or holes else half
-    diagonal = np.empty_like(pulls)
-    diagonal[:] = np.square(root).sum(axis=0)
+    diagonal = np.tile(np.square(root).sum(axis=0), (len(members), 1)) if whole else pulls
     if holes:
         wide = root.astype(np.float64)
-        _leave_out(wide.T @ wide, measured, pulls, diagonal, squares, log_root, whole)
-    return _Solved(root, pulls, diagonal, squares.clip(0), log_root)
+        _leave_out(wide.T @ wide, measured, pulls, diagonal, squares, log_roots, whole)
+    return _Solved(members, pulls, diagonal, squares.clip(0), log_roots)
 
 
-def _space(weights: Floats) -> Floats:
-    """Room for the covariances of a window: (2 v - 1, 2 u - 1, 2 slot - 1)."""
-    side = 2 * math.isqrt(len(weights)) - 1
-    return np.empty((side, side, 2 * weights.shape[1] - 1), np.float32)
+def _table(component: Component, weights: Floats) -> Floats:
+    """Covariance of light minus 1 by distance along v, u and time: (2 v - 1, 2 u - 1, 2 slot - 1).
 
-
-@compiled(fastmath=True)
-def _fill_table(v: float, u: float, time: float, table: Floats) -> None:
-    """Covariance of light minus 1 by distance along v, u and time; all lie in [-1, 0] and round finely."""
-    side, slots = table.shape[0] // 2, table.shape[2] // 2
-    for a in range(table.shape[0]):
-        for b in range(table.shape[1]):
-            for c in range(table.shape[2]):
-                dt = c - slots
-                far = math.sqrt((a - side - v * dt) ** 2 + (b - side - u * dt) ** 2)
-                table[a, b, c] = math.exp(-far / _LENGTH_PX - abs(dt) / time) - 1
+    All values lie in [-1, 0] and round finely.
+    """
+    v, u, time = np.array(component, np.float32)
+    side, slots = math.isqrt(len(weights)), weights.shape[1]
+    dx, dt = np.arange(1 - side, side, dtype=np.float32)[:, None], np.arange(slots, dtype=np.float32)
+    far = np.sqrt(np.square(dx - v * dt)[:, None] + np.square(dx - u * dt))
+    later = np.exp(far * np.float32(-1 / _LENGTH_PX) - dt / time) - 1
+    return np.concatenate([later[::-1, ::-1, :0:-1], later], axis=2)
 
 
 @compiled(fastmath={"reassoc", "contract"})
@@ -253,15 +272,15 @@ def _fill_light_covariance(table: Floats, weights: Floats, found: Floats) -> Non
     pixels, slots = weights.shape
     side = (table.shape[0] + 1) // 2
     for j in range(pixels):
+        opened = np.flatnonzero(weights[j])
         for i in range(pixels):
             row = table[i // side - j // side + side - 1, i % side - j % side + side - 1]
             sums = found[j, i * slots : (i + 1) * slots]
             sums[:] = 0
-            for s in range(slots):
-                w = weights[j, s]
-                if w != 0:
-                    for t in range(slots):
-                        sums[t] += w * row[t - s + slots - 1]
+            for s in opened:
+                w, late = weights[j, s], row[slots - 1 - s : 2 * slots - 1 - s]
+                for t in range(slots):
+                    sums[t] += w * late[t]
 
 
 @compiled(fastmath={"reassoc", "contract"})
@@ -269,22 +288,23 @@ def _fill_signal_covariance(table: Floats, weights: Floats, found: Doubles) -> N
     """Covariance of the samples: (p, p)."""
     pixels, slots = weights.shape
     side = (table.shape[0] + 1) // 2
-    count, opened = np.zeros(pixels, np.int64), np.empty((pixels, slots), np.int64)
+    count, opened = np.zeros(pixels, np.int64), np.empty((pixels, slots), np.uint64)
+    shares = np.empty((pixels, slots), np.float32)
     for j in range(pixels):
         for t in range(slots):
             if weights[j, t] != 0:
-                opened[j, count[j]] = t
+                opened[j, count[j]], shares[j, count[j]] = t, weights[j, t]
                 count[j] += 1
     for j in range(pixels):
         for i in range(j + 1):
             row = table[i // side - j // side + side - 1, i % side - j % side + side - 1]
             total = np.float32(0)
             for a in range(count[j]):
-                s = opened[j, a]
+                late = row[slots - 1 - opened[j, a] :]
                 part = np.float32(0)
                 for b in range(count[i]):
-                    part += weights[i, opened[i, b]] * row[opened[i, b] - s + slots - 1]
-                total += weights[j, s] * part
+                    part += shares[i, b] * late[opened[i, b]]
+                total += shares[j, a] * part
             found[i, j] = found[j, i] = total
 
 
@@ -293,16 +313,22 @@ def _invert_root(covariance: Doubles, noise: float, found: Floats) -> float:
     """Inverse of the lower root of a covariance plus noise, (p, p); returns the root's log determinant."""
     n = len(covariance)
     root = np.linalg.cholesky(covariance + noise * np.eye(n))
-    inverse = np.zeros((n, n))
+    found[:] = 0
     log_root = 0.0
     for i in range(n):
-        for k in range(i):
+        line, x = found[i], root[i].astype(np.float32)
+        # Four rows at a time, since memory is slower than sums.
+        whole = i // 4 * 4
+        for k in range(0, whole, 4):
+            a, b, c, d = found[k], found[k + 1], found[k + 2], found[k + 3]
+            for j in range(k + 4):
+                line[j] -= x[k] * a[j] + x[k + 1] * b[j] + x[k + 2] * c[j] + x[k + 3] * d[j]
+        for k in range(whole, i):
             for j in range(k + 1):
-                inverse[i, j] -= root[i, k] * inverse[k, j]
-        inverse[i, i] = 1
-        inverse[i, : i + 1] /= root[i, i]
+                line[j] -= x[k] * found[k, j]
+        line[i] = 1
+        line[: i + 1] /= x[i]
         log_root += math.log(root[i, i])
-    found[:] = inverse
     return log_root
 
 
