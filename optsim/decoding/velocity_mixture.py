@@ -13,7 +13,7 @@ from pydantic import Field
 from threadpoolctl import threadpool_limits
 
 from optsim.calibration.calibration import Calibration
-from optsim.core.quantities import Bools, CodedFrame, Doubles, Floats, Ints
+from optsim.core.quantities import Bools, CodedFrame, Floats, Ints
 from optsim.core.threads import side_by_side
 from optsim.decoding.coded_images import CodedImage, CodedImageDecoder, ImageDecoder, covered
 from optsim.decoding.mixture.moving_textures import (
@@ -21,6 +21,7 @@ from optsim.decoding.mixture.moving_textures import (
     Component,
     Posterior,
     Windows,
+    likelihoods,
     posterior,
 )
 from optsim.decoding.partial import Partial
@@ -80,6 +81,7 @@ class VelocityMixture(CodedImageDecoder):
         """Prepare for the frames of a calibration."""
         size = min(self.window_px, *calibration.shape)
         components = _components(self.fastest)
+        at_first = [component for component in components if component[2] == TIMES_SLOTS[0]]
         still = _components(0)
 
         def decoded(frame: CodedFrame, image: CodedImage) -> Partial:
@@ -97,40 +99,47 @@ class VelocityMixture(CodedImageDecoder):
                 cut_patches(image.exposure > 0, corners, size),
             )
             like_tile = replace(windows, measured=cut_patches(follows & image.usable, corners, size))
-            strange = (windows.measured & ~like_tile.measured).any(axis=1)
+            strange: Bools = np.asarray((windows.measured & ~like_tile.measured).any(axis=1))
             enough = windows.measured.mean(axis=1) >= _LEAST_MEASURED
-            alike = ~strange | (like_tile.measured.mean(axis=1) >= _LEAST_ALIKE)
+            alike = like_tile.measured.mean(axis=1) >= _LEAST_ALIKE
             place = places(corners, tile.shape[:2])
+            moves: dict[int, list[Component]] = {}
 
-            canvas, moves = _Canvas.of(image.weights, self.uncertainty), dict[int, list[Component]]()
-
-            def shared(members: Ints) -> Posterior:
+            def search(members: Ints) -> None:
+                """Find velocities by the pixels like the tile."""
                 weights = _sparse(weights_at(tile, int(place[members[0]]), size))
-                some = like_tile.some(members)
-                return posterior(weights, some, components, self.noise_gain, spread=self.uncertainty)
+                shares = likelihoods(weights, like_tile.some(members), at_first, self.noise_gain)
+                for m, share in zip(members.tolist(), shares.T, strict=True):
+                    best: list[int] = np.argsort(-share, kind="stable")[:_BEST].tolist()
+                    found = [at_first[k] for k in best if share[k] > 0]
+                    moves[m] = [(v, u, time) for time in TIMES_SLOTS for v, u, _ in found]
 
-            def alone(m: int) -> Posterior:
-                """Light by the pixels' own weights, with velocities found by those like the tile."""
-                v, u = corners[m]
-                weights = _sparse(image.weights[v : v + size, u : u + size].reshape(size**2, -1))
-                some, chosen = windows.some(np.array([m])), moves.get(m, still)
-                return posterior(weights, some, chosen, self.noise_gain, spread=self.uncertainty)
+            def solve(members: Ints) -> Posterior:
+                m = int(members[0])
+                if strange[m]:
+                    v, u = corners[m]
+                    weights = image.weights[v : v + size, u : u + size].reshape(size**2, -1)
+                    some, chosen = windows.some(members), moves.get(m, still)
+                else:
+                    weights = weights_at(tile, int(place[m]), size)
+                    some, chosen = like_tile.some(members), components
+                return posterior(_sparse(weights), some, chosen, self.noise_gain, spread=self.uncertainty)
 
-            jobs: list[Ints] = []
-            for each in np.unique(place[enough & alike]):
-                members = np.flatnonzero(enough & alike & (place == each))
-                jobs += [members[k : k + _BLOCK] for k in range(0, len(members), _BLOCK)]
-            own: list[int] = np.flatnonzero(enough & strange).tolist()
+            def blocks(chosen: Bools) -> list[Ints]:
+                """Divide windows into jobs that share weights."""
+                found: list[Ints] = []
+                for each in np.unique(place[chosen]):
+                    members = np.flatnonzero(chosen & (place == each))
+                    found += [members[k : k + _BLOCK] for k in range(0, len(members), _BLOCK)]
+                return found
+
             with threadpool_limits(1):
-                answers = side_by_side(lambda m=members: shared(m) for members in jobs)
-                for members, found in zip(jobs, answers, strict=True):
-                    mine = ~strange[members]
-                    canvas.add(corners[members[mine]], found.some(mine), windows.measured[members[mine]])
-                    for m, shares in zip(members[~mine].tolist(), found.shares[~mine], strict=True):
-                        moves[m] = _best(components, shares)
-                answers = side_by_side(lambda m=m: alone(m) for m in own)
-                for m, found in zip(own, answers, strict=True):
-                    canvas.add(corners[[m]], found, windows.measured[[m]])
+                side_by_side(lambda m=m: search(m) for m in blocks(enough & strange & alike))
+                jobs: list[Ints] = [*blocks(enough & ~strange), *np.flatnonzero(enough & strange)[:, None]]
+                answers = side_by_side(lambda m=m: solve(m) for m in jobs)
+            canvas = _Canvas.of(image.weights, self.uncertainty)
+            for members, found in zip(jobs, answers, strict=True):
+                canvas.add(corners[members], found, windows.measured[members])
             full = overlap(image.usable.shape, size, self.stride_px, _triangle(size))
             canvas.brighten(unit)
             partial = covered(frame, image, canvas.total, canvas.count, full, canvas.variance)
@@ -187,13 +196,6 @@ def _components(fastest: float) -> list[Component]:
             angles = 2 * np.pi * np.arange(n) / n
             velocities += [(speed * float(np.sin(a)), speed * float(np.cos(a))) for a in angles]
     return [(*velocity, time) for time in TIMES_SLOTS for velocity in velocities]
-
-
-def _best(components: list[Component], shares: Doubles) -> list[Component]:
-    """Components of the velocities with the largest shares."""
-    by_velocity = shares.reshape(len(TIMES_SLOTS), -1).sum(axis=0)
-    best = [k for k in np.argsort(-by_velocity, kind="stable")[:_BEST] if by_velocity[k] > 0]
-    return [components[start + k] for start in range(0, len(shares), len(by_velocity)) for k in best]
 
 
 def _sparse(weights: Floats) -> Floats:

@@ -67,21 +67,13 @@ class Posterior:
         Posterior means.
     residuals : ndarray of shape (n, p), float32
         Each sample minus what the others predict; 0 without a sample.
-    shares : ndarray of shape (n, k), float64
-        Probability of each component; 0 for negligible ones.
     variances : ndarray of shape (n, p * slot), float32, or None
         Posterior variances, if asked for.
     """
 
     videos: Floats
     residuals: Floats
-    shares: Doubles
     variances: Floats | None
-
-    def some(self, members: Bools) -> Posterior:
-        """Select some of them."""
-        variances = None if self.variances is None else self.variances[members]
-        return Posterior(self.videos[members], self.residuals[members], self.shares[members], variances)
 
 
 def posterior(
@@ -108,10 +100,20 @@ def posterior(
         Whether the variances are wanted.
     """
     given = _normalised(weights, windows, noise_gain)
-    logs, solved = _evidence(weights, given, components)
+    logs, solved = _evidence(weights, given, components, keep=True)
+    return _mixed(weights, given, components, _shares(logs), solved, spread)
+
+
+def likelihoods(weights: Floats, windows: Windows, components: list[Component], noise_gain: float) -> Doubles:
+    """Share of each component in each window, (k, n), by its evidence; 0 for negligible ones."""
+    given = _normalised(weights, windows, noise_gain)
+    return _shares(_evidence(weights, given, components, keep=False)[0])
+
+
+def _shares(logs: Doubles) -> Doubles:
     shares = np.exp(logs - logs.max(axis=0))
     shares[shares < _NEGLIGIBLE] = 0
-    return _mixed(weights, given, components, shares / shares.sum(axis=0), solved, spread)
+    return shares / shares.sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +142,12 @@ class _Solved:
 
 
 def _evidence(
-    weights: Floats, given: _Normalised, components: list[Component]
+    weights: Floats, given: _Normalised, components: list[Component], *, keep: bool
 ) -> tuple[Doubles, list[list[_Solved]]]:
-    """Log evidence of each component in each window, (k, n), and the windows for which it may matter."""
+    """Log evidence of each component in each window, (k, n), and the windows for which it may matter.
+
+    If none are to be kept, no velocity is left out.
+    """
     n = given.measured.sum(axis=1)
     logs = np.full((len(components), len(n)), -np.inf)
     best = np.full(len(n), -np.inf)
@@ -154,19 +159,19 @@ def _evidence(
         # What was unlikely at one time is so at the others.
         before = first.setdefault(component[:2], k)
         likely = (before == k) | (logs[before] >= best - _UNLIKELY)
-        if before % coarse:
+        if keep and before % coarse:
             likely &= given.level < _ROUGH
         if not likely.any():
             continue
         _fill_signal_covariance(_table(component, weights), weights, signals)
         for each in np.unique(given.level[likely]):
-            root, log_root = _inverse_root(signals, each)
+            root, log_root = _inverse_root(signals, int(each))
             some = np.flatnonzero(likely & (given.level == each))
             found = _solve(root, log_root, given, some, whole=False)
             logs[k, some] = -(n[some] - 1) / 2 * np.log(found.squares + _TINY**2) - found.log_root
             best[some] = np.maximum(best[some], logs[k, some])
             near = some[logs[k, some] >= best[some] + math.log(_NEGLIGIBLE)]
-            if len(near):
+            if keep and len(near):
                 solved[k].append(_solve(root, log_root, given, near, whole=True))
     return logs, solved
 
@@ -181,7 +186,7 @@ def _normalised(weights: Floats, windows: Windows, noise_gain: float) -> _Normal
     texture = np.square(samples).sum(axis=1) / n - noise
     texture = np.maximum(texture, _LEAST_TEXTURE * noise + _TINY * np.square(mean) + _TINY**2)
     v, u = np.divmod(np.arange(len(weights)), math.isqrt(len(weights)))
-    slots = np.arange(weights.shape[1])
+    slots = np.arange(weights.shape[1], dtype=np.int64)
     apart = np.exp(-np.hypot(v[:, None] - v, u[:, None] - u) / _LENGTH_PX)
     later = np.exp(-np.abs(slots[:, None] - slots) / TIMES_SLOTS[0])
     still = apart * (weights @ later @ weights.T)
@@ -222,14 +227,14 @@ def _mixed(
             if squares is not None:
                 signals = np.empty((pixels, pixels))
                 _fill_signal_covariance(table, weights, signals)
-                reached = _inverse_root(signals, given.level[some[0]])[0] @ (light + np.float32(_MEAN))
+                reached = _inverse_root(signals, int(given.level[some[0]]))[0] @ (light + np.float32(_MEAN))
                 unit = (_MEAN - np.einsum("pe,pe->e", reached, reached)).clip(0)
                 freedom = np.maximum(given.measured[some].sum(axis=1) - 3, 1)
                 scale = (found.squares[there] / freedom).astype(np.float32)[:, None]
                 squares[some] += np.square(video) / share + share * scale * unit
     if squares is not None:
         squares = (squares - np.square(videos)).clip(0)
-    return Posterior(videos + given.mean[:, None], residuals, shares.T, squares)
+    return Posterior(videos + given.mean[:, None], residuals, squares)
 
 
 def _inverse_root(signals: Doubles, level: int) -> tuple[Floats, float]:
