@@ -8,10 +8,14 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from scipy import stats
+from small_experiment import COLS, ROWS, moving_bar
 
 from optsim.experiment.experiment import load_experiment
+from optsim.experiment.loop import Result, run
+from optsim.experiment.scoring import scorer_of
 from optsim.metrics.claims import CLAIMS, LEAST_DRAWS
 from optsim.metrics.records import PairRecord, Verdict
 
@@ -73,6 +77,38 @@ def made_up(number: int, near: float) -> dict[str, object]:
     ]
     about = {"seed": number + 1, "variation": "main", "first_frame": number, "moves": 0.25}
     return {**about, "pairs": pairs, "no_rivals": ["adaptive_mean"]}
+
+
+def test_a_draw_at_another_latency_is_a_run_at_it(claims: ModuleType) -> None:
+    """Codes that know no latency are not taken again, and nothing else changes."""
+
+    def taken(latency: int) -> Result:
+        keys = [
+            "n_frames=6",
+            f"camera.panel_rows={ROWS}",
+            f"camera.panel_cols={COLS}",
+            f"camera.sensor.rows={3 * ROWS + 8}",
+            f"camera.sensor.cols={3 * COLS + 8}",
+            f"camera.latency_frames={latency}",
+            "camera.relay.field_error=0.2",
+            "calibration=true",
+        ]
+        experiment = load_experiment("figure4", keys)
+        methods = [m for m in experiment.methods if m.name in ("adaptive", "hdr_mosaic", "closed_loop")]
+        experiment = experiment.model_copy(update={"methods": tuple(methods)})
+        return run(experiment, moving_bar(experiment, 1.0))
+
+    late, early = taken(2), taken(1)
+    again = claims.at_latency(late, 1)
+    assert again.experiment == early.experiment
+    for name, frames in early.frames.items():
+        for one, other in zip(frames, again.frames[name], strict=True):
+            np.testing.assert_array_equal(one.dn, other.dn)
+    arrived = zip(late.frames["adaptive"], early.frames["adaptive"], strict=True)
+    assert any((one.dn != other.dn).any() for one, other in arrived)
+    pairs = scorer_of(early).pair_records()
+    assert pairs
+    assert scorer_of(again).pair_records() == pairs
 
 
 def test_page_and_figures_hold_the_draws_verdicts(claims: ModuleType) -> None:
