@@ -79,6 +79,7 @@ def made_up(number: int, near: float) -> dict[str, object]:
     return {**about, "pairs": pairs, "no_rivals": ["adaptive_mean"]}
 
 
+@pytest.mark.slow
 def test_a_draw_at_another_latency_is_a_run_at_it(claims: ModuleType) -> None:
     """Codes that know no latency are not taken again, and nothing else changes."""
 
