@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from ideal_camera import crossing, film, ideal_calibration, still_light
+from ideal_camera import BLACK_DN, SLOTS, crossing, film, ideal_calibration, still_light
 
+from optsim.calibration import Glare
+from optsim.calibration.demixed import FrameWithHighlights, demixed_frames
 from optsim.coding import HdrMosaic, MotionAdaptive, RandomExposure
+from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
 from optsim.decoding.union import _nearness
 
@@ -185,3 +188,41 @@ def test_nearness_is_a_share(changed, fade_px):
     assert near.dtype == np.float32
     assert (near >= 0).all()
     assert (near <= 1).all()
+
+
+def test_known_highlights_take_their_glare_out_of_the_dark():
+    """A lamp saturates by far; its veil is most of what a dark pixel reads."""
+    calibration = ideal_calibration(ROWS, COLS, glare=Glare(veil=0.01))
+    light = np.full((ROWS, COLS), 0.02, np.float32)
+    light[4:6, 4:6] = 5_000
+    code = ExposureCode(np.full((SLOTS, ROWS, COLS), 255, np.uint8), np.ones((ROWS, COLS), np.bool_))
+    dn = calibration.mix(light * SLOTS) * calibration.responsivity_dn + BLACK_DN
+    frame = CodedFrame(0, np.rint(dn.clip(0, 16_383)).astype(np.uint16), code)
+    told = FrameWithHighlights(**vars(frame), highlights_w_m2=light)
+    dark = light < 1
+    alone, helped = (
+        next(demixed_frames([each], calibration, "undone"))[1].signal[dark] / (0.02 * SLOTS)
+        for each in (frame, told)
+    )
+    assert alone.min() > 5
+    np.testing.assert_allclose(helped, 1, atol=0.02)
+
+
+def test_the_video_is_told_what_the_merge_knows_of_highlights(monkeypatch):
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, RandomExposure(), crossing(3), np.random.default_rng(1))
+    told = []
+
+    def seen(self, frames, calibration):
+        def kept():
+            for frame in frames:
+                told.append(frame.highlights_w_m2)
+                yield frame
+
+        return partials(self, kept(), calibration)
+
+    partials = Interpolation.partials
+    monkeypatch.setattr(Interpolation, "partials", seen)
+    assert len(list(Union(moving=Interpolation()).decode(frames, calibration))) == 3
+    for light, still in zip(told, HdrMerge().partials(frames, calibration), strict=True):
+        np.testing.assert_array_equal(light, still.irradiance_w_m2[0])

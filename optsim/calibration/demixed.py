@@ -79,6 +79,19 @@ class DemixedFrame:
         return np.where(self.saturated & self.valid, bound, 0).astype(np.float32)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameWithHighlights(CodedFrame):
+    """A coded frame whose saturated pixels have a known light, from other frames or from its glare.
+
+    Parameters
+    ----------
+    highlights_w_m2 : ndarray of shape (v, u), float32
+        Irradiance; it counts where the frame saturates.
+    """
+
+    highlights_w_m2: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class SaturationPrior:
     """Saturation prior: a pixel's irradiance from other frames, for frames in which it saturates.
@@ -200,6 +213,9 @@ def demixed_frames(
     seen = SaturationPrior.unknown(calibration.shape)
     for frame in frames:
         demixed, panel, seen = next_demixed_frame(calibration, frame, panel, seen, crosstalk)
+        if isinstance(frame, FrameWithHighlights) and crosstalk == "undone" and demixed.saturated.any():
+            known = SaturationPrior(frame.highlights_w_m2, np.zeros_like(frame.highlights_w_m2))
+            demixed = demix(calibration, demixed, known)
         yield frame, demixed
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from optsim.calibration.calibration import Calibration
+from optsim.calibration.demixed import FrameWithHighlights
 from optsim.core.config import Part
 from optsim.core.extensions import AS_IT_IS, DECODERS, or_offered
 from optsim.core.quantities import Bools, CodedFrame, Floats, Reconstruction
@@ -31,8 +32,8 @@ _Moving = Annotated[
 # Least share of the image for which a video is decoded.
 _LEAST_SHARE = 0.05
 _SMOOTH_PX = 3
-# Reach of a saturated sample in a video: half the side of the shipped priors' patches, panel pixels.
-_AROUND = 4
+# Reach of a saturated sample in a video: the side of the shipped priors' patches, panel pixels.
+_AROUND = 8
 
 
 class Union(Part):
@@ -44,7 +45,9 @@ class Union(Part):
     less error: the four exposures of a mosaic differ in time too. Near saturated samples it has not, since
     few exposures are left, so there the code must be the video's. Undetected motion is likely near detected
     motion, so the video's share falls with the distance from the nearest change. Where the video ends, it
-    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share.
+    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share. Pixels
+    that saturate in every frame light the dark by their glare. The merge estimates their light, and the
+    video's samples are freed of it.
 
     Standard deviations are blended like the light, as if both made the same error: an upper bound.
     Where the video's decoder states no uncertainty, pixels with any video have 0, which means unknown.
@@ -88,7 +91,11 @@ class Union(Part):
                     where = where | ~dilated(calibration.observe(frame).saturated, _AROUND)
                     near = where * _nearness(still.moving, self.fade_px)
                 merged.append((still, near))
-                yield replace(frame, code=replace(frame.code, moving=where & (near >= _LEAST_SHARE)))
+                code = replace(frame.code, moving=where & (near >= _LEAST_SHARE))
+                # The merge knows lamps by their glare, which in the dark outshines what moves.
+                yield FrameWithHighlights(
+                    **vars(replace(frame, code=code)), highlights_w_m2=still.irradiance_w_m2[0]
+                )
 
         for video in self.moving.partials(changing(), calibration):
             still, near = merged.popleft()
