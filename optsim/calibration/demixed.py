@@ -214,9 +214,17 @@ def demixed_frames(
     for frame in frames:
         demixed, panel, seen = next_demixed_frame(calibration, frame, panel, seen, crosstalk)
         if isinstance(frame, FrameWithHighlights) and crosstalk == "undone" and demixed.saturated.any():
-            known = SaturationPrior(frame.highlights_w_m2, np.zeros_like(frame.highlights_w_m2))
-            demixed = demix(calibration, demixed, known)
+            demixed = _without_glare(calibration, demixed, frame.highlights_w_m2)
         yield frame, demixed
+
+
+def _without_glare(calibration: Calibration, demixed: DemixedFrame, highlights: Floats) -> DemixedFrame:
+    """Remove the glare of what highlights exceed their bounds by, and leave near light as it is."""
+    more = (highlights * demixed.exposure - demixed.signal).clip(0)
+    glare = np.zeros_like(demixed.signal)
+    for _ in range(2):  # what is removed has no glare of its own
+        glare = calibration.mix_far(np.where(demixed.saturated, more, -glare)) / calibration.direct_share
+    return replace(demixed, signal=np.where(demixed.saturated, demixed.signal, demixed.signal - glare))
 
 
 def demix(calibration: Calibration, demixed: DemixedFrame, elsewhere: SaturationPrior) -> DemixedFrame:
