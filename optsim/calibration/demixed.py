@@ -219,10 +219,10 @@ def demixed_frames(
 
 
 def _without_glare(calibration: Calibration, demixed: DemixedFrame, highlights: Floats) -> DemixedFrame:
-    """Remove the glare of what highlights exceed their bounds by, and leave near light as it is."""
+    """Subtract the glare of highlights beyond their measured bounds; crosstalk stays as it is."""
     more = (highlights * demixed.exposure - demixed.signal).clip(0)
     glare = np.zeros_like(demixed.signal)
-    for _ in range(2):  # what is removed has no glare of its own
+    for _ in range(2):  # the second round: subtracted light causes no glare itself
         glare = calibration.mix_far(np.where(demixed.saturated, more, -glare)) / calibration.direct_share
     return replace(demixed, signal=np.where(demixed.saturated, demixed.signal, demixed.signal - glare))
 

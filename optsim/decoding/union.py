@@ -42,12 +42,13 @@ class Union(Part):
     The code's mask is dilated and as old as the frames behind it. At decoding, the frame's own sample is
     known, so equation (1) is not followed. Where the sample agrees with those before, the merge of all has
     less error than the video. Where it doesn't, one frame is left to merge. There a video from any code has
-    less error: the four exposures of a mosaic differ in time too. Near saturated samples it has not, since
-    few exposures are left, so there the code must be the video's. Undetected motion is likely near detected
+    less error: the four exposures of a mosaic differ in time too. Near saturated samples too few of them
+    are left, so there only the video's own code gives a video. Undetected motion is likely near detected
     motion, so the video's share falls with the distance from the nearest change. Where the video ends, it
-    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share. Pixels
-    that saturate in every frame light the dark by their glare. The merge estimates their light, and the
-    video's samples are freed of it.
+    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share.
+
+    The glare of pixels that saturate in every frame reaches dark pixels. The merge estimates the light of
+    these saturated pixels, and their glare is subtracted from the video's samples.
 
     Standard deviations are blended like the light, as if both made the same error: an upper bound.
     Where the video's decoder states no uncertainty, pixels with any video have 0, which means unknown.
@@ -92,7 +93,7 @@ class Union(Part):
                     near = where * _nearness(still.moving, self.fade_px)
                 merged.append((still, near))
                 code = replace(frame.code, moving=where & (near >= _LEAST_SHARE))
-                # The merge knows lamps by their glare, which in the dark outshines what moves.
+                # The merge estimates what always saturates by its glare.
                 yield FrameWithHighlights(
                     **vars(replace(frame, code=code)), highlights_w_m2=still.irradiance_w_m2[0]
                 )
