@@ -403,8 +403,8 @@ def test_lost_seeds_and_scenes_are_named() -> None:
     assert compared(both, side("a", values)).missing == ["scene_b: seeds 1, 2"]
 
 
-def test_a_reading_must_be_there_and_a_cost_in_one_run() -> None:
-    facts = {"bench: gain": METRICS[STOPS], "time: capture": METRICS[STOPS]}
+def test_a_reading_must_be_there_and_any_cost() -> None:
+    facts = dict.fromkeys(("bench: gain", "time: capture", "time: decode"), METRICS[STOPS])
     readings = dict.fromkeys(facts, 1.0)
     whole = two_methods(2)
     whole = whole.model_copy(
@@ -414,9 +414,13 @@ def test_a_reading_must_be_there_and_a_cost_in_one_run() -> None:
         }
     )
     assert compared(whole, cut(whole, lambda run: run["readings"].pop("time: capture"), (1,))).missing == []
-    for name in facts:
-        none = cut(whole, lambda run, of=name: run["readings"].pop(of), (1, 2))
-        assert compared(whole, none).missing == [f"scene_a, whole run: {name}"]
+    # A stage of half a second in all runs may take a little less in all of another machine.
+    short = cut(whole, lambda run: run["readings"].pop("time: capture"), (1, 2))
+    assert compared(whole, short).missing == []
+    none = cut(short, lambda run: run["readings"].pop("time: decode"), (1, 2))
+    assert compared(whole, none).missing == ["scene_a, whole run: time: capture, time: decode"]
+    bare = cut(whole, lambda run: run["readings"].pop("bench: gain"), (1, 2))
+    assert compared(whole, bare).missing == ["scene_a, whole run: bench: gain"]
     one = cut(whole, lambda run: run["readings"].pop("bench: gain"), (1,))
     assert compared(whole, one).missing == ["scene_a, whole run: bench: gain, seed 1"]
 

@@ -58,11 +58,12 @@ def missing_scores(before: Scored, after: Scored) -> list[str]:
         if gone:
             found.append(f"{case}: {_numbers('seed', gone)}")
         wanted = {key: _wanted(units, seeds, others) for key, units in rows.items()}
-        # A faster machine has no cost of a stage below half a second.
+        # A faster machine has no cost of a stage below half a second; no cost at all is a loss.
+        costs = any(key.case == case and key.metric.startswith((TIME, MEMORY)) for key in theirs)
         lost = {
             key: units.difference(theirs.get(key, ()))
             for key, units in wanted.items()
-            if not (key.metric.startswith((TIME, MEMORY)) and key in theirs)
+            if not (costs and key.metric.startswith((TIME, MEMORY)))
         }
         found += _lines(case, wanted, lost)
     return found
