@@ -287,7 +287,8 @@ scheme is compared with the adaptive one on the pixels that both hold valid, so 
 The advantage is the mean over the draws with its 95 % interval (Student), each by itself. Where a scene has
 a bright outside, the window is the outside with the pixels that see any of it; all else is the room.
 
-`random_union` has the adaptive scheme's decoder without its codes. The flutter shutter is decoded with the
+`random_union` has the adaptive scheme's decoder without its codes, and `adaptive_joined` its codes with the
+decoder `joined` for what moves: its row says, with the sign turned, what that wins. No claim is judged by it. The flutter shutter is decoded with the
 mixture, which was better here than `motion_deblurring`, its natural decoder. `single_pixel` (Wakin et al.) is
 hypothetical: a photodiode in the CCD's place, read once a slot. No claim is judged by it.
 
