@@ -288,9 +288,10 @@ The advantage is the mean over the draws with its 95 % interval (Student), each 
 a bright outside, the window is the outside with the pixels that see any of it; all else is the room.
 
 `random_union` has the adaptive scheme's decoder without its codes, and `adaptive_joined` its codes with the
-decoder `joined` for what moves: its row says, with the sign turned, what that wins. No claim is judged by it. The flutter shutter is decoded with the
-mixture, which was better here than `motion_deblurring`, its natural decoder. `single_pixel` (Wakin et al.) is
-hypothetical: a photodiode in the CCD's place, read once a slot. No claim is judged by it.
+decoder `joined` where it moves: with its sign turned, the advantage is what that wins. The flutter shutter is
+decoded with the mixture, which was better here than `motion_deblurring`, its natural decoder. `single_pixel`
+(Wakin et al.) is hypothetical: a photodiode in the CCD's place, read once a slot. No claim is judged by
+`adaptive_joined` and `single_pixel`.
 
 No prior was trained on any of these scenes, but two numbers of the adaptive scheme and its decoder were
 chosen on `window_room` and `half_moving` (`least_change`, `fade_px`), and some textures of `half_moving` are
