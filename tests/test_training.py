@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from optsim.core.errors import ValueCheckError
+from optsim.priors import iterations
 from optsim.priors.atom_updates import dense, k_svd_atoms
 from optsim.priors.dictionary import unit
 from optsim.priors.mixture_training import train_mixture
@@ -135,9 +136,10 @@ def test_going_on_is_the_same_to_the_bit_as_not_stopping(prior, stop_after, tmp_
 
 @pytest.mark.parametrize("prior", LEARN)
 @pytest.mark.parametrize(
-    "changed", [{"seed": 1}, {"iterations": 4}, {"n_patches": 910}, "size", "method", "footage", "damaged"]
+    "changed",
+    [{"seed": 1}, {"iterations": 4}, {"n_patches": 910}, "size", "method", "footage", "code", "damaged"],
 )
-def test_other_settings_footage_or_damaged_states_begin_again(prior, changed, tmp_path, monkeypatch):
+def test_other_settings_footage_code_or_damaged_states_begin_again(prior, changed, tmp_path, monkeypatch):
     learn(prior, tmp_path, 3)
     if changed == "size":
         changed = {"n_components": 4} if prior == "mixture" else {"n_atoms": 21}
@@ -145,6 +147,9 @@ def test_other_settings_footage_or_damaged_states_begin_again(prior, changed, tm
         changed = {"rank": 20} if prior == "mixture" else {"method": "ksvd" if prior == "mod" else "mod"}
     elif changed == "footage":
         monkeypatch.setitem(globals(), "CLIPS", [CLIPS[0] ** 1.1])
+        changed = {}
+    elif changed == "code":
+        monkeypatch.setattr(iterations, "hash_files", lambda _: "of another code")
         changed = {}
     elif changed == "damaged":
         for path in tmp_path.rglob("*.npy"):

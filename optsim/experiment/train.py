@@ -12,6 +12,7 @@ import numpy as np
 
 from optsim import __version__
 from optsim.core.cache import Cache, default_folder, hash_of
+from optsim.core.code_hash import hash_files
 from optsim.core.errors import ConfigError, StorageError
 from optsim.core.files import writable_folder
 from optsim.core.folder_claims import claimed_file
@@ -35,6 +36,8 @@ _SAMPLES = 64
 _SHIPPED: dict[Prior, Footage] = {"dictionary": "both", "mixture": "leaves"}
 # Clips of dead leaves, and the batch that is drawn and stored together: the loss by a stop.
 _LEAVES, _BATCH = 400, 25
+_LEAF_CODE = ("optsim/scene/*.py",)
+_RENDER_CODE = (*_LEAF_CODE, "optsim/render/*.py")
 
 
 def training_textures() -> list[str]:
@@ -67,7 +70,7 @@ def leaf_clips(*, seed: int, progress: Progress) -> list[Floats]:
             with ThreadPoolExecutor() as pool:
                 return {"clips": np.stack(list(pool.map(one, range(first, first + _BATCH))))}
 
-        key = hash_of("moving leaves", named, seed, first, _BATCH, __version__)
+        key = hash_of("moving leaves", named, seed, first, _BATCH, hash_files(_LEAF_CODE))
         clips += list(np.array(cache.get(key, make)["clips"]))
     progress("training footage", _LEAVES, _LEAVES)
     return clips
@@ -96,7 +99,9 @@ def training_clips(*, seed: int, backend: str | None, progress: Progress) -> dic
                 )
             }
 
-        key = hash_of("training clip", chosen.model_dump(mode="json"), seed, _SAMPLES, __version__)
+        key = hash_of(
+            "training clip", chosen.model_dump(mode="json"), seed, _SAMPLES, hash_files(_RENDER_CODE)
+        )
         clips[name] = np.array(cache.get(key, make)["clip"])
     progress("rendered footage", len(names), len(names))
     return clips

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from optsim import __version__
 from optsim.core.cache import Arrays, Cache, hash_of
+from optsim.core.code_hash import hash_files
 from optsim.core.progress import Progress, silent
 from optsim.core.quantities import Floats
+
+# Another code learns otherwise: its states are no start.
+_CODE = ("optsim/priors/*.py",)
 
 
 def iterate(
@@ -42,4 +45,4 @@ def iterate(
 def learning_key(signals: Floats, *settings: object) -> str:
     """Hash of training numbers of any shape, and of settings that JSON can express."""
     content = hashlib.sha256(np.ascontiguousarray(signals).reshape(-1).data).hexdigest()
-    return hash_of(content, signals.shape, *settings, __version__)
+    return hash_of(content, signals.shape, *settings, hash_files(_CODE))
