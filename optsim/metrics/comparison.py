@@ -149,7 +149,7 @@ def judge(found: Advantage, tolerance: float | None, level: float, *, either_way
     """
     if found.error is None:
         moved = tolerance is not None and _loss(found, either_way) > tolerance
-        why = "moved beyond the tolerance in a single unit" if moved else ""
+        why = "moved beyond the tolerance in a single sample" if moved else ""
         unit: Change = "not judged" if tolerance is None else "cannot tell"
         return Judgement(None, None, unit, "warn" if moved else "", why, None)
     far = quantile(found.freedom, 1 - level / 2) * found.error

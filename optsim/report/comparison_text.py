@@ -55,7 +55,7 @@ def cells(delta: Delta) -> list[str]:
     """Cells of a row under :data:`COLUMNS`; the change is an advantage, below 0 it is worse."""
     number, unit = _signed(delta.advantage, delta.unit), delta.unit
     interval = (
-        "one unit" if delta.low is None else f"{_signed(delta.low, unit)} to {_signed(delta.high, unit)}"
+        "one sample" if delta.low is None else f"{_signed(delta.low, unit)} to {_signed(delta.high, unit)}"
     )
     verdict = f"{delta.verdict}: {delta.why}" if delta.why else delta.verdict
     mark = {"fail": "FAIL ", "warn": "warn ", "": ""}[delta.alarm]
