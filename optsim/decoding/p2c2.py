@@ -14,7 +14,7 @@ from pydantic import Field
 from optsim.core.compiled import compiled
 from optsim.core.quantities import Bools, Floats
 from optsim.decoding.coded_images import CodedImage
-from optsim.decoding.total_variation import ProjectedVideo
+from optsim.decoding.projected_video import ProjectedVideo
 
 _BRIGHTEST = 1.5  # of the white that light is divided by
 
