@@ -20,6 +20,10 @@ from optsim.scene.scene import SingleMover
 
 # A square pixel cannot see a triangle farther from its centre than half its diagonal.
 _MARGIN_PX = 0.75
+# Vertices that are retained: number of arrays, bytes, and an array's bytes from which bytes are counted: as
+# many smaller ones fit.
+_MOST_ARRAYS, _MOST_BYTES, _FINE_BYTES = 8192, 256e6, 31e3
+_retained: dict[tuple[Any, float], Doubles] = {}
 
 
 def vertices_at(mover: SingleMover, time_s: float) -> Doubles:
@@ -34,13 +38,19 @@ def vertices_at(mover: SingleMover, time_s: float) -> Doubles:
 
 def faces_of(mover: SingleMover) -> Faces:
     """Return a mover's triangles, the same at all times."""
-    return mover.rest().faces if isinstance(mover, KeyframedObjects) else _faces_of(cast("Any", mover))
+    return mover.faces if isinstance(mover, KeyframedObjects) else _faces_of(cast("Any", mover))
 
 
-@functools.lru_cache(maxsize=1024)
 def _vertices_at(mover: Any, time_s: float) -> Doubles:
-    vertices = mover.vertices(time_s)
-    vertices.flags.writeable = False
+    key = mover, time_s
+    if (vertices := _retained.pop(key, None)) is None:
+        vertices = mover.vertices(time_s)
+        vertices.flags.writeable = False
+        # As many as fit: a thousand movers take a thousand arrays a pose, a fine mesh takes megabytes.
+        size = sum(each.nbytes for each in _retained.values()) if vertices.nbytes > _FINE_BYTES else 0
+        while _retained and (len(_retained) >= _MOST_ARRAYS or size + vertices.nbytes > _MOST_BYTES):
+            size -= _retained.pop(next(iter(_retained))).nbytes
+    _retained[key] = vertices  # as the newest
     return vertices
 
 

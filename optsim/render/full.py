@@ -43,7 +43,7 @@ def poses_per_instant(plan: RenderPlan, slot: int) -> int:
     """
     times_s = plan.times_s(slot, slot + 1, 1)
     paths_px = [path_px(lambda _, v=v: v, times_s, plan.scene.camera, plan.view) for v in plan.still_m]
-    paths_px += [mover_path_px(plan, name, slot, slot + 1) for name in plan.scene.singles()]
+    paths_px += [mover_path_px(plan, name, slot, slot + 1) for name in plan.movers]
     longest_px = max(paths_px, default=0.0) / plan.settings.instants_per_slot
     needed = longest_px * _ERROR_PER_PX / plan.settings.interpolation_error
     return 1 << max(0, int(np.ceil(np.log2(max(needed, 1e-9)))))

@@ -60,13 +60,13 @@ class Span:
     def places(self, trajectory: Trajectory, pose: int) -> Doubles:
         """Positions of a mover's vertices in the picture: row, column, depth."""
         time_s = self.times_s[pose]
-        vertices = vertices_at(self.plan.scene.singles()[trajectory.name], time_s)
+        vertices = vertices_at(self.plan.movers[trajectory.name], time_s)
         return project(vertices, self.plan.scene.camera.at(time_s), self.plan.view)
 
     def matt(self, trajectory: Trajectory) -> bool:
         """Whether a mover is matt: radiance is reflectance times irradiance, which can be reprojected."""
         scene = self.plan.scene
-        material = scene.materials[scene.singles()[trajectory.name].material]
+        material = scene.materials[self.plan.movers[trajectory.name].material]
         # A normal map changes irradiance finer than key poses know it.
         return isinstance(material, Diffuse) and material.normal_map is None
 
@@ -158,7 +158,7 @@ def _own_light(
     met = np.full((len(hits.shape), 3), np.nan)
     for name, here in places.items():
         hit = np.flatnonzero(hits.shape == moving.shape_of(name))
-        met[hit] = seen_at(hits, hit, faces_of(plan.scene.singles()[name]), here)
+        met[hit] = seen_at(hits, hit, faces_of(plan.movers[name]), here)
     if len(pixels):
         sums = np.add.reduceat(hits.light, np.cumsum(samples) - samples, dtype=np.float64)
         light = (sums / samples).reshape(2, -1)

@@ -216,7 +216,7 @@ def _reprojected(
 ) -> Floats:
     """Irradiance over pi reprojected to primary hits on a mover at a pose; NaN where no key has it."""
     *known, share = _keys_round(span, keys, pose, trajectory, every)
-    faces, then = faces_of(span.plan.scene.singles()[trajectory.name]), span.places(trajectory, pose)
+    faces, then = faces_of(span.plan.movers[trajectory.name]), span.places(trajectory, pose)
     first, last = (
         key.light.irradiance(hits, met, half, faces, key.places[trajectory.name], then, span.plan.view)
         for key in known

@@ -15,7 +15,7 @@ from optsim.render.allocation import MOST, Statistics, allocate, relative_deviat
 from optsim.render.footprint import cover, faces_of, vertices_at
 from optsim.render.lens import ideal, touched
 from optsim.render.settings import CameraNoise, RenderSettings
-from optsim.scene.scene import Scene
+from optsim.scene.scene import Scene, SingleMover
 
 # Floor of relative errors, added to the radiance, as a share of the declared white. No source: it is 1/100 of
 # a picture's white, and the scores' own metrics flatten out about there.
@@ -71,6 +71,11 @@ class RenderPlan:
         """Vertices of static objects, m."""
         return [mesh.vertices_m for mesh in self.scene.still_meshes().values()]
 
+    @cached_property
+    def movers(self) -> dict[str, SingleMover]:
+        """Movers by name: the scene finds them anew at each call, too slow for each of a thousand."""
+        return self.scene.singles()
+
     @property
     def pixels(self) -> Ints:
         """All fine samples."""
@@ -117,7 +122,7 @@ class RenderPlan:
     def own(self, *times_s: float, movers: Iterable[str] | None = None) -> Bools:
         """Fine samples in which movers, all or some, may be seen at any of some instants: (y, x)."""
         grid = ideal(self.view)
-        singles, mask = self.scene.singles(), np.zeros((grid.rows, grid.cols), np.bool_)
+        singles, mask = self.movers, np.zeros((grid.rows, grid.cols), np.bool_)
         chosen = [singles[name] for name in (singles if movers is None else movers)]
         for time_s in times_s:
             camera = self.scene.camera.at(time_s)

@@ -50,7 +50,7 @@ def mover_path_px(
     plan: RenderPlan, name: str, first_slot: int, last_slot: int, margin_px: float = 0.0
 ) -> float:
     """Measure the longest path of a mover's visible point between two slots, fine samples."""
-    mover, times_s = plan.scene.singles()[name], plan.times_s(first_slot, last_slot, last_slot - first_slot)
+    mover, times_s = plan.movers[name], plan.times_s(first_slot, last_slot, last_slot - first_slot)
     return path_px(partial(vertices_at, mover), times_s, plan.scene.camera, plan.view, margin_px)
 
 
@@ -63,7 +63,7 @@ def slots_per_segment(plan: RenderPlan) -> int:
         (
             # Up to a picture's width outside: shadows and bounce light still arrive from there.
             mover_path_px(plan, name, s, s + 1, plan.view.cols)
-            for name in plan.scene.singles()
+            for name in plan.movers
             for s in range(0, plan.timing.n_slots, 3)
         ),
         default=0.0,
@@ -76,7 +76,7 @@ def trajectories(
     plan: RenderPlan, first_slot: int, last_slot: int, density: Callable[[str], PoseDensity]
 ) -> list[Trajectory]:
     """Find the movers seen in a segment, the one with the most poses first."""
-    names = list(plan.scene.singles())
+    names = list(plan.movers)
     lengths_px = {name: mover_path_px(plan, name, first_slot, last_slot) for name in names}
     needed = {name: min(lengths_px[name] * density(name).poses, _STEPS[-1]) for name in names}
     finest = next(n for n in _STEPS if n >= max(needed.values(), default=0.0))

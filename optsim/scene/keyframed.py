@@ -15,7 +15,7 @@ from optsim.core.config import Part
 from optsim.core.quantities import Doubles
 from optsim.scene import geometry
 from optsim.scene.fields import Vector
-from optsim.scene.geometry import Mesh, merge
+from optsim.scene.geometry import Faces, Mesh, merge
 from optsim.scene.movers import a_direction
 from optsim.scene.parts import StillObject
 
@@ -198,6 +198,11 @@ class KeyframedObjects(Part):
     material: str
     motion: Keyframed
     items: tuple[StillObject, ...]
+
+    @property
+    def faces(self) -> Faces:
+        """Triangles, the same at all times."""
+        return _resting(self.items).faces
 
     def rest(self) -> Mesh:
         """Mesh at time 0."""

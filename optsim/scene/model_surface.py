@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.errors import ConfigError
-from optsim.core.foreign import reading
+from optsim.core.foreign import any_size, reading
 from optsim.core.quantities import Doubles, Floats, Ints
 from optsim.optics.srgb import srgb_to_linear
 from optsim.scene.geometry import Mesh
@@ -107,7 +107,7 @@ def decoded(content: bytes) -> tuple[NDArray[Any], str]:
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(content), formats=_PICTURES) as picture:
+        with any_size(), Image.open(io.BytesIO(content), formats=_PICTURES) as picture:
             turn, lost = picture.getexif().get(274, 1), ""
             if turn != 1:
                 lost = f"EXIF orientation {turn} of a picture, which lies as it is stored"
@@ -118,7 +118,7 @@ def decoded(content: bytes) -> tuple[NDArray[Any], str]:
                 grey = np.asarray(picture).astype(np.uint16)[::-1, :, None]
                 return np.concatenate([grey, grey, grey, np.full_like(grey, 65535)], axis=2), lost
             return np.ascontiguousarray(np.asarray(picture.convert("RGBA"))[::-1]), lost
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError) as error:
         why = str(error).partition(" <_io")[0]
         raise ValueError(f"got no {', '.join(_PICTURES)}, or a damaged one: {why}") from None
 

@@ -13,7 +13,7 @@ from optsim.core.foreign import reading
 from optsim.core.quantities import Bools, Doubles
 from optsim.scene.geometry import Mesh
 from optsim.scene.gltf_model import read_gltf
-from optsim.scene.model_files import files_of
+from optsim.scene.model_files import check_size, files_of
 from optsim.scene.model_surface import Surface, SurfacePiece, listed, split_by_hand
 from optsim.scene.node_animation import NodeTree
 from optsim.scene.obj_files import read_obj
@@ -77,6 +77,7 @@ def inside(folder: Path, name: str, where: str, *, or_folder: bool = False) -> P
 
 @functools.lru_cache(maxsize=64)
 def _read(path: Path, _changed: tuple[tuple[int, int], ...]) -> Model:
+    check_size(path)
     readers = {".obj": read_obj, ".ply": read_ply, ".stl": read_stl}
     nodes, matrices = None, dict[int, Doubles]()
     with reading(path, "a model with triangles", "export it again, for example as GLB"):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optsim.core.errors import ConfigError
-from optsim.core.foreign import reading
+from optsim.core.foreign import any_size, check_memory, reading
 from optsim.core.foreign.exr import light_channels, only_part
 from optsim.core.foreign.h273 import BT709, primaries_at
 from optsim.core.foreign.png import deep_pixels, png_meaning
@@ -32,6 +32,9 @@ MAPS = ("normal_map", "roughness_map", "metallic_map")
 _CHANNEL = {"roughness_map": 1, "metallic_map": 2}
 # Grey, red, green and blue in all codes.
 _RAMPS = (np.arange(256)[:, None] * [[[1, 1, 1]], [[1, 0, 0]], [[0, 1, 0]], [[0, 0, 1]]]).astype(np.uint8)
+# Rows turned into light at once; and bytes a pixel, from reading to rendering (measured: 23; of normals 82).
+_ROWS = 256
+_PIXEL_BYTES, _NORMAL_BYTES = 32.0, 96.0
 # Shortest and longest median vector of a normal map; a unit vector in 8 bits is off by at most 1 %.
 _LENGTHS = (0.8, 1.2)
 
@@ -61,7 +64,9 @@ def checked_map(values: Floats, key: str, where: str) -> Floats:
             "cure: write the map anew"
         )
     if key == "normal_map":
-        vectors = 2 * values.astype(np.float64) - 1
+        # Of a large map every few texels: its medians are as good.
+        step = 1 + int(np.sqrt(values.size / 1e7))
+        vectors = 2 * values[::step, ::step].astype(np.float64) - 1
         length = float(np.median(np.linalg.norm(vectors, axis=2)))
         ahead = float(np.median(vectors[..., 2]))
         if not (_LENGTHS[0] < length < _LENGTHS[1] and ahead > 0):
@@ -74,18 +79,26 @@ def checked_map(values: Floats, key: str, where: str) -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def _picture(path: Path, channel: Channel | None, _mtime_ns: int, _size: int) -> Floats:
-    values = _values(path)
-    image = in_channel(values, channel) if values.shape[2] == 3 else values[..., 0]
-    return np.ascontiguousarray(image[::-1], np.float32)
+    stored, table = _stored(path)
+    image = np.empty(stored.shape[:2], np.float32)
+    # A few rows at once: light of a whole picture in float64 would take ten times its file.
+    for row in range(0, len(image), _ROWS):
+        values = stored[row : row + _ROWS]
+        light: Doubles = values.astype(np.float64) if table is None else table[values]
+        image[row : row + _ROWS] = in_channel(light, channel) if light.shape[2] == 3 else light[..., 0]
+    return np.ascontiguousarray(image[::-1])
 
 
 @functools.lru_cache(maxsize=64)
 def _map(path: Path, key: str, _mtime_ns: int, _size: int) -> Floats:
-    values = _values(path, raw=True)
+    stored, table = _stored(
+        path, raw=True, pixel_bytes=_NORMAL_BYTES if key == "normal_map" else _PIXEL_BYTES
+    )
     if key != "normal_map":
-        values = values[..., _CHANNEL[key] if values.shape[2] == 3 else 0]
-    elif values.shape[2] != 3:
+        stored = stored[..., _CHANNEL[key] if stored.shape[2] == 3 else 0]
+    elif stored.shape[2] != 3:
         raise ConfigError(f"{path}: got one channel, expected red, green and blue; cure: a normal map")
+    values = stored if table is None else table.astype(np.float32)[stored]
     return checked_map(np.ascontiguousarray(values[::-1], np.float32), key, str(path))
 
 
@@ -95,17 +108,22 @@ def is_linear(path: Path) -> bool:
         return stream.read(6).startswith((_EXR, *_HDR))
 
 
-def _values(path: Path, *, raw: bool = False) -> Doubles:
-    """Linear light, (y, x, 1 or 3), row 0 at the upper edge; ``raw``: numbers as stored, integers 0..1."""
+def _stored(
+    path: Path, *, raw: bool = False, pixel_bytes: float = _PIXEL_BYTES
+) -> tuple[NDArray[Any], Doubles | None]:
+    """Linear light, (y, x, 1 or 3), row 0 at the upper edge: codes and light of each code, or floats.
+
+    ``raw``: numbers as stored, integers as 0..1.
+    """
     if not is_linear(path):
-        return _coded(path, raw)
+        return _coded(path, raw, pixel_bytes)
     with path.open("rb") as stream:
         exr = stream.read(4) == _EXR
-    values = _exr(path, raw) if exr else rgbe_pixels(path).astype(np.float64)
-    return values if raw else _checked(values, path)
+    values = _exr(path, raw) if exr else rgbe_pixels(path)
+    return values if raw else _checked(values, path), None
 
 
-def _checked(values: Doubles, path: Path) -> Doubles:
+def _checked(values: Floats, path: Path) -> Floats:
     """Refuse light below zero; barely below, as of a filter's ringing, it becomes 0 with a remark."""
     bound = _BELOW * float(values.max())
     wrong = ~(np.isfinite(values) & (values >= -bound))
@@ -123,7 +141,7 @@ def _checked(values: Doubles, path: Path) -> Doubles:
     return np.maximum(values, 0)
 
 
-def _exr(path: Path, raw: bool) -> Doubles:
+def _exr(path: Path, raw: bool) -> Floats:
     part = only_part(path, "write one part a file")
     channels, names = part.pixels(path), light_channels(part.stored)
     if not names:
@@ -135,7 +153,7 @@ def _exr(path: Path, raw: bool) -> Doubles:
     if len(names) == 3 and primaries != "BT.709" and not raw:
         raise ConfigError(f"{path}: got {primaries}, expected BT.709 (sRGB); cure: convert it to linear sRGB")
     _check_opaque(channels.get("A", np.ones(1)), path)
-    return np.stack([channels[name] for name in names], axis=-1).astype(np.float64)
+    return np.stack([channels[name] for name in names], axis=-1, dtype=np.float32, casting="same_kind")
 
 
 def _check_opaque(alpha: NDArray[Any], path: Path, whole: float = 1.0) -> None:
@@ -146,11 +164,14 @@ def _check_opaque(alpha: NDArray[Any], path: Path, whole: float = 1.0) -> None:
         )
 
 
-def _coded(path: Path, raw: bool) -> Doubles:
-    """PNG or JPEG."""
+def _coded(path: Path, raw: bool, pixel_bytes: float) -> tuple[NDArray[Any], Doubles]:
+    """Codes (y, x, 1 or 3) of PNG or JPEG, and what each code means."""
     from PIL import Image, ImageCms
 
-    with reading(path, _WHAT), Image.open(path, formats=("PNG", "JPEG")) as picture:
+    with reading(path, _WHAT), any_size(), Image.open(path, formats=("PNG", "JPEG")) as picture:
+        size = f"{picture.width} x {picture.height} pixels take"
+        needed = pixel_bytes * picture.width * picture.height
+        check_memory(path, needed, _WHAT, said=size, cure="a smaller picture, or more memory")
         # First of all: other questions load the pixels.
         mode, stored = picture.mode, str(picture.tile[0].args)
         deep = "16" in stored or mode.startswith("I")
@@ -162,7 +183,7 @@ def _coded(path: Path, raw: bool) -> Doubles:
         if profile is not None:
             profile = ImageCms.ImageCmsProfile(io.BytesIO(profile))
             # What it does to greys and primaries counts: linear ones, too, are called sRGB.
-            if np.abs(_by_profile(Image.fromarray(_RAMPS), profile) - _RAMPS / 255).max() < 0.01:
+            if np.abs(_by_profile(Image.fromarray(_RAMPS), profile) / 255 - _RAMPS / 255).max() < 0.01:
                 profile = None
         wrong = {
             f"EXIF orientation {turned}": turned != 1,
@@ -183,29 +204,29 @@ def _coded(path: Path, raw: bool) -> Doubles:
         if clear:
             _check_opaque(np.asarray(picture.convert("RGBA").getchannel("A")), path, 255)
         if deep:
-            values = np.atleast_3d(
+            codes = np.atleast_3d(
                 deep_pixels(path, picture)[..., :3] if mode[0] == "R" else np.asarray(picture)
             )
-            values = values.astype(np.float64) / 65535
         elif profile is not None:
-            values = _by_profile(picture, profile)
+            codes = _by_profile(picture, profile)
         else:
-            values = np.asarray(picture.convert("RGB"), np.float64) / 255
+            codes = np.asarray(picture.convert("RGB"))
+    shares = np.arange(65536) / 65535 if deep else np.arange(256) / 255
     if raw or curve == "linear":
-        return values
+        return codes, shares
     exponent = str(curve).partition("gamma ")[2]
-    return values ** float(exponent) if exponent else srgb_to_linear(values)
+    return codes, shares ** float(exponent) if exponent else srgb_to_linear(shares)
 
 
 def _of_greys(profile: Any) -> bool:
     return profile is not None and profile.profile.xcolor_space.strip() == "GRAY"
 
 
-def _by_profile(picture: Any, profile: Any) -> Doubles:
-    """Colours of a picture of 8 bits in sRGB, 0..1, (y, x, 3)."""
+def _by_profile(picture: Any, profile: Any) -> NDArray[np.uint8]:
+    """Codes of a picture of 8 bits in sRGB, (y, x, 3)."""
     from PIL import ImageCms
 
     cms: Any = ImageCms
     plain = picture.convert("L" if _of_greys(profile) else "RGB")
     seen = cms.profileToProfile(plain, profile, cms.createProfile("sRGB"), outputMode="RGB")
-    return np.asarray(seen, np.float64) / 255
+    return np.asarray(seen)

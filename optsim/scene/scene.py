@@ -15,6 +15,7 @@ from optsim.scene.bands import MONO_NM, Bands, colour_by_band, tables, taken
 from optsim.scene.camera_pose import CameraPose
 from optsim.scene.crowd import Crowd, Single
 from optsim.scene.geometry import Mesh, merge
+from optsim.scene.inside import warn_if_inside
 from optsim.scene.keyframed import Keyframed, KeyframedObjects, keyframed_objects
 from optsim.scene.lamps import Flicker, Lamp, flicker_key
 from optsim.scene.materials import Diffuse, Material, Plastic, Principled, polarises
@@ -383,6 +384,7 @@ def load_scene(name_or_path: str | Path, variation: str = "main", *, physics: bo
     for material in scene.materials.values():
         if isinstance(material, Diffuse | Plastic) and material.texture in PHOTOGRAPHS:
             photograph(material.texture)
+    warn_if_inside(scene)
     return scene
 
 

@@ -65,7 +65,26 @@ def one_line(error: BaseException) -> str:
     return text if text and not isinstance(error, LookupError) else f"{type(error).__name__} {text}".strip()
 
 
-def check_memory(path: Path, n_bytes: float, what: str) -> None:
+@contextmanager
+def any_size() -> Generator[None, None, None]:
+    """Let Pillow open a picture of any number of pixels: its limit knows nothing of memory."""
+    from PIL import Image
+
+    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
+def check_memory(
+    path: Path,
+    n_bytes: float,
+    what: str,
+    *,
+    said: str = "it declares",
+    cure: str = "a smaller file, or correct its header",
+) -> None:
     """Refuse a size declared in a header that memory can't hold, before anything is allocated.
 
     Raises
@@ -76,8 +95,8 @@ def check_memory(path: Path, n_bytes: float, what: str) -> None:
     there = available_bytes()
     if n_bytes > there:
         raise StorageError(
-            f"{path} cannot be read as {what}: it declares {_gib(n_bytes)}, expected at most the "
-            f"{_gib(there)} of memory that are free; cure: a smaller file, or correct its header"
+            f"{path} cannot be read as {what}: {said} {_gib(n_bytes)}, expected at most the "
+            f"{_gib(there)} of memory that are free; cure: {cure}"
         )
 
 
