@@ -30,6 +30,7 @@ from optsim.decoding import (
     GaussianMixture,
     Interpolation,
     Joined,
+    P2c2,
     SparseCoding,
     TotalVariation,
     VelocityMixture,
@@ -52,6 +53,7 @@ def decoders() -> dict[str, PartialDecoder]:
     return {
         "interpolation": Interpolation(),
         "total variation": TotalVariation(),
+        "p2c2": P2c2(),
         "single Gaussian": GaussianMixture(stride_px=2, single=True),
         "dictionary": sparse,
         "mixture": mixture,

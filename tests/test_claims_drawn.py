@@ -121,6 +121,9 @@ def test_page_and_figures_hold_the_draws_verdicts(claims: ModuleType) -> None:
     half = stats.t.ppf(1 - 0.025 / 3, 3) * stats.sem(near)
     mean = sum(near) / 4
     assert (said["low"], said["high"]) == pytest.approx((mean - half, mean + half))
+    behind = figures["behind_adaptive"]
+    assert behind["grid"] == pytest.approx(dict.fromkeys(("moving", "static", "all"), mean + 2))
+    assert behind["adaptive_mean"]["all"] == pytest.approx(mean - 9), "those that are no rivals, too"
     page = claims.page(found)
     assert "## Latency 3, the hardware's" in page
     assert f"| **too few draws (4 of 6): fails** | {mean:+.2f} dB over flutter" in page

@@ -20,11 +20,29 @@ def boxes(*corners, side=6, shape=(ROWS, COLS)):
 
 
 @pytest.mark.parametrize("frames_ahead", [1, 2, 3])
-def test_a_region_sweeps_its_own_displacement_times_the_latency(frames_ahead):
+def test_a_region_covers_the_last_half_of_its_way(frames_ahead):
     swept = swept_ahead(boxes((8, 20)), boxes((6, 15)), frames_ahead)
     steps = 5 * frames_ahead
-    way = [(8 + round(2 * k / 5), 20 + k) for k in range(steps + 1)]
-    np.testing.assert_array_equal(swept, boxes(*way))
+    way = [(8 + round(2 * k / 5), 20 + k) for k in range(steps // 2, steps + 1)]
+    assert swept[boxes((8, 20), way[-1])].all()
+    assert not swept[~boxes((8, 20), *way)].any(), "nothing but the mask and the half of the way"
+    assert swept.any(axis=0)[20 + -(-steps // 2) : 26 + steps].all(), "without gaps"
+
+
+def test_the_fragments_of_a_mover_move_as_one():
+    """Of half of a mover's pixels four in five changed, others each time."""
+    rng = np.random.default_rng(3)
+    texture = rng.random((12, 24)) < 0.5
+
+    def seen(*cols):
+        mask = np.zeros((ROWS, COLS), np.bool_)
+        for col in cols:
+            mask[10:22, col : col + 24] |= texture & (rng.random(texture.shape) < 0.8)
+        return mask
+
+    places, displacements = region_displacements(seen(37, 54), seen(20, 37))
+    assert len(places) == 1
+    np.testing.assert_allclose(displacements, [(0, 17)], atol=1)
 
 
 def test_each_region_goes_its_own_way_and_a_new_one_nowhere():
@@ -34,46 +52,32 @@ def test_each_region_goes_its_own_way_and_a_new_one_nowhere():
     assert [int(v.min()) for v, _ in places] == [4, 20, 30]
     # The new one is 43 pixels from the nearest, more than three times its 6.
     np.testing.assert_allclose(displacements, [(0, 2), (np.nan, np.nan), (3, 0)])
-    expected = boxes(*((4, 20 + k) for k in range(5)), (20, 100), *((30 + k, 60) for k in range(7)))
+    ahead = (4, 20), *((4, 20 + k) for k in (2, 3, 4)), (30, 60), *((30 + k, 60) for k in (3, 4, 5, 6))
+    expected = boxes((20, 100), *ahead)
     np.testing.assert_array_equal(swept_ahead(mask, before, 2), expected)
     np.testing.assert_array_equal(swept_ahead(mask, np.zeros_like(mask), 2), mask)
     assert not swept_ahead(np.zeros_like(mask), before, 2).any()
 
 
 def test_what_is_faster_than_it_is_long_came_from_the_nearest_region():
-    # Frames at columns 20, 37, 54: masks of two in a row; the middle one is in both.
-    mask, before = boxes((10, 37), (10, 54)), boxes((10, 20), (10, 37))
+    # Frames at columns 20, 45, 70: masks of two in a row; the middle one is in both.
+    mask, before = boxes((10, 45), (10, 70), side=10), boxes((10, 20), (10, 45), side=10)
     _, displacements = region_displacements(mask, before)
-    np.testing.assert_allclose(displacements, [(0, 0), (0, 17)])
-    swept = swept_ahead(mask, before, 2)
-    np.testing.assert_array_equal(swept, mask | boxes(*((10, 54 + k) for k in range(35))))
-    _, limit = region_displacements(boxes((10, 38)), boxes((10, 20)))
-    np.testing.assert_allclose(limit, [(0, 18)])
-    _, beyond = region_displacements(boxes((10, 39)), boxes((10, 20)))
+    np.testing.assert_allclose(displacements, [(0, 25)], err_msg="near enough to be one region")
+    mask, before = boxes((10, 50), (10, 80), side=10), boxes((10, 20), (10, 50), side=10)
+    _, displacements = region_displacements(mask, before)
+    np.testing.assert_allclose(displacements, [(0, 0), (0, 30)])
+    _, beyond = region_displacements(boxes((10, 51), side=10), boxes((10, 20), side=10))
     assert np.isnan(beyond).all()
-    # The longer side is what counts: 3 x 6 pixels.
-    flat, came = boxes((10, 38)), boxes((10, 20))
-    flat[13:], came[13:] = False, False
-    np.testing.assert_allclose(region_displacements(flat, came)[1], [(0, 18)])
-    np.testing.assert_allclose(region_displacements(flat.T, came.T)[1], [(18, 0)])
-
-
-def test_the_largest_overlap_decides():
-    before = boxes((10, 17), (10, 25))
-    # Columns 20 .. 27 share three columns with each; one more on the right.
-    mask = np.zeros_like(before)
-    mask[10:16, 20:29] = True
-    _, displacements = region_displacements(mask, before)
-    np.testing.assert_allclose(displacements, [(0, 24 - 27.5)])
-    # An overlap counts before a neighbour whose centroid is nearer.
-    before = boxes((18, 40))
-    before[10:16, :42] = True
-    _, displacements = region_displacements(boxes((10, 40)), before)
-    np.testing.assert_allclose(displacements, [(0, 42.5 - 20.5)])
+    # The longer side is what counts: 5 x 10 pixels.
+    flat, came = boxes((10, 50), side=10), boxes((10, 20), side=10)
+    flat[15:], came[15:] = False, False
+    np.testing.assert_allclose(region_displacements(flat, came)[1], [(0, 30)])
+    np.testing.assert_allclose(region_displacements(flat.T, came.T)[1], [(30, 0)])
 
 
 def test_what_is_swept_stays_on_the_panel():
-    swept = swept_ahead(boxes((-2, 110)), boxes((1, 102)), 3)
+    swept = swept_ahead(boxes((-2, 110)), boxes((1, 102)), 1)
     assert swept.shape == (ROWS, COLS)
     assert swept[0, 115:].all()
     assert not swept[:, :100].any(), "nothing comes back on the other side"

@@ -214,7 +214,7 @@ def test_other_decoders_of_the_adaptive_scheme_are_no_rivals() -> None:
     experiment = small(preset="figure4")
     other = experiment.methods[0].model_copy(update={"name": "adaptive_other"})
     experiment = experiment.model_copy(update={"methods": (*experiment.methods, other)})
-    assert no_rivals(experiment) == ["adaptive", "adaptive_joined", "adaptive_other"]
+    assert no_rivals(experiment) == ["adaptive", "adaptive_paper", "adaptive_other"]
 
 
 def test_rivals_know_what_the_adaptive_method_knows() -> None:
