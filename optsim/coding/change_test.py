@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from optsim.calibration.demixed import (
 )
 from optsim.core.quantities import Bools, CodedFrame, PanelState
 from optsim.optics.motion import changed
+from optsim.optics.neighbourhoods import dilated, remove_specks
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,31 @@ class Changes:
 
     def after(
         self,
-        frame: CodedFrame,
+        arrived: Sequence[CodedFrame],
         threshold_sigma: float,
         least_change: float,
         release_sigma: float | None = None,
     ) -> Changes:
-        """Compare one more frame with the last one; thresholds as of the scheme that asks."""
+        """Compare the frames that are new among the arrived ones; thresholds as of the scheme that asks."""
+        changes = self
+        for frame in arrived[self.n_seen :]:
+            changes = changes._after(frame, threshold_sigma, least_change, release_sigma)
+        return changes
+
+    def masks(self, speck_px: int, dilation_px: int) -> tuple[Bools, Bools]:
+        """Give the pixels that changed, and those before the last frame: cleaned of specks, then dilated."""
+        now, before = (
+            dilated(remove_specks(label, speck_px), dilation_px) for label in (self.label, self.label_before)
+        )
+        return now, before
+
+    def _after(
+        self,
+        frame: CodedFrame,
+        threshold_sigma: float,
+        least_change: float,
+        release_sigma: float | None,
+    ) -> Changes:
         # Saturated pixels keep their earlier irradiance: right if nothing moves, which is what the test
         # assumes.
         demixed, panel, seen = next_demixed_frame(

@@ -18,7 +18,7 @@ from optsim.coding.growth import region_displacements
 from optsim.coding.periodic import bumps
 from optsim.core.config import Part
 from optsim.core.quantities import Bools, Bytes, CodedFrame, Doubles, ExposureCode, Ints
-from optsim.optics.neighbourhoods import dilated, remove_specks
+from optsim.optics.neighbourhoods import dilated
 
 # As of the motion-adaptive scheme: the least change of squares of pixels that counts.
 _LEAST_CHANGE = 0.2
@@ -113,8 +113,7 @@ class ClosedLoopRate(Part):
         """Code of the next frame: brightness by the newest that has arrived, motion by the last three."""
         del index
         changes, calibration = state.changes, state.changes.calibration
-        for frame in arrived[changes.n_seen :]:
-            changes = changes.after(frame, self.threshold_sigma, _LEAST_CHANGE)
+        changes = changes.after(arrived, self.threshold_sigma, _LEAST_CHANGE)
         lengths = np.full(calibration.shape, calibration.coded_slots)
         moving = np.zeros(calibration.shape, np.bool_)
         if arrived:
@@ -126,10 +125,7 @@ class ClosedLoopRate(Part):
     def _allowed(self, changes: Changes) -> tuple[Ints, Bools]:
         """Longest exposure that motion allows, around moving regions too, and the regions that it limits."""
         calibration = changes.calibration
-        mask, before = (
-            dilated(remove_specks(label, self.speck_px), self.dilation_px)
-            for label in (changes.label, changes.label_before)
-        )
+        mask, before = changes.masks(self.speck_px, self.dilation_px)
         choices = self._choices(calibration.coded_slots)
         own = np.full(calibration.shape, calibration.coded_slots)
         places, displacements = region_displacements(mask, before)

@@ -18,8 +18,8 @@ from optsim.coding.periodic import PeriodicCode
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.static_schemes import StaticScheme
 from optsim.core.config import Part
-from optsim.core.quantities import Bools, CodedFrame, ExposureCode
-from optsim.optics.neighbourhoods import dilated, remove_specks
+from optsim.core.quantities import CodedFrame, ExposureCode
+from optsim.optics.neighbourhoods import dilated
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,20 +109,14 @@ class MotionAdaptive(Part):
         self, index: int, arrived: Sequence[CodedFrame], state: AdaptiveState
     ) -> tuple[ExposureCode, AdaptiveState]:
         """Code of frame ``index`` from all frames that have arrived."""
-        changes = state.changes
-        for frame in arrived[changes.n_seen :]:
-            changes = changes.after(frame, self.threshold_sigma, self.least_change, self.release_sigma)
+        changes = state.changes.after(arrived, self.threshold_sigma, self.least_change, self.release_sigma)
         if changes.n_seen < 2:
             decoded = np.full(changes.label.shape, self.first_frames == "moving")
         else:
-            decoded = self._cleaned(changes.label)
+            decoded, before = changes.masks(self.speck_px, self.dilation_px)
             if self.growth == "displacement":
                 # The newest frame that arrived is n_seen - 1: the mask is this many frames old.
-                before = self._cleaned(changes.label_before)
                 decoded = swept_ahead(decoded, before, index - (changes.n_seen - 1))
         shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
         levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
         return ExposureCode(levels, decoded), replace(state, changes=changes)
-
-    def _cleaned(self, label: Bools) -> Bools:
-        return dilated(remove_specks(label, self.speck_px), self.dilation_px)
