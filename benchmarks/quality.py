@@ -24,6 +24,7 @@ from optsim.decoding import (
     GaussianMixture,
     Interpolation,
     Joined,
+    P2c2,
     SparseCoding,
     TotalVariation,
     VelocityMixture,
@@ -56,6 +57,7 @@ def decoders() -> list[tuple[str, str, PartialDecoder]]:
         *velocity,
         *joined,
         *variation,
+        *[("p2c2", f"{n} rounds", P2c2(rounds=n)) for n in (15, 40)],
     ]
 
 
