@@ -1,15 +1,14 @@
 """How ``make claims`` draws and writes: rivals, latencies, moments, and what its files hold."""
 
-import importlib.util
 import itertools
 import json
 import re
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from programs import program
 from scipy import stats
 from small_experiment import COLS, ROWS, moving_bar
 
@@ -22,22 +21,9 @@ from optsim.metrics.records import PairRecord, Verdict
 ROOT = Path(__file__).parent.parent
 
 
-def loaded(name: str) -> ModuleType:
-    """A program of ``validation/``, as a module."""
-    place = ROOT / "validation"
-    spec = importlib.util.spec_from_file_location(f"validation_{name}", place / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(place), *sys.path])
-        spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def claims() -> ModuleType:
-    return loaded("claims")
+    return program("claims")
 
 
 def test_draws_of_one_motion_begin_a_coded_frame_apart(claims: ModuleType) -> None:
@@ -188,7 +174,7 @@ def test_stored_verdicts_follow_from_their_intervals() -> None:
 
 def test_variants_of_fidelity_are_of_the_code_as_it_is() -> None:
     """Each names a key, or what it replaces; both may be renamed."""
-    fidelity = loaded("fidelity")
+    fidelity = program("fidelity")
     for variant in fidelity.VARIANTS:
         load_experiment("demo", fidelity.keys_of(variant))
         with fidelity.changed(variant):

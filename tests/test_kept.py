@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import util
-from pathlib import Path
 from typing import Any
 
 import pytest
+from programs import program
 
 from optsim.experiment.experiment import load_experiment
 
 
 @pytest.fixture
 def kept() -> Callable[..., dict[str, Any]]:
-    path = Path(__file__).parents[1] / "validation" / "kept.py"
-    spec = util.spec_from_file_location("kept", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.kept
+    return program("kept").kept
 
 
 def test_only_what_would_come_out_the_same_is_recalled(kept, tmp_path) -> None:

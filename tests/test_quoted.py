@@ -1,17 +1,13 @@
 """Figures that README, manual and reports quote are those of the files that a measurement wrote."""
 
-import importlib.util
 import re
 from pathlib import Path
 
 import pytest
+from programs import program
 
 ROOT = Path(__file__).parent.parent
-_SPEC = importlib.util.spec_from_file_location("quoted", ROOT / "validation" / "quoted.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-quoted = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(quoted)
+quoted = program("quoted")
 
 
 @pytest.mark.parametrize("name", quoted.PROSE)

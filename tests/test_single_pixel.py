@@ -1,13 +1,12 @@
 """Table 1's single-pixel camera, hypothetical here: light, causality and its row in figure 4."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from programs import program
 from small_experiment import SMALL
 
 from optsim.core.quantities import Block, Segment
@@ -20,20 +19,9 @@ FRAMES = 6  # the last is steady
 NAME = "single_pixel"
 
 
-def loaded(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"validation_{name}", PLACE / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(PLACE), *sys.path])
-        spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def single() -> ModuleType:
-    module = loaded("single_pixel")
+    module = program("single_pixel")
     module.BLOCKS = 6  # of 3 x 3 panel pixels, the last column of 3 x 1
     return module
 
@@ -106,7 +94,7 @@ def test_a_frame_depends_on_no_later_light(single: ModuleType, both: Result) -> 
 
 
 def test_figure_4_has_its_row_and_no_claim_is_judged_by_it(both: Result) -> None:
-    claims = loaded("claims")
+    claims = program("claims")
     scene = claims.judged([claims._found(both, 0)])
     assert f"| {NAME} | " in claims.figure4({1: {"half": scene}})
     assert all(verdict.rival is None for verdict in scene["verdicts"])
@@ -114,7 +102,7 @@ def test_figure_4_has_its_row_and_no_claim_is_judged_by_it(both: Result) -> None
 
 def test_at_another_latency_it_is_taken_over(both: Result, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing tries to take its coded frames, of which it has none."""
-    claims, asked = loaded("claims"), []
+    claims, asked = program("claims"), []
 
     def capture(part: Experiment, *_: object) -> Frames:
         asked.extend(each.name for each in part.methods)
@@ -128,7 +116,7 @@ def test_at_another_latency_it_is_taken_over(both: Result, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("wavelet", ["Haar", "LeGall"])
 def test_an_adaptive_scan_finds_the_edges_of_measured_wavelets(wavelet: str) -> None:
-    measured = loaded("single_pixel_measured")
+    measured = program("single_pixel_measured")
     y, x = np.mgrid[:32, :32] - 15.7
     disc = (np.hypot(y, x) < 9).astype(np.float64)
     coefficients = disc.copy()

@@ -1,11 +1,10 @@
 """Yields: sheets, draws that can be made again, the interval, and what failures share."""
 
-import importlib.util
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from programs import program
 from scipy import stats
 from small_study import done_here, load, without_workers, write_experiment  # noqa: F401  a fixture
 from test_cli import cli  # noqa: F401  a fixture
@@ -420,12 +419,7 @@ def test_a_camera_is_rebuilt_by_a_printed_command(cli):  # noqa: F811
 
 
 def test_yields_side_by_side_are_of_one_score():
-    path = Path(__file__).parent.parent / "validation" / "tolerances.py"
-    spec = importlib.util.spec_from_file_location("tolerances", path)
-    assert spec is not None
-    assert spec.loader is not None
-    page = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(page)
+    page = program("tolerances")
     one = {"plan": {"method": "a", "region": "all", "frames": 1, "sheet": {}}, "target_db": 25.0}
     page.check_alike({"none": one, "bench": one})
     for other in (

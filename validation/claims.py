@@ -29,7 +29,7 @@ from optsim.experiment.loop import Result, capture, decode, run
 from optsim.experiment.scoring import no_rivals, scorer_of
 from optsim.experiment.truth import render_truth
 from optsim.metrics import judge_claims, measured
-from optsim.metrics.claims import CLAIMS
+from optsim.metrics.claims import CLAIMS, Claim
 from optsim.metrics.pairs import advantage
 from optsim.metrics.records import AREAS, PairRecord, Verdict
 from optsim.metrics.student import half_width
@@ -191,11 +191,18 @@ def behind_adaptive(pairs: Sequence[PairRecord]) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for rival in dict.fromkeys(pair.rival for pair in pairs):
         for claim in CLAIMS:
-            wanted = (rival, claim.metric, claim.region)
-            ahead = [advantage(p) for p in pairs if (p.rival, p.metric, p.region) == wanted]
-            if known := [gain for gain in ahead if gain is not None]:
-                found.setdefault(rival, {})[claim.region] = fmean(known)
+            if ahead := _advantages(_of_claim(pairs, rival, claim)):
+                found.setdefault(rival, {})[claim.region] = fmean(ahead)
     return found
+
+
+def _of_claim(pairs: Sequence[PairRecord], rival: str, claim: Claim) -> list[PairRecord]:
+    wanted = (rival, claim.metric, claim.region)
+    return [each for each in pairs if (each.rival, each.metric, each.region) == wanted]
+
+
+def _advantages(pairs: Sequence[PairRecord]) -> list[float]:
+    return [gain for each in pairs if (gain := advantage(each)) is not None]
 
 
 def page(found: Found) -> str:
@@ -227,10 +234,9 @@ def _of_area(pairs: Sequence[PairRecord]) -> list[str]:
     for rival in dict.fromkeys(pair.rival for pair in pairs):
         cells: list[str] = []
         for claim in CLAIMS:
-            wanted = (rival, claim.metric, claim.region)
-            of_claim = [p for p in pairs if (p.rival, p.metric, p.region) == wanted]
+            of_claim = _of_claim(pairs, rival, claim)
             theirs = [p.theirs for p in of_claim if p.theirs is not None]
-            ahead = [gain for p in of_claim if (gain := advantage(p)) is not None]
+            ahead = _advantages(of_claim)
             digits = 2 if claim.unit == "dB" else 3
             half = half_width(ahead)
             around = "" if half is None else f" ± {half:.{digits}f}"

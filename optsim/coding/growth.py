@@ -49,19 +49,19 @@ def region_displacements(mask: Bools, before: Bools) -> tuple[list[tuple[Ints, I
     """
     labels, n = regions(dilated(mask | before, _JOIN_PX))
     now, then = _places(np.where(mask, labels, 0), n), _places(np.where(before, labels, 0), n)
-    displacements = np.full((n, 2), np.nan)
-    for k in range(n):
-        if now[k][0].size and then[k][0].size:
-            displacements[k] = _correlated(now[k], then[k])
-    middles = {k: np.array([v.mean(), u.mean()]) for k, (v, u) in enumerate(then) if v.size}
-    for k, (v, u) in enumerate(now):
-        if v.size and not then[k][0].size and middles:
-            shifts = np.array([v.mean(), u.mean()]) - np.array(list(middles.values()))
+    middles_then = np.array([(v.mean(), u.mean()) for v, u in then if v.size])
+    there = [k for k in range(n) if now[k][0].size]
+    displacements = np.full((len(there), 2), np.nan)
+    for displacement, k in zip(displacements, there, strict=True):
+        v, u = now[k]
+        if then[k][0].size:
+            displacement[:] = _correlated(now[k], then[k])
+        elif middles_then.size:
+            shifts = np.array([v.mean(), u.mean()]) - middles_then
             distances = np.hypot(*shifts.T)
             if distances.min() <= _FURTHEST_LENGTHS * (max(np.ptp(v), np.ptp(u)) + 1):
-                displacements[k] = shifts[distances.argmin()]
-    there = [k for k in range(n) if now[k][0].size]
-    return [now[k] for k in there], displacements[there]
+                displacement[:] = shifts[distances.argmin()]
+    return [now[k] for k in there], displacements
 
 
 def _correlated(now: tuple[Ints, Ints], then: tuple[Ints, Ints]) -> Doubles:

@@ -39,15 +39,8 @@ class P2c2(ProjectedVideo):
         Largest distance that a pixel may end from where it began, once forth and back, panel pixels.
     share : float
         Weight of each neighbour along the flow, against the pixel's own, in every step.
-    weight : float
-        Weight of the total variation, for light whose brighter parts are about 1.
-    time_weight : float or None
-        Weight of a difference from slot to slot against one from pixel to pixel; None: a 24th of the number
-        of slots, at most 1.
-    rounds, inner_rounds : int
-        Projections, and steps of the smoothing in each.
-    crosstalk : {"undone", "row_summed"}
-        Whether the neighbours' light is removed from the image or added to the weights.
+    weight, time_weight, rounds, inner_rounds, crosstalk
+        As in :class:`~optsim.decoding.projected_video.ProjectedVideo`.
     """
 
     kind: Literal["p2c2"] = "p2c2"
