@@ -474,6 +474,19 @@ def test_each_claim_is_against_the_best_of_all_rivals_with_a_correction(claim: i
     assert "6 draws, 95 % for 2 rivals together (Bonferroni))" in measured(found)
 
 
+@pytest.mark.parametrize(("near", "said", "rival"), [(0, "undecided", "normal"), (-1, "fails", "random")])
+def test_the_rival_that_decides_is_named(near: float, said: str, rival: str) -> None:
+    """One is close in all draws; the other is further behind on average, but may be ahead."""
+    jitter = SPREAD / SPREAD.std(ddof=1)
+    both = zip(
+        draws(*(near + 0.01 * jitter), rival="random"),
+        draws(*(near + 0.5 + 2 * jitter), rival="normal"),
+        strict=True,
+    )
+    found = judge_claims([[*a, *b] for a, b in both])[0]
+    assert (found.verdict, found.rival) == (said, rival)
+
+
 def test_window_and_room_are_judged_apart() -> None:
     room, window = draws(*(0.1 * SPREAD)), draws(*(-2 + 0.1 * SPREAD), area="window")
     found = judge_claims([[*a, *b] for a, b in zip(room, window, strict=True)])

@@ -102,25 +102,26 @@ def _judge(claim: Claim, area: Area, records: Sequence[PairRecord]) -> Verdict:
             of_claim.setdefault(r.rival, []).append(r)
     judged = [_rival(name, found, len(of_claim)) for name, found in of_claim.items()]
     rivals = [rival for rival in judged if rival is not None]
-    nearest = min(rivals, key=lambda rival: rival.mean, default=None)
+    found = _finding(rivals, -claim.margin)
+    deciding = min(rivals, key=lambda rival: _worst(rival, fails=found == "fails"), default=None)
     return Verdict(
         claim=claim.words,
         metric=claim.metric,
         unit=claim.unit,
         region=claim.region,
         area=area,
-        rival=nearest.name if nearest else None,
-        verdict=_finding(rivals, -claim.margin),
+        rival=deciding.name if deciding else None,
+        verdict=found,
         superior=_finding(rivals, 0.0),
         rivals=max(1, len(of_claim)),
         registered=LEAST_DRAWS,
-        advantage=nearest.mean if nearest else None,
-        low=nearest.low if nearest else None,
-        high=nearest.high if nearest else None,
+        advantage=deciding.mean if deciding else None,
+        low=deciding.low if deciding else None,
+        high=deciding.high if deciding else None,
         margin=claim.margin,
-        draws=nearest.draws if nearest else 0,
-        excluded=nearest.excluded if nearest else None,
-        advantage_of_all=nearest.mean_of_all if nearest else None,
+        draws=deciding.draws if deciding else 0,
+        excluded=deciding.excluded if deciding else None,
+        advantage_of_all=deciding.mean_of_all if deciding else None,
     )
 
 
@@ -137,6 +138,12 @@ def _rival(name: str, records: Sequence[PairRecord], n_rivals: int) -> _Rival | 
     return _Rival(name, mean, low, high, len(found), excluded, float(np.mean(of_all)) if of_all else None)
 
 
+def _worst(rival: _Rival, *, fails: bool) -> float:
+    """Return the end of an interval that decides: the upper where a claim fails, else the lower."""
+    end = rival.high if fails else rival.low
+    return rival.mean if end is None else end
+
+
 def _finding(rivals: Sequence[_Rival], bound: float) -> Literal["holds", "fails", "undecided"]:
     """Say whether the advantage over every rival is at least a bound."""
     judged = [(r.low, r.high) for r in rivals if r.low is not None and r.high is not None]
@@ -147,7 +154,7 @@ def _finding(rivals: Sequence[_Rival], bound: float) -> Literal["holds", "fails"
 
 
 def measured(verdict: Verdict) -> str:
-    """Describe a measurement: the advantage over the nearest rival, its interval, and its basis."""
+    """Describe a measurement: the advantage over the rival that decides, its interval, and its basis."""
     if verdict.advantage is None:
         return "not measured: it needs the steady phase of both methods"
     digits, unit = (2, "dB") if verdict.unit == "dB" else (3, verdict.unit)

@@ -166,7 +166,7 @@ class PairRecord(Record):
 
 
 class Verdict(Record):
-    """One claim in one area: the nearest rival, the adaptive method's advantage over it, and its interval.
+    """One claim in one area: the rival that decides, the adaptive method's advantage over it, its interval.
 
     ``advantage`` is a mean over draws; ``low`` and ``high`` bound it, None for a single draw. They hold for
     all ``rivals`` together. ``superior`` says whether it is ahead of all, ``registered`` how many draws were
