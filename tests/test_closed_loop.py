@@ -5,7 +5,7 @@ import pytest
 from ideal_camera import BLACK_DN, SLOTS, film, ideal_calibration, still_light
 from pydantic import ValidationError
 
-from optsim.coding import ClosedLoopDensity, ClosedLoopRate, RandomExposure
+from optsim.coding import ClosedLoopDensity, ClosedLoopRate, MotionAdaptive, RandomExposure
 from optsim.decoding import HdrMerge, Union
 
 ROWS, COLS = 12, 16
@@ -86,6 +86,23 @@ def test_a_bright_window_is_measured_that_an_open_shutter_would_clip():
     assert found.valid.all()
     assert not found.interpolated.any()
     np.testing.assert_allclose(found.irradiance_w_m2[0], image, rtol=0.05)
+
+
+def test_still_pixels_of_the_adaptive_scheme_follow_their_brightness():
+    """Half a panel of movers and half of still light: random bumps there, exposures to the target here."""
+    rows, cols = 24, 64
+    still = np.geomspace(0.3, 100, rows * cols // 2).reshape(rows, cols // 2)
+    dark, bright = (still_light(np.hstack([np.full_like(still, level), still])) for level in (0.5, 2.0))
+    scheme = MotionAdaptive(static=ClosedLoopDensity(), dilation_px=1)
+    frames = film(ideal_calibration(rows, cols), scheme, [dark, bright] * 4, np.random.default_rng(0))
+    lengths = opened(frames)[-1]
+    assert frames[-1].code.moving[:, : cols // 2].all()
+    assert not frames[-1].code.moving[:, cols // 2 + 2 :].any()
+    assert (lengths[:, : cols // 2] == RandomExposure().bump_slots).all()
+    far = slice(cols // 2 + 10, None)
+    wanted = np.clip(np.rint(TARGET / still), 1, SLOTS)
+    np.testing.assert_allclose(lengths[:, far], wanted[:, 10:], atol=1)  # of noise
+    assert MotionAdaptive.model_validate(scheme.model_dump()) == scheme
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -12,21 +12,27 @@ from pydantic import Field, model_validator
 from optsim.calibration.calibration import Calibration
 from optsim.calibration.demixed import Crosstalk
 from optsim.coding.change_test import Changes
+from optsim.coding.closed_loop_density import ClosedLoopDensity
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
 from optsim.coding.periodic import PeriodicCode
 from optsim.coding.random_exposure import RandomExposure
-from optsim.coding.static_schemes import StaticScheme
+from optsim.coding.static_schemes import AnyStaticScheme, StaticScheme
 from optsim.core.config import Part
+from optsim.core.extensions import AS_IT_IS, SCHEMES, or_offered
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.optics.neighbourhoods import dilated
+
+_ForStatic = Annotated[
+    AnyStaticScheme | ClosedLoopDensity, Field(discriminator="kind"), or_offered(SCHEMES, Part), AS_IT_IS
+]
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveState:
     """State of the adaptive scheme between frames."""
 
-    static: PeriodicCode
+    static: Any  # State of the scheme of static pixels.
     moving: PeriodicCode
     changes: Changes  # What the frames that have arrived tell of motion.
 
@@ -40,7 +46,8 @@ class MotionAdaptive(Part):
     Parameters
     ----------
     static, moving : scheme
-        Codes for pixels that stand still and for those that move.
+        Codes for pixels that stand still and for those that move. The static one may follow the brightness
+        (``closed_loop_density``): it gets the same frames, of pixels that moved too.
     threshold_sigma : float
         Change that counts as motion, in predicted standard deviations. The paper gives no value; 4 is a
         sensible default. Noise alone then triggers 1 pixel in 16 000. In the dark, where squares of pixels
@@ -72,7 +79,7 @@ class MotionAdaptive(Part):
     """
 
     kind: Literal["motion_adaptive"] = "motion_adaptive"
-    static: StaticScheme = HdrMosaic()
+    static: _ForStatic = HdrMosaic()
     moving: StaticScheme = RandomExposure()
     threshold_sigma: float = Field(default=4.0, gt=0)
     least_change: float = Field(default=0.2, ge=0)
@@ -118,5 +125,6 @@ class MotionAdaptive(Part):
                 # The newest frame that arrived is n_seen - 1: the mask is this many frames old.
                 decoded = swept_ahead(decoded, before, index - (changes.n_seen - 1))
         shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
-        levels = np.where(shown, state.moving.levels(index), state.static.levels(index))
-        return ExposureCode(levels, decoded), replace(state, changes=changes)
+        still, static = self.static.next(index, arrived, state.static)
+        levels = np.where(shown, state.moving.levels(index), still.levels)
+        return ExposureCode(levels, decoded), replace(state, static=static, changes=changes)
