@@ -74,11 +74,19 @@ class Changes:
         threshold_sigma: float,
         least_change: float,
         release_sigma: float | None = None,
+        *,
+        apart: int | None = None,
     ) -> Changes:
-        """Compare the frames that are new among the arrived ones; thresholds as of the scheme that asks."""
+        """Compare the frames that are new among the arrived ones; thresholds as of the scheme that asks.
+
+        The frame of index ``apart`` isn't compared with the one before.
+        """
         changes = self
         for frame in arrived[self.n_seen :]:
-            changes = changes._after(frame, threshold_sigma, least_change, release_sigma)
+            after = changes._after(frame, threshold_sigma, least_change, release_sigma)
+            if frame.index == apart:
+                after = replace(after, label=changes.label, label_before=changes.label_before)
+            changes = after
         return changes
 
     def masks(self, speck_px: int, dilation_px: int) -> tuple[Bools, Bools]:

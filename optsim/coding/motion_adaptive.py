@@ -15,7 +15,7 @@ from optsim.coding.change_test import Changes
 from optsim.coding.closed_loop_density import ClosedLoopDensity
 from optsim.coding.growth import swept_ahead
 from optsim.coding.hdr_mosaic import HdrMosaic
-from optsim.coding.periodic import PeriodicCode
+from optsim.coding.periodic import PeriodicCode, PeriodicScheme
 from optsim.coding.random_exposure import RandomExposure
 from optsim.coding.static_schemes import AnyStaticScheme, StaticScheme
 from optsim.core.config import Part
@@ -35,6 +35,7 @@ class AdaptiveState:
     static: Any  # State of the scheme of static pixels.
     moving: PeriodicCode
     changes: Changes  # What the frames that have arrived tell of motion.
+    chosen: int | None = None  # The first frame whose code motion chose.
 
 
 class MotionAdaptive(Part):
@@ -116,10 +117,14 @@ class MotionAdaptive(Part):
         self, index: int, arrived: Sequence[CodedFrame], state: AdaptiveState
     ) -> tuple[ExposureCode, AdaptiveState]:
         """Code of frame ``index`` from all frames that have arrived."""
-        changes = state.changes.after(arrived, self.threshold_sigma, self.least_change, self.release_sigma)
+        thresholds = self.threshold_sigma, self.least_change, self.release_sigma
+        # Glare of lamps that saturate in every frame cancels only while their exposure stays the same.
+        apart = None if isinstance(self.static, PeriodicScheme) else state.chosen
+        changes, chosen = state.changes.after(arrived, *thresholds, apart=apart), state.chosen
         if changes.n_seen < 2:
             decoded = np.full(changes.label.shape, self.first_frames == "moving")
         else:
+            chosen = index if chosen is None else chosen
             decoded, before = changes.masks(self.speck_px, self.dilation_px)
             if self.growth == "displacement":
                 # The newest frame that arrived is n_seen - 1: the mask is this many frames old.
@@ -127,4 +132,4 @@ class MotionAdaptive(Part):
         shown = dilated(decoded, self.patch_px - 1 + self.psf_px)
         still, static = self.static.next(index, arrived, state.static)
         levels = np.where(shown, state.moving.levels(index), still.levels)
-        return ExposureCode(levels, decoded), replace(state, static=static, changes=changes)
+        return ExposureCode(levels, decoded), replace(state, static=static, changes=changes, chosen=chosen)

@@ -44,8 +44,9 @@ class Union(Part):
     less error than the video. Where it doesn't, one frame is left to merge. There a video from any code has
     less error: the four exposures of a mosaic differ in time too. Near saturated samples too few of them
     are left, so there only the video's own code gives a video. Undetected motion is likely near detected
-    motion, so the video's share falls with the distance from the nearest change. Where the video ends, it
-    fades out with the number of patches over a pixel. ``moving`` marks where it has its full share.
+    motion, so the video's share falls with the distance from the nearest change. Where all pixels of a patch
+    stay open, their code tells no times apart, and the merge is used. Where the video ends, it fades out with
+    the number of patches over a pixel. ``moving`` marks where it has its full share.
 
     The glare of pixels that saturate in every frame reaches dark pixels. The merge estimates the light of
     these saturated pixels, and their glare is subtracted from the video's samples.
@@ -90,7 +91,7 @@ class Union(Part):
                 near, where = np.ones(still.moving.shape, np.float32), frame.code.moving
                 if self.video == "changed" and not still.moving.all():
                     where = where | ~dilated(calibration.observe(frame).saturated, _AROUND)
-                    near = where * _nearness(still.moving, self.fade_px)
+                    near = where * _nearness(still.moving, self.fade_px) * _timed(frame, calibration)
                 merged.append((still, near))
                 code = replace(frame.code, moving=where & (near >= _LEAST_SHARE))
                 # The merge estimates what always saturates by its glare.
@@ -121,6 +122,12 @@ def _mixed(still: Floats | None, video: Floats | None, share: Floats) -> Floats 
     other = np.zeros_like(still) if video is None else video
     known = ((share <= 0) | (other > 0)) & ((share >= 1) | (still > 0))
     return np.where(known, (1 - share) * still + share * other, 0).astype(np.float32)
+
+
+def _timed(frame: CodedFrame, calibration: Calibration) -> Floats:
+    """1 where the codes of a patch tell times apart, and 0 where all its pixels are always open, (v, u)."""
+    opened = np.count_nonzero(frame.code.levels, axis=0) / np.float32(calibration.coded_slots)
+    return (2 - 2 * box_mean(opened.astype(np.float32), _AROUND + 1)).clip(0, 1)
 
 
 def _nearness(changed: Bools, fade_px: float) -> Floats:
