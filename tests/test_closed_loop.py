@@ -5,7 +5,9 @@ import pytest
 from ideal_camera import BLACK_DN, SLOTS, film, ideal_calibration, still_light
 from pydantic import ValidationError
 
+from optsim.calibration import Glare
 from optsim.coding import ClosedLoopDensity, ClosedLoopRate, MotionAdaptive, RandomExposure
+from optsim.core.quantities import CodedFrame
 from optsim.decoding import HdrMerge, Union
 
 ROWS, COLS = 12, 16
@@ -103,6 +105,26 @@ def test_still_pixels_of_the_adaptive_scheme_follow_their_brightness():
     wanted = np.clip(np.rint(TARGET / still), 1, SLOTS)
     np.testing.assert_allclose(lengths[:, far], wanted[:, 10:], atol=1)  # of noise
     assert MotionAdaptive.model_validate(scheme.model_dump()) == scheme
+
+
+def test_a_lamp_s_glare_is_no_motion_when_codes_are_first_chosen():
+    """It always saturates. Its glare counts less where the dark is open for 36 slots, not 3 as the lamp."""
+    calibration = ideal_calibration(32, 48, glare=Glare(veil=0.02))
+    scheme, light, rng = (
+        MotionAdaptive(static=ClosedLoopDensity()),
+        np.full((32, 48), 0.05),
+        np.random.default_rng(3),
+    )
+    light[12:16, 20:24] = 400
+    state, panel, frames = scheme.init(calibration, rng), None, []
+    for index in range(8):
+        code, state = scheme.next(index, frames, state)
+        weights, panel = calibration.weights(code, panel)
+        dn = rng.poisson(calibration.mix((weights.sum(axis=0) * light).astype(np.float32)) * 270) + BLACK_DN
+        frames.append(CodedFrame(index, dn.clip(0, 16_383).astype(np.uint16), code))
+    assert calibration.observe(frames[-1]).saturated[12:16, 20:24].all()
+    assert [frame.code.moving.any() for frame in frames] == [True] * 2 + [False] * 6
+    assert (opened(frames[-1:])[0][:, :16] == SLOTS).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

@@ -9,7 +9,7 @@ from ideal_camera import BLACK_DN, SLOTS, crossing, film, ideal_calibration, sti
 
 from optsim.calibration import Glare
 from optsim.calibration.demixed import FrameWithHighlights, demixed_frames
-from optsim.coding import HdrMosaic, MotionAdaptive, RandomExposure
+from optsim.coding import HdrMosaic, MotionAdaptive, NormalPhotography, RandomExposure
 from optsim.core.quantities import CodedFrame, ExposureCode
 from optsim.decoding import GaussianMixture, HdrMerge, Interpolation, SparseCoding, Union
 from optsim.decoding.union import _nearness
@@ -124,6 +124,16 @@ def test_what_the_late_mask_misses_is_a_video_too():
     assert joined.moving[missed].mean() > 0.8
     assert error(joined) < 0.8 * error(still)
     assert error(joined) < 0.8 * error(paper)
+
+
+def test_a_code_that_tells_no_times_apart_is_merged():
+    calibration = ideal_calibration(ROWS, COLS, leak=0.01)
+    frames = film(calibration, NormalPhotography(), crossing(6), np.random.default_rng(1))
+    *_, still = HdrMerge().partials(frames, calibration)
+    *_, joined = Union().decode(frames, calibration)
+    assert still.moving.sum() > 50
+    assert not joined.moving.any()
+    np.testing.assert_array_equal(joined.irradiance_w_m2[0], still.irradiance_w_m2[0])
 
 
 def test_a_mosaic_is_merged_beside_what_saturates():
