@@ -27,6 +27,9 @@ from optsim.decoding.readout_window import missed
 from optsim.optics.motion import IrradianceInterval, changed
 from optsim.optics.neighbourhoods import remove_specks
 
+# Reaches of the squares whose means are compared: the largest shows small changes of large dark surfaces.
+_REACHES_PX = 1, 2, 4
+
 
 class HdrMerge(PartialDecoder):
     """Merge all unsaturated samples of a pixel since it last changed.
@@ -58,6 +61,9 @@ class HdrMerge(PartialDecoder):
         Frames looked back, the present one included; 4 is the period of the mosaic.
     threshold_sigma : float
         A frame that differs from newer ones by more is not merged, nor are older ones.
+    moving_sigma : float
+        The same where the code was chosen for motion: a change is likely there. 3 wins 0.6 dB at night, and
+        loses 0.2 dB where half of the picture moves (no source).
     speck_px : int
         Differing regions of fewer pixels count as noise. A false alarm may leave a dark pixel only its
         shortest exposure, so single pixels are rejected.
@@ -79,6 +85,7 @@ class HdrMerge(PartialDecoder):
     kind: Literal["hdr_merge"] = "hdr_merge"
     n_frames: int = Field(default=4, ge=1, le=16)
     threshold_sigma: float = Field(default=4.0, gt=0)
+    moving_sigma: float = Field(default=3.0, gt=0)
     speck_px: int = Field(default=2, ge=1)
     crosstalk: Crosstalk = "undone"
     taint_tolerance: float = Field(default=0.005, ge=0)
@@ -101,7 +108,8 @@ class HdrMerge(PartialDecoder):
                 alive = [kept.sample.valid for kept in recent]
                 together = _literal(samples, _least(samples, alive))
             else:
-                alive = _unchanged([kept.bounds for kept in recent], self.threshold_sigma, self.speck_px)
+                threshold = self._threshold(frame.code.moving)
+                alive = _unchanged([kept.bounds for kept in recent], threshold, self.speck_px)
                 together = merged(calibration, samples, alive, _least(samples, alive), crosstalk)
             valid = sample.valid & (together.tainted <= self.taint_tolerance)
             valid &= np.logical_or.reduce(
@@ -121,6 +129,11 @@ class HdrMerge(PartialDecoder):
                 calibration.slots_per_frame,
                 np.where(together.found, error, light).astype(np.float32)[None],
             )
+
+    def _threshold(self, moving: Bools) -> Floats:
+        """Threshold of change of each pixel: the lower one where motion, not the scheme, chose the code."""
+        chosen = moving & ~moving.all()
+        return np.where(chosen, self.moving_sigma, self.threshold_sigma).astype(np.float32)
 
     def _light(self, frames: Merged) -> tuple[Floats, Floats]:
         """Non-negative irradiance of all pixels, and the variance of the measured ones."""
@@ -151,13 +164,13 @@ def _no_image(index: int, calibration: Calibration) -> Partial:
     return Partial(index, dark[None], dark, no, no, no, calibration.slots_per_frame, dark[None])
 
 
-def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: float, speck_px: int) -> list[Bools]:
+def _unchanged(recent: Sequence[IrradianceInterval], threshold_sigma: Floats, speck_px: int) -> list[Bools]:
     """Pixels of each frame, newest first, that agree with all newer samples."""
     newest = recent[0]
     alive = np.ones_like(newest.valid)
     result = [alive]
     for older in recent[1:]:
-        moved, _ = changed(newest, older, threshold_sigma)
+        moved, _ = changed(newest, older, threshold_sigma, reaches_px=_REACHES_PX)
         alive = alive & ~remove_specks(moved, speck_px)
         result.append(alive)
         # Where the newest is only a bound, compare older ones with the newest unsaturated sample.

@@ -146,7 +146,7 @@ def _slope(image: Floats) -> Floats:
 def changed(
     first: IrradianceInterval,
     second: IrradianceInterval,
-    threshold_sigma: float,
+    threshold_sigma: float | Floats,
     *,
     reaches_px: Sequence[int] = (1, 2),
     least_change: float = 0.0,
@@ -163,7 +163,7 @@ def changed(
     ----------
     first, second : IrradianceInterval
         Two frames.
-    threshold_sigma : float
+    threshold_sigma : float or ndarray of shape (v, u)
         Gap that counts as a change, in standard deviations of the difference. For two measured values of a
         static pixel with Gaussian noise the false-alarm rate of each test is ``erfc(threshold_sigma / sqrt
         2)``.
@@ -233,7 +233,9 @@ def _pair(first: IrradianceInterval, second: IrradianceInterval) -> _Pair:
     )
 
 
-def _changed_together(pair: _Pair, threshold_sigma: float, least_change: float, reach_px: int) -> Bools:
+def _changed_together(
+    pair: _Pair, threshold_sigma: float | Floats, least_change: float, reach_px: int
+) -> Bools:
     """Whether the weighted mean difference over the surroundings exceeds its error."""
     around = partial(sum_around, reach_px=reach_px)
     light = around(pair.mean * pair.measured) / np.maximum(around(pair.measured.astype(np.float32)), 1)
