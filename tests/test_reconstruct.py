@@ -218,6 +218,31 @@ def test_change_restarts_the_merge():
     assert results[4].mean() == pytest.approx(1.0, rel=0.01)
 
 
+def test_smaller_changes_end_the_merge_where_motion_chose_the_code():
+    """3 standard deviations instead of 4, but not where the scheme calls the whole panel moving."""
+    calibration, half = ideal_calibration(24, 48), np.zeros((24, 48), np.bool_)
+    half[:, :24] = True
+
+    def changed(step, moving):
+        code = ExposureCode(np.full((SLOTS, 24, 48), 255, np.uint8), moving)
+        light = np.full((24, 48), 0.5, np.float32)
+        two = [
+            expose(calibration, still_light(each), k, code, None, None)[0]
+            for k, each in enumerate((light, light * step))
+        ]
+        return last(HdrMerge(), two, calibration).moving
+
+    steps = 1 + np.geomspace(1e-4, 1e-1, 121)
+    first = {}
+    for step in steps:
+        found, whole = changed(step, half), changed(step, np.ones_like(half))
+        for name, part in {"chosen": found[:, 6:18], "not": found[:, 30:42], "all": whole[:, 6:18]}.items():
+            if part.all():
+                first.setdefault(name, step - 1)
+    assert first["not"] / first["chosen"] == pytest.approx(4 / 3, rel=0.06)
+    assert first["all"] == first["not"]
+
+
 def test_undone_crosstalk_beats_row_sums_at_an_edge():
     image = np.full((ROWS, COLS), 0.1, np.float32)
     image[:, 20:] = 10.0
