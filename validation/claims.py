@@ -182,8 +182,14 @@ def figures(scene: dict[str, Any]) -> dict[str, Any]:
         of_region.setdefault(verdict.region, {})[verdict.area] = verdict.as_json() | more
     moves = [draw["moves"] for draw in scene["draws"]]
     pairs = [pair for draw in scene["draws"] for pair in _pairs(draw)]
-    behind = behind_adaptive([pair for pair in pairs if pair.area == "room"])
-    return {**of_region, "behind_adaptive": behind, "moves": sum(moves) / len(moves), "draws": len(moves)}
+    in_window = behind_adaptive([pair for pair in pairs if pair.area == "window"])
+    return {
+        **of_region,
+        "behind_adaptive": behind_adaptive([pair for pair in pairs if pair.area == "room"]),
+        **({"behind_adaptive_in_window": in_window} if in_window else {}),
+        "moves": sum(moves) / len(moves),
+        "draws": len(moves),
+    }
 
 
 def behind_adaptive(pairs: Sequence[PairRecord]) -> dict[str, dict[str, float]]:
