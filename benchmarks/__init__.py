@@ -30,6 +30,8 @@ ALL: dict[str, str] = {
     "omp.k10000": "omp",
     "reconstruct.moving_share": "reconstruct",
     "reconstruct.photographs": "photographs",
+    "reconstruct.photographs_misregistered": "photographs",
+    "reconstruct.photographs_contrast_20": "photographs",
     "reconstruct.quality": "quality",
     "render.window_room": "render",
     "render.half_moving": "render",

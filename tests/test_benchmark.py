@@ -217,6 +217,30 @@ def test_photographs_are_those_that_no_prior_has_seen_and_are_exposed_as_stated(
     assert abs(error.mean()) < 4 * wanted / 128
 
 
+def test_photographs_lie_beside_their_pixels_or_shine_through_closed_ones():
+    """Recomputed by the Fourier shift theorem, away from the rims."""
+    ideal, moved, dim = (
+        photographs.photographed(2, **each) for each in ({}, {"shift_px": 0.15}, {"leak": 0.05})
+    )
+    (film,) = moved.truth
+    np.testing.assert_array_equal(film, ideal.truth[0])
+    frequencies = np.fft.fftfreq(film.shape[2])
+    shifted = np.fft.ifft(np.fft.fft(film, axis=2) * np.exp(-2j * np.pi * frequencies * 0.15), axis=2).real
+
+    def read(measurement):
+        calibration, (frame,) = measurement.calibration, measurement.frames
+        sample, _ = demixed_frame(calibration, frame, calibration.panel_at_rest(), "undone")
+        return sample.weights, sample.signal
+
+    weights, signal = read(moved)
+    inner = np.s_[:, 16:-16]
+    errors = [np.std((signal - np.einsum("tvu,tvu->vu", weights, each))[inner]) for each in (shifted, film)]
+    assert errors[0] < 0.8 * errors[1]
+    weights, signal = read(dim)
+    assert (weights.min(), weights.max()) == (pytest.approx(0.05, abs=2e-3), pytest.approx(1))
+    assert np.std(signal - np.einsum("tvu,tvu->vu", weights, film)) < 0.02 * signal.mean()
+
+
 def test_photographs_are_scored_in_the_mean_of_all_films(monkeypatch):
     few = {"interpolation": Interpolation(), "mixture": GaussianMixture(stride_px=4)}
     monkeypatch.setattr(photographs, "decoders", lambda: few)
